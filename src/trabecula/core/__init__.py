@@ -1,0 +1,1 @@
+"""Nouns and small tools. This room imports NumPy and nothing else."""

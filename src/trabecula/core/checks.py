@@ -1,0 +1,80 @@
+"""Small checks that raise and return nothing, and conversions that return. Every message ends with what to do."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError, UnknownNameError
+
+
+def check_name(value: str, known: Iterable[str], *, name: str) -> None:
+    """Raise `UnknownNameError` where `value` is not in `known`, suggesting the nearest that is."""
+    known = sorted(known)
+    if value in known:
+        return
+    near = difflib.get_close_matches(str(value), known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise UnknownNameError(f"unknown {name} {value!r}: {hint}known are {', '.join(known) or 'none'}")
+
+
+def check_finite(values: np.ndarray, *, name: str) -> None:
+    """Raise where a floating array holds NaN or infinity."""
+    if np.issubdtype(values.dtype, np.complexfloating):
+        raise InputError(f"{name} is complex ({values.dtype}): give real values")
+    if not np.issubdtype(values.dtype, np.floating):
+        return
+    bad = values.size - int(np.count_nonzero(np.isfinite(values)))
+    if bad:
+        raise InputError(
+            f"{name} holds {bad} NaN or infinite values of {values.size}: fill or crop them first (np.nan_to_num, a crop)"
+        )
+
+
+def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") -> tuple[int, ...]:
+    """A shape of `ndim` positive integers; one integer means a cube (a square)."""
+    try:
+        raw = [value] if isinstance(value, (int, np.integer, float)) else list(value)
+        sides = [int(side) for side in raw]
+    except (TypeError, ValueError):
+        raise InputError(f"{name} {value!r} is not made of integers: give one number or {ndim}") from None
+    if any(side != given for side, given in zip(sides, raw, strict=True)):
+        raise InputError(f"{name} {value!r} is not made of whole numbers")
+    if len(sides) == 1:
+        sides = sides * ndim
+    if len(sides) != ndim:
+        raise InputError(f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest axis first")
+    if min(sides) < 1:
+        raise InputError(f"{name} {tuple(sides)} must be positive along every axis")
+    return tuple(sides)
+
+
+def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[float, ...]:
+    """Voxel edges, one per axis, positive and finite; `None` means 1 along every axis."""
+    if value is None:
+        return (1.0,) * ndim
+    raw: list[Any] = [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
+    try:
+        edges = [float(edge) for edge in raw]
+    except (TypeError, ValueError):
+        raise InputError(f"spacing {value!r} is not made of numbers: give one or {ndim}") from None
+    if len(edges) == 1:
+        edges = edges * ndim
+    if len(edges) != ndim:
+        raise InputError(f"spacing {tuple(raw)} has {len(raw)} numbers: give one or {ndim}, slowest axis first")
+    if not all(math.isfinite(edge) and edge > 0 for edge in edges):
+        raise InputError(f"spacing {tuple(edges)} must be positive and finite along every axis")
+    return tuple(edges)
+
+
+def as_seed(value: int) -> int:
+    """A seed: an integer from 0 to 2**63 - 1."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise InputError(f"seed {value!r} is not an integer")
+    if not 0 <= int(value) < 2**63:
+        raise InputError(f"seed {value} is outside 0 .. 2**63 - 1")
+    return int(value)

@@ -1,0 +1,215 @@
+"""The one noun: `Image`, values with what they mean.
+
+Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxel whose *corner* lies at the origin; a
+voxel's edge along an axis is `spacing` of that axis, in `unit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_spacing, check_finite, check_name
+from trabecula.core.errors import InputError
+from trabecula.core.recipe import Recipe
+
+KINDS = ("labels", "grey", "colour")
+MAX_PHASES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A 2-D or 3-D image of a material.
+
+    Parameters
+    ----------
+    values : array, (Z, Y, X) or (Y, X); colour (..., 3)
+        Labels `0..n-1` (any integer or bool; kept as uint8), grey (any real), or uint8 RGB. Not copied unless converted;
+        do not write into it afterwards.
+    kind : {"labels", "grey", "colour"}
+        Given, never guessed from a shape.
+    spacing : float or sequence of float, optional
+        Edge of a voxel along every axis, in `unit`. Default 1.0.
+    unit : str, optional
+        "voxel" (default), "mm", "um", "nm", "m", ...
+    phases : sequence of str, optional
+        Names of the labels. Default: ("void", "solid"), then "phase2", "phase3", ...
+    recipe : Recipe, optional
+        How the image came to be.
+
+    Raises
+    ------
+    InputError
+        Wrong dimensions, empty, NaN or infinite, labels that are not integers or not `0..n-1`, bad spacing, phase names
+        that do not fit.
+    """
+
+    values: np.ndarray
+    kind: str
+    spacing: tuple[float, ...] = ()
+    unit: str = "voxel"
+    phases: tuple[str, ...] = ()
+    recipe: Recipe = field(default_factory=Recipe)
+
+    def __post_init__(self) -> None:
+        check_name(self.kind, KINDS, name="kind of image")
+        values = np.asarray(self.values)
+        ndim = values.ndim - (self.kind == "colour")
+        if ndim not in (2, 3):
+            raise InputError(f"an image of kind {self.kind!r} has 2 or 3 axes (colour one more): got shape {values.shape}")
+        if values.size == 0:
+            raise InputError(f"the image is empty: shape {values.shape}")
+        check_finite(values, name="the image")
+        object.__setattr__(self, "spacing", as_spacing(self.spacing or None, ndim=ndim))
+        object.__setattr__(self, "values", _checked_values(values, self.kind))
+        object.__setattr__(self, "phases", _checked_phases(self.values, self.kind, self.phases))
+
+    @property
+    def ndim(self) -> int:
+        """Number of spatial axes, 2 or 3."""
+        return len(self.spacing)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Voxels along every spatial axis (colour left out)."""
+        return self.values.shape[: self.ndim]
+
+    def __repr__(self) -> str:
+        size = "x".join(map(str, self.shape))
+        edge = "x".join(f"{s:g}" for s in self.spacing)
+        names = f", phases {'/'.join(self.phases)}" if self.phases else ""
+        return f"<Image {size} {self.kind}, voxel {edge} {self.unit}{names}>"
+
+
+def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
+    if kind == "colour":
+        if values.shape[-1] != 3 or values.dtype != np.uint8:
+            raise InputError(f"colour is uint8 with 3 channels last: got {values.dtype}, shape {values.shape}")
+        return values
+    if kind == "grey":
+        if values.dtype == bool:
+            raise InputError("a boolean array is labels, not grey: pass kind='labels'")
+        return values
+    if not (values.dtype == bool or np.issubdtype(values.dtype, np.integer)):
+        raise InputError(
+            f"labels must be integers, got {values.dtype}: segment a grey image (tb.segment), or convert with "
+            "values.astype(np.uint8) if these are labels"
+        )
+    low, high = int(values.min()), int(values.max())
+    if low < 0 or high >= MAX_PHASES:
+        raise InputError(
+            f"labels run from 0 to at most {MAX_PHASES - 1}, got {low}..{high}: use tb.labels(array) to number the levels "
+            "of a 0/255 volume, or kind='grey'"
+        )
+    return values.astype(np.uint8, copy=False)
+
+
+def _checked_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[str, ...]:
+    if kind != "labels":
+        if phases:
+            raise InputError(f"phases name labels; an image of kind {kind!r} has none")
+        return ()
+    count = int(values.max()) + 1
+    if not phases:
+        return default_phases(max(2, count))
+    if len(phases) < max(count, 2) or len(set(phases)) != len(phases):
+        raise InputError(f"phases {tuple(phases)} must name at least {max(count, 2)} labels, each name once")
+    return tuple(str(name) for name in phases)
+
+
+def default_phases(count: int) -> tuple[str, ...]:
+    """Names for `count` labels when none are given."""
+    return ("void", "solid", *(f"phase{i}" for i in range(2, count)))[:count]
+
+
+def labels(values: ArrayLike, **fields: Any) -> Image:
+    """An Image of labels from an array of few levels, such as 0/255: the levels, in rising order, become 0..n-1.
+
+    Raises
+    ------
+    InputError
+        More than 16 levels (a grey image: segment it), NaN, or levels that are not whole numbers.
+    """
+    array = np.asarray(values)
+    check_finite(array, name="the array")
+    levels = distinct_levels(array, limit=MAX_PHASES)
+    if levels is None:
+        raise InputError(f"the array has more than {MAX_PHASES} levels: it is grey; segment it (tb.segment)")
+    if np.any(levels != np.round(levels)):
+        raise InputError(f"labels are whole numbers, the array holds {levels[levels != np.round(levels)][0]}: segment it (tb.segment)")
+    return Image(np.searchsorted(levels, array).astype(np.uint8), "labels", **fields)
+
+
+def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
+    """The sorted distinct values, or None where there are more than `limit` (found without sorting the whole array)."""
+    if values.dtype == bool:
+        values = values.view(np.uint8)
+    if values.dtype in (np.uint8, np.uint16):
+        levels = np.flatnonzero(np.bincount(values.ravel()))
+        return levels if len(levels) <= limit else None
+    levels = np.unique(values.ravel()[:65536])
+    for start in range(65536, values.size, 1 << 22):
+        if len(levels) > limit:
+            return None
+        levels = np.union1d(levels, values.ravel()[start : start + (1 << 22)])
+    return levels if len(levels) <= limit else None
+
+
+def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
+    """An Image as it is; an array of bool or of labels `0..n-1` as an Image of labels; other arrays need a kind first.
+
+    Raises
+    ------
+    InputError
+        The array is floating or has levels such as 0/255: only its owner knows what they mean.
+    """
+    if isinstance(value, Image):
+        return value
+    array = np.asarray(value)
+    if array.dtype == bool or (np.issubdtype(array.dtype, np.integer) and array.size and array.min() >= 0 and array.max() < MAX_PHASES):
+        return Image(array, "labels")
+    raise InputError(
+        f"{name} is a plain array of {array.dtype} whose meaning is open: pass tb.Image(array, kind='grey'), "
+        "or tb.labels(array) for a volume of few levels such as 0/255"
+    )
+
+
+def check_labels(image: Image, *, name: str = "image") -> None:
+    """Raise where the image is not of kind "labels"."""
+    if image.kind != "labels":
+        raise InputError(f"{name} is {image.kind}, labels are needed: segment it first (tb.segment, or --threshold)")
+
+
+def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
+    """The label of a phase given by name or number; `None` means the phase named `default`.
+
+    An image without a phase of that name has no default: the caller has to say which phase is meant.
+    """
+    if phase is None:
+        phase = default
+    if isinstance(phase, str):
+        check_name(phase, image.phases, name="phase")
+        return image.phases.index(phase)
+    if not 0 <= int(phase) < len(image.phases):
+        raise InputError(f"phase {phase} does not exist: the image has 0..{len(image.phases) - 1}")
+    return int(phase)
+
+
+def with_values(image: Image, values: np.ndarray, *, recipe: Recipe | None = None, **changes: Any) -> Image:
+    """The same image with other values (and, where given, another recipe)."""
+    return replace(image, values=values, recipe=image.recipe if recipe is None else recipe, **changes)
+
+
+def describe_fields(image: Image) -> Mapping[str, Any]:
+    """The fields beside the values, as plain JSON (for metadata of files)."""
+    return {
+        "kind": image.kind,
+        "spacing": list(image.spacing),
+        "unit": image.unit,
+        "phases": list(image.phases),
+        "recipe": image.recipe.to_json(),
+    }

@@ -1,0 +1,80 @@
+"""How an image came to be: a list of steps, each plain JSON, from the first file read to the last thing done.
+
+The recipe travels in every file written. A step names its verb and every parameter with its value, so that replaying
+the steps gives the same voxels; `sha256` is the digest of the voxels after the step. The method's step holds the
+recipes of its exemplars.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """An immutable list of steps; empty where nothing is known."""
+
+    steps: tuple[Mapping[str, Any], ...] = ()
+
+    def then(self, verb: str, values: np.ndarray, /, **parameters: Any) -> Recipe:
+        """This recipe with one more step, whose result is `values`."""
+        step = {"verb": verb, **_plain(parameters), "sha256": digest(values), "versions": versions()}
+        return Recipe((*self.steps, step))
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """The steps as plain JSON."""
+        return [dict(step) for step in self.steps]
+
+    @classmethod
+    def from_json(cls, steps: Any) -> Recipe:
+        """The recipe that `to_json` gave; `None` means an empty one."""
+        if steps is None:
+            return cls()
+        if not isinstance(steps, list) or not all(isinstance(step, dict) and "verb" in step for step in steps):
+            raise InputError("the recipe is damaged: it should be a list of steps, each with a verb")
+        return cls(tuple(steps))
+
+    def __bool__(self) -> bool:
+        return bool(self.steps)
+
+
+def digest(values: np.ndarray) -> str:
+    """SHA-256 of type, shape and voxels, the same in memory and in every format that keeps the type."""
+    array = np.ascontiguousarray(values)
+    if array.dtype.byteorder == ">" or (array.dtype.byteorder == "=" and sys.byteorder == "big"):
+        array = array.astype(array.dtype.newbyteorder("<"))
+    digester = hashlib.sha256(f"{array.dtype.str.lstrip('<=|')}{array.shape}".encode())
+    digester.update(array.data if array.ndim else array.tobytes())
+    return digester.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """The versions that a result may depend on."""
+    from trabecula import __version__
+
+    return {"trabecula": __version__, "numpy": np.__version__, "python": platform.python_version()}
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON would give it back, or an error: a recipe that cannot be written is no recipe."""
+    return json.loads(json.dumps(value, default=_scalar, allow_nan=False))
+
+
+def _scalar(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Recipe):
+        return value.to_json()
+    raise TypeError(f"{type(value).__name__} does not belong in a recipe")

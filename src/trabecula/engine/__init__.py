@@ -1,0 +1,1 @@
+"""How work runs: compiled kernels, threads over tiles, random numbers by coordinate, memory budgets, stores."""

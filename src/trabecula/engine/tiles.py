@@ -1,0 +1,59 @@
+"""Threads over tiles: a kernel that writes only its own tile gives the same result for any number of threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from trabecula.core.errors import InputError
+
+_threads: ContextVar[int | None] = ContextVar("trabecula_threads", default=None)
+
+
+def thread_count() -> int:
+    """Threads in use: set by `threads`, or by TRABECULA_THREADS, or every core that this process may run on."""
+    chosen = _threads.get()
+    if chosen is not None:
+        return chosen
+    named = os.environ.get("TRABECULA_THREADS")
+    if named:
+        if not named.isdigit() or int(named) < 1:
+            raise InputError(f"TRABECULA_THREADS={named!r} should be a positive integer")
+        return int(named)
+    try:
+        return max(1, len(os.sched_getaffinity(0)))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Use `count` threads inside the block."""
+    if count < 1:
+        raise InputError(f"threads must be at least 1, got {count}")
+    token = _threads.set(count)
+    try:
+        yield
+    finally:
+        _threads.reset(token)
+
+
+def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8) -> None:
+    """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
+
+    `work` must write nothing outside its slab and release the GIL. The slabs depend on the thread count; the result of
+    a kernel that honours the first sentence does not.
+    """
+    count = min(thread_count(), max(1, length // least))
+    if count == 1:
+        work(0, length)
+        return
+    # Four slabs a thread even out slabs of unequal cost.
+    pieces = min(4 * count, max(count, length // least))
+    bounds = [length * i // pieces for i in range(pieces + 1)]
+    with ThreadPoolExecutor(count) as pool:
+        for future in [pool.submit(work, a, b) for a, b in zip(bounds, bounds[1:], strict=False)]:
+            future.result()
