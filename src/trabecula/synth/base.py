@@ -1,0 +1,195 @@
+"""What a method is: `Spec` (what it can do), `Method` (fit) and `Model` (generate).
+
+A method's folder holds `SPEC` in its `__init__.py`, a frozen dataclass in `config.py` and a `Method` in `method.py`.
+The checks, the memory budget and the recipe are here, once; a method fills in `_fit`, `_plan` and `_generate`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from trabecula.core.checks import as_seed, check_name
+from trabecula.core.errors import InputError, RequestError
+from trabecula.core.image import Image, as_image
+from trabecula.core.recipe import Recipe
+from trabecula.core.request import Request
+from trabecula.engine.plan import Plan, check_budget
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What the registry, the contract tests, the command line and the docs know of a method without importing it.
+
+    Parameters
+    ----------
+    name, summary, paper, doi : str
+    exemplar : {"2d", "3d", None}
+        What it learns from; None where it needs no exemplar.
+    kinds : tuple of str
+        Kinds of exemplar that it accepts.
+    honours : frozenset of str
+        Parts of a `Request` beyond shape and seed: "periodic", "mask", "target", "fixed".
+    scaling : {"window", "sweep", "whole"}
+        How it runs on volumes larger than memory (DESIGN: big and repeatable).
+    target : str
+        "module:Class" of the method.
+    extras : tuple of str
+        Extras of the package that it needs.
+    presets : tuple of str
+        Names of ready settings.
+    """
+
+    name: str
+    summary: str
+    paper: str
+    doi: str
+    exemplar: str | None
+    kinds: tuple[str, ...]
+    scaling: str
+    target: str
+    honours: frozenset[str] = frozenset()
+    extras: tuple[str, ...] = ()
+    presets: tuple[str, ...] = ()
+
+
+class Model(ABC):
+    """A method that has seen its exemplar."""
+
+    spec: ClassVar[Spec]
+
+    def __init__(self, config: Any, exemplars: Sequence[Image]) -> None:
+        self.config = config
+        self.exemplars = tuple(exemplars)
+
+    def plan(self, request: Request) -> Plan:
+        """Forecast memory, disk and time of a request, without starting it."""
+        self._check_request(request)
+        return self._plan(request)
+
+    def generate(
+        self, shape: Request | int | Sequence[int], *, seed: int | None = None, memory: int | None = None, **parts: Any
+    ) -> Image:
+        """Make material.
+
+        Parameters
+        ----------
+        shape : int, sequence of int, or Request
+            Voxels along z, y, x (one number: a cube), or the whole request.
+        seed : int
+            0 .. 2**63 - 1; 0 where neither this nor the request says otherwise. Same seed, same voxels.
+        memory : int, optional
+            Budget in bytes. Default: what the machine has available.
+        **parts
+            Other fields of `Request`: periodic, mask, target, fixed.
+
+        Raises
+        ------
+        RequestError
+            The method cannot honour a part of the request.
+        MemoryBudgetError
+            The forecast exceeds the budget.
+        """
+        request = _as_request(shape, seed, parts)
+        check_budget(self.plan(request), budget=memory)
+        values = self._generate(request)
+        return Image(values, **self._result_fields(), recipe=self._recipe(request, values))
+
+    def _check_request(self, request: Request) -> None:
+        refused = sorted(request.asks_for() - self.spec.honours)
+        if refused:
+            can = ", ".join(sorted(self.spec.honours)) or "shape and seed alone"
+            raise RequestError(f"method {self.spec.name!r} cannot honour {', '.join(refused)}: it honours {can}")
+
+    def _result_fields(self) -> dict[str, Any]:
+        first = self.exemplars[0]
+        return {"kind": first.kind, "spacing": first.spacing, "unit": first.unit, "phases": first.phases}
+
+    def _recipe(self, request: Request, values: np.ndarray) -> Recipe:
+        return Recipe().then(
+            "generate",
+            values,
+            method=self.spec.name,
+            settings=asdict(self.config),
+            request={"shape": request.shape, "seed": request.seed, "periodic": request.periodic},
+            exemplars=[exemplar.recipe.to_json() for exemplar in self.exemplars],
+        )
+
+    @abstractmethod
+    def _plan(self, request: Request) -> Plan: ...
+
+    @abstractmethod
+    def _generate(self, request: Request) -> np.ndarray: ...
+
+
+class Method(ABC):
+    """A way to make material, with its settings."""
+
+    spec: ClassVar[Spec]
+    config_type: ClassVar[type]
+
+    def __init__(self, config: Any) -> None:
+        self.config = config
+
+    @classmethod
+    def configured(cls, *, preset: str | None = None, **settings: Any) -> Method:
+        """The method with a preset's settings, changed by `settings`.
+
+        Raises
+        ------
+        UnknownNameError
+            No such preset or setting; the nearest name is suggested.
+        """
+        if preset is not None:
+            check_name(preset, cls.spec.presets, name=f"preset of {cls.spec.name}")
+            settings = {**cls.config_type.preset(preset), **settings}  # type: ignore[attr-defined]
+        known = {field.name for field in fields(cls.config_type)}
+        for name in settings:
+            check_name(name, known, name=f"setting of {cls.spec.name}")
+        return cls(cls.config_type(**settings))
+
+    def fit(self, exemplar: Image | np.ndarray) -> Model:
+        """Learn from an exemplar.
+
+        Raises
+        ------
+        InputError
+            The exemplar has the wrong dimensions or kind, one phase only, or is too small.
+        """
+        image = as_image(exemplar, name="the exemplar")
+        self._check_exemplar(image)
+        if not image.recipe:
+            image = Image(
+                image.values, image.kind, image.spacing, image.unit, image.phases, Recipe().then("array", image.values)
+            )
+        return self._fit(image)
+
+    def _check_exemplar(self, image: Image) -> None:
+        spec = self.spec
+        if spec.exemplar is None:
+            raise InputError(f"method {spec.name!r} takes no exemplar")
+        if f"{image.ndim}d" != spec.exemplar:
+            raise InputError(f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}")
+        if image.kind not in spec.kinds:
+            raise InputError(
+                f"method {spec.name!r} takes {' or '.join(spec.kinds)}, got {image.kind}: segment it first (tb.segment, or --threshold auto)"
+            )
+        if image.kind == "labels" and len(np.unique(image.values)) < 2:
+            raise InputError(
+                f"the exemplar holds one phase only ({image.phases[int(image.values.flat[0])]}): give a crop with both, or another threshold"
+            )
+
+    @abstractmethod
+    def _fit(self, exemplar: Image) -> Model: ...
+
+
+def _as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
+    if isinstance(shape, Request):
+        if parts or seed is not None:
+            raise InputError("give a Request, or shape, seed and parts, not both")
+        return shape
+    return Request(shape, seed=0 if seed is None else as_seed(seed), **parts)

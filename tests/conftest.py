@@ -1,0 +1,15 @@
+"""Fixtures for every room's tests."""
+
+from pathlib import Path
+
+import pytest
+
+DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture
+def data() -> Path:
+    """The folder of real scans; tests that need it are skipped where it is not there."""
+    if not DATA.is_dir():
+        pytest.skip("the folder of real scans (../shared/data) is not here")
+    return DATA
