@@ -1,0 +1,1 @@
+"""What methods share: fields of labels, pyramids, neighbourhoods, histogram matching. Knows no method."""

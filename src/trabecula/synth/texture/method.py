@@ -1,0 +1,229 @@
+"""`texture`: fit keeps the exemplar's pyramid, generate optimises the output level by level.
+
+Per level: random patches (coarsest) or the doubled result, then rounds of search (nearest neighbourhood of the exemplar
+for each of a sparse grid), vote (robust mean of what overlaps) and histogram matching. The fields are clipped signed
+distances, so the last threshold is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.core.progress import track
+from trabecula.core.request import Request
+from trabecula.core.seeds import key
+from trabecula.engine.plan import Plan
+from trabecula.engine.tiles import for_slabs
+from trabecula.synth.base import Method, Model
+from trabecula.synth.shared.fields import labels_of, phase_fields, quantise
+from trabecula.synth.shared.histogram import match_histogram
+from trabecula.synth.shared.neighbourhoods import (
+    SCALE,
+    Basis,
+    covered_shape,
+    grid_shape,
+    principal_basis,
+    project,
+)
+from trabecula.synth.shared.pyramid import double, fit_to, halve
+from trabecula.synth.texture import SPEC
+from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.kernels import search, start_matches, vote
+
+_ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
+_MANY = 1_000_000  # neighbourhoods of an exemplar above which only every `step`-th is a candidate
+
+
+@dataclass(frozen=True)
+class Level:
+    """The exemplar at one resolution: its field, and every candidate neighbourhood as a feature vector."""
+
+    field: np.ndarray  # (C, z, y, x) int8
+    sorted_values: np.ndarray  # (C, n) int8, rising
+    basis: Basis
+    features: np.ndarray  # (N, D) int16
+    shape: tuple[int, ...]  # candidates along each axis
+    stride: int  # voxels between candidates
+    step: int  # voxels between the output's neighbourhoods
+
+
+@dataclass
+class State:
+    """The output at one resolution."""
+
+    field: np.ndarray  # (C, Z, Y, X) int8
+    match: np.ndarray  # (sz, sy, sx) int32
+
+
+class Texture(Method):
+    """3-D exemplar optimisation."""
+
+    spec = SPEC
+    config_type = TextureConfig
+
+    def _fit(self, exemplar: Image) -> TextureModel:
+        config: TextureConfig = self.config
+        if min(exemplar.shape) < config.neighbourhood + _ROOM:
+            raise InputError(
+                f"the exemplar is {exemplar.shape}, a neighbourhood of {config.neighbourhood} needs at least "
+                f"{config.neighbourhood + _ROOM} voxels along every axis: give a larger exemplar, or lower --set neighbourhood="
+            )
+        return TextureModel(config, [exemplar])
+
+
+class TextureModel(Model):
+    """An exemplar as a pyramid of signed distances with the neighbourhoods of every level."""
+
+    spec = SPEC
+    config: TextureConfig
+
+    def __init__(self, config: TextureConfig, exemplars: list[Image]) -> None:
+        super().__init__(config, exemplars)
+        exemplar = exemplars[0]
+        count = min(config.levels, _levels_that_fit(exemplar.shape, config.neighbourhood))
+        fields, self.present = phase_fields(exemplar)
+        pyramid = [fields]
+        for _ in range(count - 1):
+            pyramid.append(halve(pyramid[-1]))
+        self.levels = [
+            _level(field, config, scale=2**i, coarsest=i == count - 1)
+            for i, field in track(list(enumerate(pyramid)), "learning the exemplar")
+        ]
+        self.fractions = np.bincount(exemplar.values.ravel())[list(self.present)] / exemplar.values.size
+
+    def _generate(self, request: Request) -> np.ndarray:
+        state = None
+        for i in reversed(range(len(self.levels))):
+            level = self.levels[i]
+            shape = tuple(-(-side // 2**i) for side in request.shape)
+            grid = grid_shape(shape, width=level.basis.width, step=level.step)
+            stage = key(request.seed, f"texture/{i}")
+            if state is None:
+                match = np.empty(grid, np.int32)
+                start_matches(match, len(level.features), stage)
+                state = State(np.empty(0, np.int8), match)
+                _cast(level, state, np.ones(grid, np.int32), trim=0)
+            else:
+                state = _refined(self.levels[i + 1], level, state, grid)
+            self._optimise(level, state, stage, index=i)
+        assert state is not None  # there is at least one level
+        labels = labels_of(state.field, self.present, self.fractions)
+        return np.ascontiguousarray(labels[tuple(slice(side) for side in request.shape)])
+
+    def _optimise(self, level: Level, state: State, stage: np.uint64, *, index: int) -> None:
+        config = self.config
+        done = len(self.levels) - 1 - index
+        rounds = config.rounds[min(done, len(config.rounds) - 1)]
+        for number in track(range(rounds), f"level {done + 1} of {len(self.levels)}"):
+            features = project(state.field, level.basis, step=level.step)
+            for sweep in range(config.sweeps):
+                distance = _sweep(level, state, features, stage, number * config.sweeps + sweep, config)
+            _cast(level, state, _weights(distance, level, config.robustness), trim=config.trim if index == 0 else 0)
+
+    def _plan(self, request: Request) -> Plan:
+        finest = self.levels[0]
+        grid = grid_shape(request.shape, width=finest.basis.width, step=finest.step)
+        voxels = int(np.prod(covered_shape(grid, width=finest.basis.width, step=finest.step), dtype=np.int64))
+        sites = int(np.prod(grid, dtype=np.int64))
+        channels, dimensions = len(finest.field), finest.features.shape[1]
+        held = sum(level.features.nbytes + level.field.nbytes for level in self.levels)
+        return Plan(
+            memory={
+                "interpreter and kernels": 150 << 20,
+                "exemplar": held,
+                "votes": voxels * (4 * (channels + 1) + 4 * channels),
+                "output": voxels * (2 * channels + 2),
+                "features": sites * (2 * dimensions + 20),
+            },
+            disk=int(np.prod(request.shape, dtype=np.int64)) // 8,
+        )
+
+
+def _levels_that_fit(shape: tuple[int, ...], width: int) -> int:
+    count = 1
+    while min(shape) // 2**count >= width + _ROOM:
+        count += 1
+    return count
+
+
+def _level(field: np.ndarray, config: TextureConfig, *, scale: int, coarsest: bool) -> Level:
+    values = quantise(field / np.float32(scale), clip=config.clip)
+    basis = principal_basis(values, width=config.neighbourhood, variance=config.variance, most=config.components)
+    step = 1 if coarsest else config.step
+    positions = np.prod([side - config.neighbourhood + 1 for side in values.shape[1:]])
+    stride = step if positions > _MANY else 1
+    features = project(values, basis, step=stride)
+    ranked = np.sort(values.reshape(len(values), -1), axis=1)
+    return Level(
+        values, ranked, basis, features.reshape(-1, features.shape[-1]), features.shape[:3], stride=stride, step=step
+    )
+
+
+def _refined(coarse: Level, level: Level, state: State, grid: tuple[int, ...]) -> State:
+    """The coarse result on the finer grid: its field doubled (a distance doubles too), its matches moved along."""
+    doubled = double(state.field).astype(np.int16) * 2
+    shape = covered_shape(grid, width=level.basis.width, step=level.step)
+    field = fit_to(np.clip(doubled, -127, 127).astype(np.int8), shape)
+    sites, moved = [], []
+    for count, have in zip(grid, state.match.shape, strict=True):
+        corner = np.arange(count) * level.step
+        site = np.minimum(corner // (2 * coarse.step), have - 1)
+        sites.append(site)
+        moved.append(corner - 2 * site * coarse.step)
+    old = state.match[np.ix_(*sites)]
+    fine = [
+        np.clip((2 * cell * coarse.stride + offset) // level.stride, 0, side - 1)
+        for cell, offset, side in zip(np.unravel_index(old, coarse.shape), np.ix_(*moved), level.shape, strict=True)
+    ]
+    return State(field, np.ravel_multi_index(fine, level.shape).astype(np.int32))
+
+
+def _sweep(
+    level: Level, state: State, features: np.ndarray, stage: np.uint64, sweep: int, config: TextureConfig
+) -> np.ndarray:
+    """One search sweep; returns the distances of the new matches."""
+    old, match = state.match, np.empty_like(state.match)
+    distance = np.empty(old.shape, np.int32)
+    penalty = _penalty(old, len(level.features), config.index_penalty)
+    arguments: tuple[Any, ...] = (features, level.features, penalty, old, match, distance, level.shape)
+    arguments += (level.step // level.stride, stage, sweep + 1, config.tries)
+    for_slabs(lambda a, b: search(*arguments, a, b), len(old), least=2)
+    state.match = match
+    return distance
+
+
+def _penalty(match: np.ndarray, count: int, weight: float) -> np.ndarray:
+    """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one sweep."""
+    share = np.bincount(match.ravel(), minlength=count).astype(np.float32) * np.float32(count / match.size)
+    return np.float32(1) + np.float32(weight) * np.maximum(share - 1, 0)
+
+
+def _weights(distance: np.ndarray, level: Level, robustness: float) -> np.ndarray:
+    """w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as integers of 1 .. 1023.
+
+    Through a table over the ratio to the mean, so that no power function is asked for a bit it might round otherwise.
+    """
+    # One quantum per voxel keeps an exact match from outvoting everything.
+    floor = SCALE**2 * level.basis.width**3 * len(level.field)
+    mean = int(distance.sum(dtype=np.int64)) // distance.size + floor
+    ratio = np.clip((distance.astype(np.int64) + floor) * 256 // mean, 1, 4095)
+    table = np.clip(np.rint(255 * (np.arange(4096).clip(1) / 256) ** ((robustness - 2) / 2)), 1, 1023)
+    return table.astype(np.int32)[ratio]
+
+
+def _cast(level: Level, state: State, weights: np.ndarray, *, trim: int) -> None:
+    """Vote and match the histogram: the matches become the field."""
+    shape = covered_shape(state.match.shape, width=level.basis.width, step=level.step)
+    channels = len(level.field)
+    total = np.empty((channels + 1, *shape), np.int32)
+    mean = np.empty((channels, *shape), np.int16)
+    arguments: tuple[Any, ...] = (level.field, state.match, weights, level.shape, level.stride, level.step)
+    arguments += (level.basis.width, trim, total, mean)
+    for_slabs(lambda a, b: vote(*arguments, a, b), shape[0])
+    del total
+    state.field = np.stack([match_histogram(m, s) for m, s in zip(mean, level.sorted_values, strict=True)])
