@@ -1,0 +1,1 @@
+"""Image -> Image to learn from: segment, crop, and the samples that the package makes itself."""

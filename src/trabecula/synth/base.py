@@ -27,7 +27,7 @@ class Spec:
 
     Parameters
     ----------
-    name, summary, paper, doi : str
+    name, summary, paper : str
     exemplar : {"2d", "3d", None}
         What it learns from; None where it needs no exemplar.
     kinds : tuple of str
@@ -47,7 +47,6 @@ class Spec:
     name: str
     summary: str
     paper: str
-    doi: str
     exemplar: str | None
     kinds: tuple[str, ...]
     scaling: str

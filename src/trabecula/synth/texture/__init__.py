@@ -6,7 +6,6 @@ SPEC = Spec(
     name="texture",
     summary="a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest in the exemplar",
     paper="Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials",
-    doi="10.1016/j.cagd.2017.03.008",
     exemplar="3d",
     kinds=("labels",),
     scaling="sweep",

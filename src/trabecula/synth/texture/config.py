@@ -17,11 +17,15 @@ class TextureConfig:
     step: int = 2
     """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section 4.1; 1 on the coarsest)."""
 
-    levels: int = 3
-    """Resolutions, each half the next, 1 .. 5 (section 5.1: two). Fewer are used where the exemplar is too small."""
+    levels: int = 6
+    """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave room for a neighbourhood in
+    the exemplar: the coarsest has to see its largest structures, or the density of the result drifts."""
 
-    rounds: tuple[int, ...] = (20, 6, 4)
-    """Rounds of search and vote per level, coarsest first, each 1 .. 100 (section 5.1: up to 30); the last counts for the rest."""
+    first_rounds: int = 20
+    """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100 (section 5.1: up to 30)."""
+
+    rounds: tuple[int, ...] = (4, 6, 8, 12)
+    """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
 
     clip: float = 5.0
     """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider pores, shorter resolves struts."""
@@ -51,7 +55,8 @@ class TextureConfig:
         object.__setattr__(self, "rounds", tuple(int(count) for count in _as_sequence(self.rounds)))
         _check_range(self, "neighbourhood", 4, 10)
         _check_range(self, "step", 1, self.neighbourhood // 2)
-        _check_range(self, "levels", 1, 5)
+        _check_range(self, "levels", 1, 8)
+        _check_range(self, "first_rounds", 1, 100)
         _check_range(self, "clip", 2, 20)
         _check_range(self, "variance", 0.5, 1)
         _check_range(self, "components", 4, 128)
@@ -61,7 +66,7 @@ class TextureConfig:
         _check_range(self, "robustness", 0, 2)
         _check_range(self, "trim", 0, self.neighbourhood // 2 - 1)
         if not self.rounds or not all(1 <= count <= 100 for count in self.rounds):
-            raise InputError(f"rounds {self.rounds} should be numbers from 1 to 100, coarsest level first")
+            raise InputError(f"rounds {self.rounds} should be whole numbers from 1 to 100, finest level first")
 
 
 def _as_sequence(value: object) -> list[int]:

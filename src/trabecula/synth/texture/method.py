@@ -117,9 +117,9 @@ class TextureModel(Model):
 
     def _optimise(self, level: Level, state: State, stage: np.uint64, *, index: int) -> None:
         config = self.config
-        done = len(self.levels) - 1 - index
-        rounds = config.rounds[min(done, len(config.rounds) - 1)]
-        for number in track(range(rounds), f"level {done + 1} of {len(self.levels)}"):
+        coarsest = index == len(self.levels) - 1
+        rounds = config.first_rounds if coarsest else config.rounds[min(index, len(config.rounds) - 1)]
+        for number in track(range(rounds), f"level {len(self.levels) - index} of {len(self.levels)}"):
             features = project(state.field, level.basis, step=level.step)
             for sweep in range(config.sweeps):
                 distance = _sweep(level, state, features, stage, number * config.sweeps + sweep, config)
