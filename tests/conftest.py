@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -13,3 +14,7 @@ def data() -> Path:
     if not DATA.is_dir():
         pytest.skip("the folder of real scans (../shared/data) is not here")
     return DATA
+
+# A first call may compile a kernel, so a time limit on one example says nothing.
+settings.register_profile("trabecula", deadline=None)
+settings.load_profile("trabecula")

@@ -15,39 +15,40 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-# public name -> the module that holds it (a name equal to its module's last part is the module itself)
+# public name -> the module that holds it
 _HOMES = {
-    "Image": "trabecula.core.image",
-    "labels": "trabecula.core.image",
-    "Request": "trabecula.core.request",
-    "Recipe": "trabecula.core.recipe",
-    "errors": "trabecula.core.errors",
-    "threads": "trabecula.engine.tiles",
-    "read": "trabecula.io.files",
-    "write": "trabecula.io.files",
-    "segment": "trabecula.exemplar.segment",
-    "crop": "trabecula.exemplar.crop",
-    "samples": "trabecula.exemplar.samples",
-    "measure": "trabecula.measure",
-    "describe": "trabecula.measure.describe",
-    "method": "trabecula.synth.registry",
-    "methods": "trabecula.synth.registry",
-    "finish": "trabecula.finish",
-    "mesh": "trabecula.mesh.surface",
-    "export": "trabecula.flow",
-    "render": "trabecula.view.still",
-    "verify": "trabecula.report.certificate",
-    "rerun": "trabecula.flow",
+    "Image": "core.image",
+    "labels": "core.image",
+    "Request": "core.request",
+    "Recipe": "core.recipe",
+    "threads": "engine.tiles",
+    "read": "io.files",
+    "write": "io.files",
+    "crop": "exemplar.crop",
+    "segment": "exemplar.segment",
+    "sample": "exemplar.samples",
+    "samples": "exemplar.samples",
+    "describe": "measure",
+    "method": "synth.registry",
+    "methods": "synth.registry",
+    "load": "flow",
+    "export": "flow",
+    "rerun": "flow",
+    "render": "view.still",
+    "verify": "report.certificate",
 }
+_ROOMS = {"errors": "core.errors", "measure": "measure", "finish": "finish", "mesh": "mesh"}
 
-__all__ = ["__version__", *sorted(_HOMES)]  # noqa: PLE0604
+__all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name in _ROOMS:
+        value: Any = importlib.import_module(f"trabecula.{_ROOMS[name]}")
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(f"trabecula.{_HOMES[name]}"), name)
+    else:
         raise AttributeError(f"module 'trabecula' has no attribute {name!r}")
-    module = importlib.import_module(_HOMES[name])
-    value = module if module.__name__.rpartition(".")[2] == name and not callable(getattr(module, name, None)) else getattr(module, name)
     globals()[name] = value
     return value
 

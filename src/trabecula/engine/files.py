@@ -6,7 +6,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from trabecula.core.errors import FileError
@@ -56,4 +56,6 @@ def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        path.unlink(missing_ok=True)
+        # Where the folder never came to be there is nothing to remove, and the first error is the one to tell.
+        with suppress(OSError):
+            path.unlink(missing_ok=True)

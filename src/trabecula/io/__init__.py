@@ -1,0 +1,1 @@
+"""Files to Images and back: one file per format, one table of suffixes (`formats`)."""

@@ -1,0 +1,19 @@
+"""Image -> closed surface -> file for the printer.
+
+`tb.mesh(image)` is the function `trabecula.mesh.surface.mesh`; this room has the same name. Whoever imports a module of
+the room first would leave `tb.mesh` a plain module, so the room can be called and passes the call on.
+"""
+
+import sys
+from types import ModuleType
+from typing import Any
+
+
+class _Room(ModuleType):
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        from trabecula.mesh.surface import mesh
+
+        return mesh(*args, **options)
+
+
+sys.modules[__name__].__class__ = _Room

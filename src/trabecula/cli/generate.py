@@ -1,0 +1,66 @@
+"""`trabecula generate EXEMPLAR --method NAME --shape Z Y X --seed N --out FILE`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from trabecula.cli import options as shared
+from trabecula.cli import terminal
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to make, from what, and where to put it."""
+    add_request(parser)
+    parser.add_argument("--out", required=True, metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)")
+    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+
+def add_request(parser: argparse.ArgumentParser) -> None:
+    """The options that `plan` shares."""
+    parser.add_argument("exemplar", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME")
+    parser.add_argument("--method", default="texture", help="see trabecula methods (default: texture)")
+    parser.add_argument("--shape", nargs="+", required=True, metavar="N", help="voxels: one number (a cube), or z y x")
+    parser.add_argument("--seed", default="0", help="0 .. 2**63 - 1 (default 0)")
+    parser.add_argument("--preset", help="ready settings of the method")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable")
+    parser.add_argument("--periodic", action="store_true", help="repeat without a seam along every axis")
+    parser.add_argument("--memory", type=float, metavar="GIB", help="memory that may be used (default: what is available)")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+    shared.add_reading(parser)
+
+
+def prepare(options: argparse.Namespace) -> tuple[Any, Any]:
+    """The fitted model and the request. What can be refused without work is refused first."""
+    from trabecula.core.request import Request
+    from trabecula.synth.registry import method
+
+    chosen = method(options.method, preset=options.preset, **shared.settings(options.set))
+    request = Request(
+        tuple(shared.integers(options.shape, name="--shape")),
+        seed=shared.integers([options.seed], name="--seed")[0],
+        periodic=(options.periodic,) * 3,
+    )
+    return chosen.fit(shared.load_exemplar(options.exemplar, options)), request
+
+
+def run(options: argparse.Namespace) -> int:
+    """Generate and write."""
+    from trabecula.engine.tiles import thread_count, threads
+    from trabecula.flow import check_target
+    from trabecula.io.files import write
+
+    check_target(options.out)
+    with threads(options.threads if options.threads is not None else thread_count()):
+        model, request = prepare(options)
+        plan = model.plan(request)
+        check_target(options.out, size=plan.disk)
+        budget = None if options.memory is None else int(options.memory * 2**30)
+        material = model.generate(request, memory=budget)
+    write(material, options.out)
+    digest = material.recipe.steps[-1]["sha256"]
+    if options.json:
+        terminal.show_json({"out": options.out, "shape": material.shape, "sha256": digest, "recipe": material.recipe.to_json()})
+    else:
+        print(f"{options.out}: {material!r}\nsha256 {digest}")
+    return 0

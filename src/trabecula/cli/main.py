@@ -1,0 +1,97 @@
+"""`trabecula VERB ...`: parse, run, and turn errors into one line and exit status 2."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from trabecula.cli import terminal
+
+VERBS = {
+    "demo": "the main job on an embedded sample, start to end",
+    "methods": "the methods there are",
+    "samples": "the samples that the package makes, and where real scans are published",
+    "generate": "make material from an exemplar",
+    "plan": "memory, disk and time of a generate, before it starts",
+    "measure": "every descriptor of a material",
+    "verify": "is it the same material? figures against the exemplar's own spread",
+    "finish": "connect: join what is near, remove what floats",
+    "export": "surfaces (.stl .3mf .ply .obj) and volumes for other programs",
+    "render": "a still picture",
+    "rerun": "make a file's voxels again from the recipe in it",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line with the nearest known word."""
+
+    def error(self, message: str) -> NoReturn:
+        unknown = message.removeprefix("unrecognized arguments: ").split()[0] if "unrecognized" in message else ""
+        options = [option for action in self._actions for option in action.option_strings]
+        near = difflib.get_close_matches(unknown, options, n=1) if unknown.startswith("-") else []
+        hint = f"; did you mean {near[0]}?" if near else ""
+        terminal.fail(f"{message}{hint} (see {self.prog} --help)")
+        raise SystemExit(2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _run(words)
+    except KeyboardInterrupt:
+        terminal.fail("interrupted: nothing was written that is not whole")
+        return 130
+    except BrokenPipeError:
+        # The reader went away (trabecula methods | head): not an error, but Python would complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(words: list[str]) -> int:
+    from trabecula.core.errors import TrabeculaError
+
+    if words and not words[0].startswith("-") and words[0] not in VERBS:
+        near = difflib.get_close_matches(words[0], VERBS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        terminal.fail(f"unknown verb {words[0]!r}: {hint}known are {', '.join(VERBS)}")
+        return 2
+    # Only the verb asked for is imported: help for all costs no more than their names.
+    parser, chosen = _parser(words[0] if words and words[0] in VERBS else None)
+    options = parser.parse_args(words)
+    if chosen is None:
+        parser.print_help()
+        return 0
+    try:
+        with terminal.progress_shown():
+            return chosen(options)
+    except TrabeculaError as error:
+        terminal.fail(str(error))
+    except MemoryError:
+        terminal.fail("out of memory: ask for a smaller --shape, or see trabecula plan")
+    return 2
+
+
+def _parser(verb: str | None):
+    from trabecula import __version__
+
+    parser = Parser(prog="trabecula", description="Porous and heterogeneous materials by example.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"trabecula {__version__}")
+    verbs = parser.add_subparsers(metavar="VERB", parser_class=Parser)
+    chosen = None
+    for name, summary in VERBS.items():
+        sub = verbs.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False)
+        if name == verb:
+            module = importlib.import_module(f"trabecula.cli.{name}")
+            module.add_arguments(sub)
+            chosen = module.run
+    return parser, chosen
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""Options that several verbs share, and their conversions."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """How an exemplar is read."""
+    group = parser.add_argument_group("how the exemplar is read")
+    group.add_argument("--kind", metavar="KIND", help="labels, grey or colour (default: as the file says)")
+    group.add_argument("--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or z y x")
+    group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
+    group.add_argument("--phases", nargs="+", metavar="NAME", help="names of the labels, darkest first")
+    group.add_argument("--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, or auto (default)")
+    group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
+
+
+def load_exemplar(source: str, options: argparse.Namespace) -> Any:
+    """The exemplar as the options say; a grey one is segmented."""
+    from trabecula.flow import load
+
+    given = {"kind": options.kind, "unit": options.unit, "phases": options.phases}
+    reading = {name: value for name, value in given.items() if value is not None}
+    if options.spacing:
+        reading["spacing"] = numbers(options.spacing, name="--spacing")
+    crop = integers(options.crop, name="--crop") if options.crop else None
+    return load(source, crop=crop, threshold=threshold(options.threshold), **reading)
+
+
+def threshold(text: str | None) -> Any:
+    """A number, a pair, or the name of a way to find it; `auto` where nothing is given."""
+    if text is None:
+        return "auto"
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
+    return found[0] if len(found) == 1 else found
+
+
+def numbers(words: list[str], *, name: str) -> list[float]:
+    """Floats from words."""
+    from trabecula.core.errors import InputError
+
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise InputError(f"{name} {' '.join(words)}: give numbers (a file comes before {name})") from None
+
+
+def integers(words: list[str], *, name: str) -> list[int]:
+    """Integers from words; the values are checked where they are used."""
+    from trabecula.core.errors import InputError
+
+    try:
+        return [int(word) for word in words]
+    except ValueError:
+        raise InputError(f"{name} {' '.join(words)}: give one whole number or three (a file comes before {name})") from None
+
+
+def settings(pairs: list[str]) -> dict[str, Any]:
+    """`key=value` words; a value is JSON where it can be read so (4, 0.5, true, [4,6]), else text."""
+    from trabecula.core.errors import InputError
+
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, value = pair.partition("=")
+        if not sign or not name:
+            raise InputError(f"--set {pair}: write --set name=value")
+        try:
+            found[name] = json.loads(value)
+        except ValueError:
+            found[name] = value
+    return found

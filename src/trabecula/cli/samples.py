@@ -1,0 +1,25 @@
+"""`trabecula samples`."""
+
+from __future__ import annotations
+
+import argparse
+
+from trabecula.cli import terminal
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Nothing but the form of the output."""
+    parser.add_argument("--json", action="store_true", help="print as JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """List the samples, and where real scans are."""
+    from trabecula.exemplar.samples import REAL_SCANS, samples
+
+    if options.json:
+        terminal.show_json({"samples": samples(), "real_scans": dict(REAL_SCANS)})
+        return 0
+    terminal.show_rows([(f"sample:{name}", summary) for name, summary in samples().items()])
+    print("\nThey are stand-ins. Real scans are published by:")
+    terminal.show_rows([("  " + name, what) for name, what in REAL_SCANS])
+    return 0

@@ -1,0 +1,123 @@
+"""`read` and `write`: any format in the table, by the path's suffix."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import FileError
+from trabecula.core.image import Image, as_image
+from trabecula.io.formats import SLICES, Format, format_of, suffix_of
+from trabecula.io.guard import check_there
+from trabecula.io.meaning import interpret
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    kind: str | None = None,
+    spacing: float | Sequence[float] | None = None,
+    unit: str | None = None,
+    phases: Sequence[str] | None = None,
+) -> Image:
+    """Read a volume or a picture.
+
+    What is not given comes from the metadata that this package wrote into the file; else from the file's own format;
+    else from its content: pictures in red, green, blue are colour; integers of at most 8 levels are labels, the levels
+    in rising order becoming 0..n-1; everything else is grey.
+
+    Parameters
+    ----------
+    path : path
+        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of slices.
+    kind : {"labels", "grey", "colour"}, optional
+    spacing : float or sequence of float, optional
+        Edge of a voxel, one number or one per axis (z, y, x).
+    unit : str, optional
+        Of the spacing, in any usual spelling. A file that states a spacing without a unit leaves it "voxel".
+    phases : sequence of str, optional
+        Names of the labels 0..n-1.
+
+    Returns
+    -------
+    Image
+        With the recipe that the file carries, or a new one whose first step is this reading.
+
+    Raises
+    ------
+    FileError
+        Missing, empty, truncated or damaged, or not what its suffix says.
+    UnknownNameError
+        A suffix, kind or unit that does not exist.
+    InputError
+        Values that are not what `kind` says, NaN, wrong dimensions.
+    MemoryBudgetError
+        A header that claims more than the available memory.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, trabecula as tb
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = tb.write(np.eye(4, dtype=np.uint8), f"{folder}/eye.png")
+    ...     tb.read(path, spacing=0.5, unit="micron")
+    <Image 4x4 labels, voxel 0.5x0.5 um, phases void/solid>
+    """
+    place = Path(path)
+    check_there(place)
+    form = _format_to_read(place)
+    given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
+    options = {name: value for name, value in given.items() if value is not None}
+    return interpret(form.function("read")(place), source=os.fspath(path), options=options)
+
+
+def _format_to_read(path: Path) -> Format:
+    if not path.is_dir():
+        form = format_of(path)
+        if form.folder:
+            raise FileError(f"cannot read {path} as {form.name}: it is a file, a {form.name} store is a folder")
+        return form
+    if suffix_of(path) is None:
+        return format_of("x.zarr") if (path / "zarr.json").exists() else SLICES
+    form = format_of(path)
+    if not form.folder:
+        raise FileError(f"cannot read {path} as {form.name}: it is a folder; name a file in it, or rename the folder")
+    return form
+
+
+def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path:
+    """Write an Image with its spacing, unit, phases and recipe; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    image : Image or array
+        Plain arrays of bool or of labels 0..n-1 as they are; others need a kind first.
+    path : path
+        The suffix chooses the format; a path that ends in "/" is a folder of PNG slices.
+
+    Returns
+    -------
+    Path
+        What was written (the header, where voxels lie beside it).
+
+    Raises
+    ------
+    FileError
+        The place cannot be written, or is taken by something of another sort.
+    UnknownNameError
+        An unknown suffix.
+    InputError
+        Voxels that the format cannot hold.
+    """
+    image = as_image(image)
+    text, place = os.fspath(path), Path(path)
+    form = SLICES if text.endswith(("/", os.sep)) and suffix_of(text) is None else format_of(text)
+    if form.folder and place.exists() and not place.is_dir():
+        raise FileError(
+            f"cannot write {place}: a file of that name is there, a {form.name} is a folder; remove it first"
+        )
+    if not form.folder and place.is_dir():
+        raise FileError(f"cannot write {place}: a folder of that name is there; choose another name")
+    return form.function("write")(image, place)

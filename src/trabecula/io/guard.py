@@ -1,0 +1,130 @@
+"""What stands between a file and memory: is it there, does it claim what it can hold, is it whole?"""
+
+from __future__ import annotations
+
+import binascii
+import difflib
+import lzma
+import math
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
+from trabecula.engine.plan import available_memory, format_bytes
+
+# What the libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and the XML
+# parser's, AttributeError and AssertionError come from tifffile and nibabel on headers that lie.
+_DAMAGE: tuple[type[Exception], ...] = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    ArithmeticError,
+    EOFError,
+    SyntaxError,
+    RuntimeError,
+    struct.error,
+    zlib.error,
+    lzma.LZMAError,
+    binascii.Error,
+)
+
+
+@contextmanager
+def damaged(path: Path, form: str, *, also: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """Turn whatever a library raises while it reads `path` into one line.
+
+    Parameters
+    ----------
+    path : Path
+    form : str
+        Name of the format, for the message.
+    also : tuple of exception types
+        The library's own, where they derive from nothing usual.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # libraries warn of oddities that they then read, or fail on
+            yield
+    except TrabeculaError:
+        raise
+    except MemoryError as error:
+        raise MemoryBudgetError(
+            f"cannot read {path} as {form}: it does not fit into memory; read a smaller part"
+        ) from error
+    except _DAMAGE + also as error:
+        raise FileError(f"cannot read {path} as {form}: {_reason(error)}: is it whole?") from error
+
+
+def _reason(error: Exception) -> str:
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    line = " ".join(text.split()).rstrip(".:") or type(error).__name__
+    return line if len(line) <= 160 else f"{line[:157]}..."
+
+
+def check_there(path: Path) -> None:
+    """Raise where nothing is at `path` (naming what is near), or an empty file."""
+    if not path.exists():
+        raise FileError(f"there is no file {path}{_near(path)}")
+    if path.is_file() and path.stat().st_size == 0:
+        raise FileError(f"cannot read {path}: it is empty (0 bytes); write or copy it again")
+
+
+def _near(path: Path) -> str:
+    if not path.parent.is_dir():
+        return f": there is no folder {path.parent} either"
+    names = [entry.name for entry in path.parent.iterdir()]
+    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
+    return f": did you mean {' or '.join(near)}?" if near else ": check the name"
+
+
+DEFLATE = 1032
+"""No deflate stream (zlib, gzip, PNG) unpacks to more than this times its length."""
+
+
+def check_claim(path: Path, shape: Sequence[int], dtype: np.dtype, *, stored: int | None = None) -> None:
+    """Raise, before anything is allocated, where a header claims more than can be.
+
+    Parameters
+    ----------
+    path : Path
+    shape, dtype :
+        What the header says (colour included in the shape).
+    stored : int, optional
+        Bytes that the file can hold for it at most; packed ones count as often as the packing can shrink them.
+
+    Raises
+    ------
+    FileError
+        The file is too short for what its header claims, or the shape is not positive.
+    MemoryBudgetError
+        More than the available memory.
+    """
+    sides = [int(side) for side in shape]
+    if not sides or min(sides) < 1:
+        raise FileError(f"cannot read {path}: its header claims the shape {tuple(sides)}: is it whole?")
+    need = math.prod(sides) * dtype.itemsize
+    claim = f"its header claims {'x'.join(map(str, sides))} voxels of {dtype}, {format_bytes(need)}"
+    if stored is not None and stored < need:
+        raise FileError(f"cannot read {path}: {claim}, the file can hold {format_bytes(max(stored, 0))}: is it whole?")
+    if need > available_memory():
+        raise MemoryBudgetError(
+            f"cannot read {path}: {claim}, only {format_bytes(available_memory())} of memory are free: "
+            "crop it or use a larger machine"
+        )
+
+
+def check_dtype(dtype: np.dtype, fit: Sequence[str], *, form: str) -> None:
+    """Raise where a format cannot hold a type of voxel."""
+    if dtype.name not in fit:
+        raise InputError(
+            f"{form} cannot hold {dtype} voxels, only {', '.join(fit)}: convert the values, or write .zarr or .npy"
+        )

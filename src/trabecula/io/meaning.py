@@ -1,0 +1,122 @@
+"""From what a file holds to an Image: kind, levels, spacing and the first step of a recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.checks import check_finite, check_name
+from trabecula.core.errors import InputError
+from trabecula.core.image import KINDS, MAX_PHASES, Image, distinct_levels, labels
+from trabecula.core.recipe import Recipe
+from trabecula.io.metadata import Content
+from trabecula.io.units import canonical, check_unit
+
+FEW_LEVELS = 8
+"""Integer data of at most so many levels are labels unless told otherwise."""
+
+
+def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> Image:
+    """An Image from a file's content.
+
+    Parameters
+    ----------
+    content : Content
+    source : str
+        The path as the user gave it, for the recipe.
+    options : mapping
+        What the caller of `read` gave explicitly, among kind, spacing, unit and phases; it wins over the file.
+    """
+    own = content.fields or {}
+    values = _plain(content.values)
+    if "kind" in options:
+        check_name(options["kind"], KINDS, name="kind of image")
+    kind = options.get("kind") or own.get("kind") or _kind_of(values, content.colour)
+    if content.colour and kind != "colour":
+        values = _one_channel(values, kind)
+    levels = None
+    if kind == "labels" and own.get("kind") != "labels":
+        values, levels = _numbered(values, options.get("phases"))
+    elif kind == "grey" and values.dtype == bool:
+        values = values.view(np.uint8)
+    if "unit" in options:
+        check_unit(options["unit"])
+    fields = {
+        "spacing": options.get("spacing", own.get("spacing") or content.spacing or ()),
+        "unit": canonical(options["unit"])
+        if "unit" in options
+        else own.get("unit") or canonical(content.unit or "voxel"),
+        "phases": options.get("phases", own.get("phases", ()) if kind == own.get("kind") else ()),
+    }
+    image = Image(values, kind, **fields)
+    return replace(image, recipe=_recipe(image, content, source, options, levels))
+
+
+def _recipe(image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None) -> Recipe:
+    """The file's own recipe; with a step "read" after it where this reading said something else than the file."""
+    own = None if content.lossy else content.fields
+    recipe = Recipe.from_json(own["recipe"]) if own else Recipe()
+    if own and recipe:
+        said = {"kind": image.kind, "spacing": list(image.spacing), "unit": image.unit, "phases": list(image.phases)}
+        if all(own[name] == value for name, value in said.items()):
+            return recipe
+    renumbered = {"levels": levels} if levels is not None else {}
+    return recipe.then("read", image.values, source=source, options=dict(options), **renumbered)
+
+
+def _plain(values: np.ndarray) -> np.ndarray:
+    """The values in this machine's byte order, or an error where they are no numbers."""
+    if values.dtype.kind not in "biufc":
+        raise InputError(f"the file holds {values.dtype} values: real numbers are needed")
+    check_finite(values, name="the file")
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+
+
+def _kind_of(values: np.ndarray, colour: bool) -> str:
+    if colour:
+        return "colour"
+    if values.dtype == bool:
+        return "labels"
+    levels = distinct_levels(values, limit=FEW_LEVELS) if values.size else None
+    if levels is None:
+        return "grey"
+    if values.dtype.kind == "f":
+        if np.all(levels == np.round(levels)):
+            raise InputError(
+                f"the file holds {values.dtype} values of only {len(levels)} whole levels {_listed(levels)}: "
+                "labels or grey? give kind='labels' or kind='grey' (--kind)"
+            )
+        return "grey"
+    return "labels"
+
+
+def _one_channel(values: np.ndarray, kind: str) -> np.ndarray:
+    if not (np.array_equal(values[..., 0], values[..., 1]) and np.array_equal(values[..., 0], values[..., 2])):
+        raise InputError(
+            f"the file is in colour, kind={kind!r} needs one channel: convert it to grey first, or give kind='colour'"
+        )
+    return values[..., 0]
+
+
+def _numbered(values: np.ndarray, phases: Any) -> tuple[np.ndarray, list | None]:
+    """Labels 0..n-1 and, where they were other levels in the file, those levels."""
+    levels = distinct_levels(values, limit=MAX_PHASES) if values.size else None
+    if levels is None:
+        return labels(values).values, None  # which says what is wrong
+    if phases is not None and len(phases) > len(levels):
+        # A crop may lack a phase. Numbers that already are labels keep their names; other levels would get wrong ones.
+        if values.dtype.kind in "bui" and levels[0] >= 0 and levels[-1] < len(phases):
+            return values, None
+        if len(levels) > 1 or len(phases) > 2:
+            raise InputError(
+                f"phases name {len(phases)} labels, the file holds {len(levels)} levels {_listed(levels)}: name those"
+            )
+    numbered = np.array_equal(levels, np.arange(len(levels)))
+    return labels(values).values, None if numbered else levels.tolist()
+
+
+def _listed(levels: np.ndarray) -> str:
+    return ", ".join(f"{level:g}" for level in levels)

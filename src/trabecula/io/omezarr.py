@@ -1,0 +1,38 @@
+"""Zarr stores with OME-Zarr 0.5 axes and scale; the store itself is the engine's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from trabecula.core.image import Image, describe_fields
+from trabecula.engine import store
+from trabecula.io.guard import check_claim, damaged
+from trabecula.io.metadata import Content, checked
+from trabecula.io.units import long_name
+
+
+def write(image: Image, path: Path) -> Path:
+    """Write a Zarr store (see `trabecula.io.files.write`)."""
+    store.save(
+        path,
+        # OME puts channels before space.
+        np.moveaxis(image.values, -1, 0) if image.kind == "colour" else image.values,
+        scale=image.spacing,
+        unit=long_name(image.unit),
+        fields=dict(describe_fields(image)),
+    )
+    return path
+
+
+def read(path: Path) -> Content:
+    """Read a finished Zarr store (see `trabecula.io.files.read`)."""
+    with damaged(path, "Zarr"):
+        opened = store.open_finished(path)
+        check_claim(path, opened.array.shape, opened.array.dtype)
+        fields = checked(opened.fields)
+        values = opened.load()
+        colour = fields["kind"] == "colour"
+        values = np.moveaxis(values, 0, -1) if colour else values
+        return Content(values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields)

@@ -1,0 +1,247 @@
+"""TIFF: pages along z, with the metadata of ImageJ and OME both ways.
+
+What is written is an ImageJ stack where ImageJ has the type (uint8, uint16, float32, colour) and classic TIFF the room,
+else OME-TIFF, else plain pages. Our own JSON lies in a private tag of the first page, so both kinds of reader skip it.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+import xml.etree.ElementTree as ElementTree
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.engine.files import replacing
+from trabecula.engine.tiles import thread_count
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.metadata import Content, decode, encode
+from trabecula.io.pixels import from_palette, without_alpha
+from trabecula.io.units import canonical, has_length, symbol, to_metres
+
+TAG = 65000  # first of the codes that TIFF leaves for private use
+_DESCRIPTION = 270
+_IMAGEJ = ("uint8", "uint16", "float32")
+_OME = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32", "float64")
+_PLAIN = (*_OME, "uint64", "int64", "float16")
+_CLASSIC_ROOM = 2**32 - 2**25  # offsets of classic TIFF have 32 bits; leave room for the directories
+_DECODED = ("NONE", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "LZMA")  # by tifffile alone; the rest goes through Pillow
+
+# tifffile tells what it stumbles over to a logger; here it becomes one error, so a terminal need not show both.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+def write(image: Image, path: Path) -> Path:
+    """Write a TIFF (see `trabecula.io.files.write`)."""
+    import tifffile
+
+    check_dtype(image.values.dtype, _PLAIN, form="TIFF")
+    flavour, metadata = _flavour(image)
+    x, y = image.spacing[-1], image.spacing[-2]
+    with (
+        replacing(path) as temporary,
+        tifffile.TiffWriter(
+            temporary,
+            bigtiff=image.values.nbytes > _CLASSIC_ROOM,
+            imagej=flavour == "imagej",
+            ome=flavour == "ome",
+            shaped=flavour == "plain",
+        ) as tiff,
+    ):
+        tiff.write(
+            np.ascontiguousarray(image.values),
+            photometric="rgb" if image.kind == "colour" else "minisblack",
+            compression="zlib",
+            maxworkers=thread_count(),
+            resolution=(_per_unit(x), _per_unit(y)),
+            resolutionunit="none",
+            metadata=metadata,
+            extratags=[(TAG, "s", 0, encode(image), True)],
+        )
+    return path
+
+
+def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
+    """Which readers the file is written for, and their metadata."""
+    axes = ("ZYX" if image.ndim == 3 else "YX") + ("S" if image.kind == "colour" else "")
+    name = image.values.dtype.name
+    if name in _IMAGEJ and image.values.nbytes <= _CLASSIC_ROOM:
+        metadata: dict[str, Any] = {"axes": axes, "unit": canonical(image.unit) if has_length(image.unit) else "pixel"}
+        if image.ndim == 3:
+            metadata["spacing"] = image.spacing[0]
+        if image.kind == "labels":  # else a viewer shows labels 0 and 1 both as black
+            metadata |= {"min": 0.0, "max": float(len(image.phases) - 1)}
+        return "imagej", metadata
+    if name in _OME:
+        metadata = {"axes": axes}
+        for axis, edge in zip("ZYX"[-image.ndim :], image.spacing, strict=True):
+            metadata |= {f"PhysicalSize{axis}": edge, f"PhysicalSize{axis}Unit": symbol(image.unit) or "pixel"}
+        return "ome", metadata
+    return "plain", {"axes": axes}
+
+
+def _per_unit(edge: float) -> tuple[int, int]:
+    """Voxels per unit as the nearest rational of two 32-bit numbers."""
+    most = 2**32 - 1
+    value = min(max(1 / Fraction(edge), Fraction(1, most)), Fraction(most))
+    if value >= 1:
+        near = value.limit_denominator(int(most / value))
+        return near.numerator, near.denominator
+    near = (1 / value).limit_denominator(int(most * value))
+    return near.denominator, near.numerator
+
+
+def read(path: Path) -> Content:
+    """Read a TIFF (see `trabecula.io.files.read`)."""
+    import tifffile
+
+    with damaged(path, "TIFF"), tifffile.TiffFile(path, _multifile=False) as tiff:
+        _check_directories(tiff)
+        series = _only_series(tiff)
+        page: Any = tiff.pages.first
+        shrinks = {"NONE": 1, "ADOBE_DEFLATE": DEFLATE, "DEFLATE": DEFLATE}.get(page.compression.name)
+        check_claim(path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks)
+        native = page.compression.name in _DECODED
+        values = series.asarray(maxworkers=thread_count()) if native else _by_pillow(path, tiff, series.shape)
+        values = _stacked(values, series.axes, path)
+        values, colour = _meant(values, page, tiff.is_imagej, inverted=native and page.photometric.name == "MINISWHITE")
+        tag = page.tags.get(TAG)
+        fields = decode(tag.value if tag else None)
+        if fields is not None and len(fields["spacing"]) == 3 and values.ndim - colour == 2:
+            values = values[None]  # a volume of one slice, which TIFF itself cannot tell from a picture
+        spacing, unit = _calibration(tiff, page, ndim=values.ndim - colour)
+        return Content(values, colour=colour, spacing=spacing, unit=unit, fields=fields)
+
+
+def _check_directories(tiff: Any) -> None:
+    """Raise where a directory of a page lies beyond the end: tifffile would leave such pages out and go on."""
+    file, form, size = tiff.filehandle, tiff.tiff, tiff.filehandle.size
+    file.seek(4 if form.version == 42 else 8)
+    pages, offset = 0, _number(file, form.offsetformat)
+    while offset and pages <= size // form.tagsize:
+        file.seek(offset)
+        entries = file.read(_number(file, form.tagnoformat) * form.tagsize)
+        if pages == 0:
+            _check_first(entries, form, size)
+        offset = _number(file, form.offsetformat)
+        pages += 1
+    if pages != len(tiff.pages):
+        raise ValueError(f"its directories name {pages} pages, {len(tiff.pages)} are readable")
+
+
+def _check_first(entries: bytes, form: Any, size: int) -> None:
+    """Raise where the texts that say what the file means lie beyond its end."""
+    value_at = form.tagsize - form.offsetsize
+    for start in range(0, len(entries) - form.tagsize + 1, form.tagsize):
+        (code,) = struct.unpack_from(form.byteorder + "H", entries, start)
+        if code in (_DESCRIPTION, TAG):
+            (count,) = struct.unpack_from(form.offsetformat, entries, start + value_at - form.offsetsize)
+            (offset,) = struct.unpack_from(form.offsetformat, entries, start + value_at)
+            if count > form.offsetsize and offset + count > size:
+                raise ValueError("its description lies beyond its end")
+
+
+def _number(file: Any, form: str) -> int:
+    return int(struct.unpack(form, file.read(struct.calcsize(form)))[0])
+
+
+def _only_series(tiff: Any) -> Any:
+    if not len(tiff.series):
+        raise ValueError("it holds no picture")
+    series = tiff.series[0]
+    if len(tiff.series) > 1:
+        raise InputError(f"{tiff.filename} holds {len(tiff.series)} unlike stacks: save the one you mean alone")
+    if any(page is None for page in series.pages):
+        raise ValueError("pages that its metadata name are missing")
+    images = (tiff.imagej_metadata or {}).get("images", 1) if tiff.is_imagej else 1
+    if images * tiff.pages.first.size > series.size:
+        raise ValueError(f"its metadata name {images} pages, {len(series.pages)} are there")
+    return series
+
+
+def _by_pillow(path: Path, tiff: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow brings libtiff."""
+    from trabecula.io.raster import opened
+
+    with opened(path, ("TIFF",)) as picture:
+        pages = []
+        for index in range(len(tiff.pages)):
+            picture.seek(index)
+            pages.append(np.asarray(picture))
+    return np.stack(pages).reshape(shape)
+
+
+def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
+    """The values with axes (z, y, x), colour last."""
+    for axis, letter in reversed(list(enumerate(axes))):
+        if values.shape[axis] == 1 and letter not in "ZQIYXS":
+            values, axes = values.take(0, axis), axes[:axis] + axes[axis + 1 :]
+    stack = [letter for letter in axes if letter not in "YXS"]
+    if len(stack) > 1 or any(letter not in "ZQI" for letter in stack) or "Y" not in axes or "X" not in axes:
+        sizes = ", ".join(f"{letter} {size}" for letter, size in zip(axes, values.shape, strict=True))
+        raise InputError(
+            f"{path} has the axes {sizes}: only one stack of slices (Z) can be read; save one time and channel alone"
+        )
+    order = [axes.index(letter) for letter in [*stack, "Y", "X", *("S" if "S" in axes else "")]]
+    return values.transpose(order)
+
+
+def _meant(values: np.ndarray, page: Any, imagej: bool, *, inverted: bool) -> tuple[np.ndarray, bool]:
+    """Values as brightness or colour, and whether they are colour. ImageJ's palettes only show greys, so they go."""
+    samples = page.samplesperpixel
+    if samples in (2, 4):
+        values = without_alpha(values)
+    elif samples not in (1, 3):
+        raise InputError(f"the file has {samples} channels a pixel: save grey or red, green, blue")
+    if page.photometric.name == "PALETTE" and not imagej:
+        return from_palette(values, (page.colormap.T >> 8).astype(np.uint8))
+    if inverted and values.dtype.kind in "bu":
+        values = ~values
+    return values, samples in (3, 4)
+
+
+def _calibration(tiff: Any, page: Any, *, ndim: int) -> tuple[tuple[float, ...] | None, str | None]:
+    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say."""
+    if tiff.is_ome:
+        return _ome_calibration(tiff.ome_metadata, ndim=ndim)
+    y, x = (_edge(page.tags.get(name)) for name in ("YResolution", "XResolution"))
+    if x is None or y is None:
+        return None, None
+    if tiff.is_imagej:
+        found = tiff.imagej_metadata or {}
+        z = abs(float(found.get("spacing", 1.0))) or 1.0
+        return (z, y, x)[-ndim:], str(found["unit"]) if "unit" in found else None
+    unit = page.tags.get("ResolutionUnit")
+    if (
+        ndim == 2 and unit is not None and unit.value == 3
+    ):  # centimetres; inches (2) are print sizes, mostly 72 dpi by habit
+        return (y, x), "cm"
+    return None, None
+
+
+def _edge(resolution: Any) -> float | None:
+    if resolution is None:
+        return None
+    voxels, units = resolution.value
+    return units / voxels if voxels and units else None
+
+
+def _ome_calibration(text: str, *, ndim: int) -> tuple[tuple[float, ...] | None, str | None]:
+    pixels = next((node for node in ElementTree.fromstring(text).iter() if node.tag.endswith("}Pixels")), None)
+    if pixels is None or "PhysicalSizeX" not in pixels.attrib:
+        return None, None
+    edges, units = [], []
+    for axis in "ZYX"[-ndim:]:
+        edges.append(float(pixels.get(f"PhysicalSize{axis}", 1.0)))
+        units.append(pixels.get(f"PhysicalSize{axis}Unit", "µm"))
+    unit = units[-1]
+    if not has_length(unit):
+        return tuple(edges), "voxel"
+    return tuple(
+        e if u == unit else e * to_metres(u) / to_metres(unit) for e, u in zip(edges, units, strict=True)
+    ), unit

@@ -1,0 +1,48 @@
+"""Which voxels a measure is about: the one place where "solid" and "void" get their meaning.
+
+Without a phase, "void" is the phase of that name and "solid" is everything else: with two phases the phase named
+solid, with more of them their union. A phase that is given, by name or number, is that phase alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image, check_labels, phase_index
+
+
+def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str = "solid") -> tuple[Image, np.ndarray]:
+    """The image, and a boolean array that is True in the phase.
+
+    Parameters
+    ----------
+    image : Image or array, (Z, Y, X) or (Y, X)
+        Labels.
+    phase : str or int, optional
+        Default: `default`.
+    default : {"solid", "void"}
+
+    Raises
+    ------
+    InputError
+        Not labels, no such phase, or no phase given where none is named "void".
+    """
+    image = as_image(image)
+    check_labels(image)
+    if phase is None and default == "solid":
+        return image, image.values != phase_index(image, None, default="void")
+    return image, image.values == phase_index(image, phase, default=default)
+
+
+def as_inside(inside: ArrayLike, *, name: str = "inside") -> np.ndarray:
+    """A boolean array of 2 or 3 axes, C-contiguous, lifted to (Z, Y, X) (a 2-D array is one slice)."""
+    array = np.asarray(inside)
+    if array.ndim not in (2, 3) or array.size == 0:
+        raise InputError(f"{name} has 2 or 3 axes and is not empty: got shape {array.shape}")
+    if array.dtype != bool:
+        if array.dtype != np.uint8 or array.max() > 1:
+            raise InputError(f"{name} is a boolean array, got {array.dtype}: compare with a label first (values == 1)")
+        array = array.view(bool) if array.flags.c_contiguous else array.astype(bool)
+    return np.ascontiguousarray(array if array.ndim == 3 else array[None])

@@ -1,0 +1,31 @@
+"""The one table of surface formats: suffix -> (what it is, module that writes it)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from trabecula.io.units import has_length, to_metres
+from trabecula.mesh.base import Mesh
+
+FORMATS = {
+    ".stl": ("binary STL, in millimetres", "trabecula.mesh.stl"),
+    ".3mf": ("3D Manufacturing Format, with unit and recipe", "trabecula.mesh.threemf"),
+    ".ply": ("binary PLY, unit and recipe as comments", "trabecula.mesh.ply"),
+    ".obj": ("Wavefront OBJ, unit and recipe as comments", "trabecula.mesh.obj"),
+}
+
+
+def recipe_json(mesh: Mesh) -> str:
+    """The recipe on one line of ASCII."""
+    return json.dumps(mesh.recipe.to_json(), separators=(",", ":"))
+
+
+def recipe_digest(mesh: Mesh) -> str:
+    """Sixteen hexadecimal digits that name the recipe where it does not fit."""
+    return hashlib.sha256(recipe_json(mesh).encode()).hexdigest()[:16]
+
+
+def metres(mesh: Mesh) -> float | None:
+    """Metres in the mesh's unit, or None where it has no length ("voxel")."""
+    return to_metres(mesh.unit) if has_length(mesh.unit) else None

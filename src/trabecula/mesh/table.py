@@ -1,0 +1,130 @@
+"""The case table of marching cubes, generated (Lorensen and Cline 1987, doi:10.1145/37401.37422, gives the idea).
+
+A cube has the centres of 2x2x2 voxels as corners. Corner `c` lies at x = c & 1, y = c >> 1 & 1, z = c >> 2 & 1; bit `c`
+of a configuration says that this corner is solid. An edge whose ends differ carries one vertex.
+
+**One rule for every face.** On a face whose solid corners lie on a diagonal, the solid is *separated* (each solid
+corner gets its own segment). So the surface encloses parts that are 6-connected, the connectivity that components are
+counted by. The void is joined there. Both cubes at a face apply the same rule to the same four corners and so draw the
+same segments, in opposite directions: whatever the volume, no gap can open.
+
+**Why the surface is a manifold.** Every cut edge lies in two faces of its cube and ends one segment in each, so the
+segments close into loops that share no vertex, and around a grid edge the four cubes' loops form one ring. A loop's
+inner diagonals are its own unless both ends lie in one face of the cube, where the neighbour could draw the same;
+`_triangulate` therefore never uses such a diagonal (the table test shows that it never has to).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+
+EDGES = tuple((c, c | 1 << axis, axis) for axis in range(3) for c in range(8) if not c >> axis & 1)
+"""The twelve edges: lower corner, upper corner, axis (0 x, 1 y, 2 z)."""
+
+_EDGE_OF = {frozenset((a, b)): index for index, (a, b, _) in enumerate(EDGES)}
+_NOT_POSSIBLE = 1e9
+
+
+@cache
+def case_table() -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of every configuration.
+
+    Returns
+    -------
+    counts : (256,) int64
+        Number of triangles.
+    triangles : (256, N) int64
+        Edge numbers, three to a triangle, outward (counter-clockwise seen from the void); filled up with -1.
+    """
+    cases = [_triangles(config) for config in range(256)]
+    counts = np.array([len(case) // 3 for case in cases], np.int64)
+    triangles = np.full((256, max(map(len, cases))), -1, np.int64)
+    for config, case in enumerate(cases):
+        triangles[config, : len(case)] = case
+    return counts, triangles
+
+
+def loops(config: int) -> list[list[int]]:
+    """The closed loops of cut edges of one configuration, outward."""
+    follower: dict[int, int] = {}
+    for face in _FACES:
+        follower.update(_segments(config, face))
+    found = []
+    while follower:
+        start, nearest = next(iter(follower.items()))
+        loop = [start]
+        while nearest != start:
+            loop.append(nearest)
+            nearest = follower.pop(nearest)
+        del follower[start]
+        found.append(loop)
+    return found
+
+
+def share_face(first: int, second: int) -> bool:
+    """Whether two edges of the cube lie in one of its faces."""
+    return any({first, second} <= set(_edges_around(face)) for face in _FACES)
+
+
+def _corners_around(axis: int, side: int) -> tuple[int, int, int, int]:
+    """The corners of a face, counter-clockwise seen from outside the cube."""
+    u, v = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+    base = side << axis
+    ring = (base, base | u, base | u | v, base | v)
+    return ring if side else (ring[0], ring[3], ring[2], ring[1])
+
+
+_FACES = tuple(_corners_around(axis, side) for axis in range(3) for side in (0, 1))
+
+
+def _edges_around(face: tuple[int, int, int, int]) -> list[int]:
+    return [_EDGE_OF[frozenset(pair)] for pair in pairwise((*face, face[0]))]
+
+
+def _segments(config: int, face: tuple[int, int, int, int]) -> dict[int, int]:
+    """Start -> end of the segments on a face: one around each run of solid corners, from the edge before to that after.
+
+    Giving each run its own segment is the rule that separates solid corners on a diagonal.
+    """
+    solid = [config >> corner & 1 for corner in face]
+    edges = _edges_around(face)
+    segments = {}
+    for k in range(4):
+        if solid[k] and not solid[(k + 1) % 4]:
+            first = k
+            while solid[(first - 1) % 4]:
+                first -= 1
+            segments[edges[(first - 1) % 4]] = edges[k]
+    return segments
+
+
+def _triangles(config: int) -> list[int]:
+    return [edge for loop in loops(config) for edge in _triangulate(loop)]
+
+
+def _triangulate(loop: list[int]) -> list[int]:
+    """Triangles of a loop with the shortest diagonals that lie in no face of the cube (dynamic programming)."""
+    middle = [np.array([sum(c >> axis & 1 for c in EDGES[edge][:2]) / 2 for axis in range(3)]) for edge in loop]
+
+    def diagonal(i: int, j: int) -> float:
+        if j - i in (1, len(loop) - 1):
+            return 0.0
+        return _NOT_POSSIBLE if share_face(loop[i], loop[j]) else float(np.linalg.norm(middle[i] - middle[j]))
+
+    @cache
+    def best(i: int, j: int) -> tuple[float, tuple[int, ...]]:
+        if j - i < 2:
+            return 0.0, ()
+        splits = []
+        for k in range(i + 1, j):
+            (low, left), (high, right) = best(i, k), best(k, j)
+            cost = low + high + diagonal(i, k) + diagonal(k, j)
+            splits.append((cost, (*left, loop[i], loop[k], loop[j], *right)))
+        return min(splits)
+
+    cost, triangles = best(0, len(loop) - 1)
+    assert cost < _NOT_POSSIBLE, "a loop without a triangulation off the faces"
+    return list(triangles)

@@ -1,0 +1,129 @@
+"""Small SVG figures: curves with a band, and where a number lies in its range. Told apart by dashes and not by
+colour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_WIDTH, _HEIGHT = 380, 250
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 12, 26, 38
+
+
+def curve_plot(
+    curves: Mapping[str, ArrayLike],
+    *,
+    title: str,
+    x_label: str,
+    band: tuple[ArrayLike, ArrayLike] | None = None,
+    step: float = 1.0,
+) -> str:
+    """Curves over r = 0, step, 2 step, ...: the first drawn full, the second dashed, more dotted; the band hatched.
+
+    Parameters
+    ----------
+    curves : mapping of name to array (n,)
+    title, x_label : str
+    band : (low, high), arrays (n,), optional
+    step : float
+        Distance between points, in the unit of `x_label`.
+
+    Returns
+    -------
+    svg : str
+        Needs the pattern of `hatching` in the same page.
+    """
+    lines = {name: np.asarray(curve, np.float64) for name, curve in curves.items()}
+    low, high = (np.asarray(edge, np.float64) for edge in band) if band else (np.empty(0), np.empty(0))
+    everything = np.concatenate([*lines.values(), low, high])
+    bottom, top = min(0.0, everything.min()), max(everything.max(), 1e-12)
+    right = step * max(1, max(len(line) for line in lines.values()) - 1)
+    across = np.array([_LEFT, (_WIDTH - _LEFT - _RIGHT) / right])
+    up = np.array([_HEIGHT - _BOTTOM, -(_HEIGHT - _TOP - _BOTTOM) / (top - bottom)])
+
+    def points(curve: np.ndarray) -> list[str]:
+        x = across[0] + across[1] * step * np.arange(len(curve))
+        return [f"{a:.1f},{b:.1f}" for a, b in zip(x, up[0] + up[1] * (curve - bottom), strict=True)]
+
+    body = [f'<text class="title" x="{_LEFT}" y="16">{escape(title)}</text>']
+    for tick in ticks(bottom, top):
+        y = up[0] + up[1] * (tick - bottom)
+        body.append(f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        body.append(f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{tick:g}</text>')
+    for tick in ticks(0, right):
+        x = across[0] + across[1] * tick
+        body.append(f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" text-anchor="middle">{tick:g}</text>')
+    body.append(
+        f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 6}" text-anchor="end">{escape(x_label)}</text>'
+    )
+    if band:
+        body.append(f'<polygon class="band" points="{" ".join(points(low) + points(high)[::-1])}"/>')
+    for kind, line in enumerate(lines.values()):
+        body.append(f'<polyline class="line{min(kind, 2)}" points="{" ".join(points(line))}"/>')
+    return _svg(_WIDTH, _HEIGHT, title, body)
+
+
+def place_plot(value: float | None, band: tuple[float, float], own: float | None) -> str:
+    """Where a number (dot) lies: the band as a hatched bar, the exemplar's own number as a tick. An arrow: beyond
+    the figure."""
+    width, height = 150, 18
+    spread = max(band[1] - band[0], 1e-9 * abs(band[1]), 1e-12)
+    start, end = band[0] - spread, band[1] + spread
+
+    def x(number: float) -> float:
+        return 8 + (width - 16) * (number - start) / (end - start)
+
+    body = [
+        f'<line class="grid" x1="0" x2="{width}" y1="9" y2="9"/>',
+        f'<rect class="band" x="{x(band[0]):.1f}" y="4" width="{x(band[1]) - x(band[0]):.1f}" height="10"/>',
+    ]
+    if own is not None:
+        body.append(f'<line class="own" x1="{x(own):.1f}" x2="{x(own):.1f}" y1="1" y2="17"/>')
+    if value is not None and value < start:
+        body.append('<polygon class="dot" points="0,9 9,4 9,14"/>')
+    elif value is not None and value > end:
+        body.append(f'<polygon class="dot" points="{width},9 {width - 9},4 {width - 9},14"/>')
+    elif value is not None:
+        body.append(f'<circle class="dot" cx="{x(value):.1f}" cy="9" r="4"/>')
+    return _svg(width, height, "place in the band", body)
+
+
+def hatching() -> str:
+    """The pattern that bands are filled with: once a page."""
+    return (
+        '<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs><pattern id="hatch" width="5" '
+        'height="5" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect width="5" height="5" '
+        'fill="#eceae4"/><line x1="0" y1="0" x2="0" y2="5" stroke="#b9b4a6" stroke-width="1.6"/></pattern></defs></svg>'
+    )
+
+
+def key(names: Sequence[str], *, band: str | None) -> str:
+    """Which line is which, once for all figures of a page."""
+    parts = []
+    for kind, name in enumerate(names):
+        line = f'<line class="line{min(kind, 2)}" x1="0" x2="36" y1="7" y2="7"/>'
+        parts.append(f"<span>{_svg(36, 14, name, [line], fixed=True)} {escape(name)}</span>")
+    if band:
+        swatch = '<rect class="band" x="0" y="1" width="36" height="12"/>'
+        parts.append(f"<span>{_svg(36, 14, band, [swatch], fixed=True)} {escape(band)}</span>")
+    return f'<p class="key">{" ".join(parts)}</p>'
+
+
+def ticks(low: float, high: float, *, count: int = 5) -> list[float]:
+    """About `count` round numbers from low to high."""
+    if not high > low:
+        return [low]
+    raw = (high - low) / count
+    size = 10.0 ** math.floor(math.log10(raw))
+    step = next(size * factor for factor in (1, 2, 2.5, 5, 10) if size * factor >= raw)
+    first = math.ceil(low / step - 1e-9)
+    return [round(n * step, 12) for n in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def _svg(width: int, height: int, label: str, body: Sequence[str], *, fixed: bool = False) -> str:
+    size = f' width="{width}" height="{height}"' if fixed or width < 200 else ""
+    return f'<svg viewBox="0 0 {width} {height}"{size} role="img" aria-label="{escape(label)}">{"".join(body)}</svg>'

@@ -1,0 +1,252 @@
+"""Stills: what is drawn, where, in which light; the same bytes every time."""
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+
+import trabecula as tb
+from trabecula.core.errors import InputError, MemoryBudgetError, UnknownNameError
+from trabecula.engine.tiles import threads
+from trabecula.view.camera import place
+from trabecula.view.looks import LOOKS, phase_colours, to_linear, to_srgb
+
+BACKGROUND = np.array(LOOKS["bone"].background)
+SMALL = (160, 120)
+
+
+def foam(side=24, seed=0):
+    noise = np.random.default_rng(seed).normal(size=(side,) * 3)
+    for axis in range(3):
+        noise = sum(np.roll(noise, shift, axis) for shift in range(-2, 3))
+    return noise > 0
+
+
+def drawn(still):
+    """(H, W) bool: the material, without the scale bar below it."""
+    mask = np.abs(still.values.astype(int) - BACKGROUND).max(axis=-1) > 12
+    mask[-max(30, still.shape[0] // 8) :, : still.shape[1] // 2] = False
+    return mask
+
+
+def extent(mask):
+    rows, columns = np.nonzero(mask)
+    return np.ptp(rows) + 1, np.ptp(columns) + 1
+
+
+def test_an_empty_volume_is_background_and_scale_bar_alone():
+    still = tb.render(np.zeros((20, 20, 20), bool), size=SMALL)
+    assert still.kind == "colour" and still.shape == (120, 160)
+    assert not drawn(still).any()
+    assert (still.values[-30:, :60] != BACKGROUND).any()
+
+
+def test_a_porous_volume_fills_its_silhouette_with_light_and_shade():
+    still = tb.render(foam(), size=SMALL)
+    mask = drawn(still)
+    assert 0.2 < mask.mean() < 0.7
+    assert still.values[mask].std() > 15
+    assert still.values[mask].min(axis=0).max() > 15  # nothing is black
+
+
+def test_faces_of_a_solid_cube_are_flat_and_lit_from_above():
+    still = tb.render(np.ones((30, 30, 30), bool), size=(300, 300), cut="none", camera=(45, 35))
+    values = still.values.astype(float)
+    top, left, right = values[60:80, 140:160], values[170:190, 80:100], values[170:190, 200:220]
+    for face in (top, left, right):
+        assert face.std(axis=(0, 1)).max() < 2
+        assert np.abs(face.mean(axis=(0, 1)) - BACKGROUND).max() > 25
+    assert top.mean() > left.mean() + 10 > right.mean() + 20
+
+
+def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
+    """The gradient there is that of the inside: shaded by it, the face would be speckled or black."""
+    solid = foam(24, seed=5)
+    still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0))
+    voxels = solid[::-1, 0, :]  # looking along y, z up
+    inner = np.zeros_like(voxels)
+    inner[1:-1, 1:-1] = True
+    for axis in (0, 1):
+        for step in (-1, 0, 1):
+            inner &= np.roll(voxels, step, axis)
+    mask = drawn(still)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    across = (columns[-1] - columns[0] + 1) / 24
+    k, i = np.nonzero(inner)
+    at_row, at_column = (rows[0] + (k + 0.5) * across).astype(int), (columns[0] + (i + 0.5) * across).astype(int)
+    assert len(k) > 20
+    face = still.values[at_row, at_column].astype(float)
+    assert face.std(axis=0).max() < 2
+
+
+def test_the_corner_is_cut_towards_the_viewer_and_shows_the_inside():
+    solid = np.ones((30, 30, 30), np.uint8)
+    solid[10:20, 10:20, 10:20] = 2
+    whole, opened = (
+        tb.render(solid, size=SMALL, cut=cut, camera=(45, 30)).values.astype(int) for cut in ("none", "corner")
+    )
+
+    def blue(values):
+        return np.sum(values[..., 2] > values[..., 0] + 15)
+
+    assert blue(whole) == 0 and blue(opened) > 50
+    back = tb.render(solid, size=SMALL, camera=(225, 30)).values.astype(int)
+    np.testing.assert_allclose(back, opened, atol=12)  # the block looks the same from the other side
+
+
+def test_the_camera_turns_around_z():
+    post = np.zeros((24, 24, 24), bool)
+    post[:, 2:8, 2:8] = True  # low x, low y: front left of a viewer at -y
+
+    def middle(azimuth):
+        return np.nonzero(drawn(tb.render(post, size=(120, 120), cut="none", camera=(azimuth, 0))))[1].mean() - 59.5
+
+    assert middle(0) < -20 and middle(90) < -20 and middle(180) > 20 and middle(270) > 20
+    lid = np.zeros((24, 24, 24), bool)
+    lid[18:] = True
+    rows = np.nonzero(drawn(tb.render(lid, size=(120, 120), cut="none", camera=(0, 0))))[0]
+    assert rows.max() < 60  # high z is up
+
+
+def test_spacing_stretches_the_picture():
+    block = np.ones((20, 20, 20), bool)
+    plain = extent(drawn(tb.render(block, size=(200, 200), cut="none", camera=(0, 0))))
+    tall = extent(
+        drawn(tb.render(tb.Image(block, "labels", spacing=(2, 1, 1)), size=(200, 200), cut="none", camera=(0, 0)))
+    )
+    assert plain[0] == pytest.approx(plain[1], abs=2)
+    assert tall[0] == pytest.approx(2 * tall[1], abs=3)
+
+
+def test_a_pixel_has_the_length_that_the_image_says():
+    image = tb.Image(np.ones((20, 30, 40), bool), "labels", spacing=(3.0, 2.0, 1.5), unit="um")
+    still = tb.render(image, size=(200, 160), cut="none", camera=(0, 0))
+    rows, columns = extent(drawn(still))
+    assert still.unit == "um"
+    assert columns * still.spacing[1] == pytest.approx(60, abs=2 * still.spacing[1])
+    assert rows * still.spacing[0] == pytest.approx(60, abs=2 * still.spacing[0])
+
+
+def test_a_ball_keeps_its_size_and_is_round():
+    ball = sum((axis - 19.5) ** 2 for axis in np.indices((40,) * 3)) < 15.0**2
+    still = tb.render(ball, size=(200, 200), cut="none", camera=(20, 30))
+    mask = drawn(still)
+    assert mask.sum() * still.spacing[0] ** 2 == pytest.approx(np.pi * 15**2, rel=0.03)
+    assert extent(mask)[0] == pytest.approx(extent(mask)[1], abs=2)
+    # Smooth normals: along the lit side neighbouring pixels differ by little (a staircase would jump).
+    row = still.values[100, 80:120].astype(int).sum(axis=-1)
+    assert np.abs(np.diff(row)).max() < 25
+
+
+def test_the_same_voxels_give_the_same_bytes_for_any_number_of_threads(tmp_path):
+    pictures = []
+    for index, count in enumerate((1, 2, 1)):
+        with threads(count):
+            tb.render(foam(), tmp_path / f"{index}.png", size=SMALL)
+        pictures.append((tmp_path / f"{index}.png").read_bytes())
+    assert pictures[0] == pictures[1] == pictures[2]
+
+
+def test_the_file_holds_the_picture_and_its_recipe(tmp_path):
+    still = tb.render(foam(), tmp_path / "still.png", size=SMALL, look="stone", camera=(10, 20))
+    with Pillow.open(tmp_path / "still.png") as picture:
+        np.testing.assert_array_equal(np.asarray(picture), still.values)
+    read = tb.read(tmp_path / "still.png")
+    assert read.kind == "colour" and read.recipe.to_json() == still.recipe.to_json()
+    step = read.recipe.to_json()[-1]
+    assert (step["verb"], step["look"], step["camera"]) == ("render", "stone", [10, 20])
+
+
+def test_phases_have_their_colours_and_can_be_chosen():
+    values = np.zeros((20, 20, 20), np.uint8)
+    values[:, :, :10], values[:, :, 10:] = 1, 2
+    both = tb.render(values, size=(120, 120), cut="none", camera=(0, 0)).values.astype(int)
+    assert both[60, 30, 0] > both[60, 30, 2] + 15 and both[60, 90, 2] > both[60, 90, 0] + 15
+    one = drawn(tb.render(values, size=(120, 120), cut="none", camera=(0, 0), phase="phase2"))
+    assert not one[:, :55].any() and one[60, 90]
+
+
+def test_no_phase_is_void_by_its_number():
+    image = tb.Image(np.zeros((8, 8, 8), np.uint8), "labels", phases=("grain", "void"))
+    assert drawn(tb.render(image, size=SMALL)).any()
+
+
+def test_every_look_differs_and_phases_of_a_look_do():
+    stills = {name: tb.render(foam(), size=(64, 48), look=name).values for name in LOOKS}
+    assert len({picture.tobytes() for picture in stills.values()}) == len(LOOKS)
+    image = tb.Image(np.arange(8, dtype=np.uint8).reshape(2, 2, 2), "labels")
+    for look in LOOKS.values():
+        colours = phase_colours(image, look).astype(int)
+        apart = np.abs(colours[:, None] - colours).sum(axis=-1) + 1000 * np.eye(8)
+        assert apart.min() > 40
+
+
+def test_grey_needs_its_threshold():
+    grey = tb.Image(foam().astype(np.float32) * 7 + 1, "grey")
+    with pytest.raises(InputError, match="threshold"):
+        tb.render(grey)
+    labels = tb.render(foam(), size=SMALL).values
+    np.testing.assert_array_equal(tb.render(grey, size=SMALL, threshold=4).values, labels)
+
+
+def test_colours_go_to_linear_light_and_back():
+    values = np.arange(256)
+    np.testing.assert_array_equal(to_srgb(to_linear(values)), values)
+
+
+def test_the_whole_box_is_in_the_picture_from_everywhere():
+    extent_ = np.array([30.0, 20.0, 50.0])
+    for azimuth in range(0, 360, 25):
+        for elevation in (-90, -30, 0, 45, 90):
+            camera = place((azimuth, elevation), extent_, (300, 200), margin=10, foot=12)
+            np.testing.assert_allclose(np.cross(camera.right, camera.up), camera.viewer, atol=1e-12)
+            for corner in np.ndindex(2, 2, 2):
+                offset = np.array(corner) * extent_ - camera.corner
+                column, row = offset @ camera.right / camera.pixel, -(offset @ camera.up) / camera.pixel
+                assert 9 <= column <= 290 and 9 <= row <= 178
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"look": "bones"}, "did you mean 'bone'"),
+        ({"cut": "corners"}, "did you mean 'corner'"),
+        ({"phase": "sold"}, "did you mean 'solid'"),
+    ],
+)
+def test_an_unknown_name_suggests_the_nearest(options, message):
+    with pytest.raises(UnknownNameError, match=message):
+        tb.render(foam(8), **options)
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "message"),
+    [
+        (np.ones((4, 4), bool), {}, "needs a volume"),
+        (tb.Image(np.zeros((4, 4, 4, 3), np.uint8), "colour"), {}, "is colour"),
+        (np.ones((4, 4, 4), bool), {"size": (8, 600)}, "16..8192"),
+        (np.ones((4, 4, 4), bool), {"camera": (0, 91)}, "elevation"),
+        (np.ones((4, 4, 4), bool), {"camera": "front"}, "azimuth"),
+        (np.ones((4, 4, 4), bool), {"threshold": 1}, "for grey"),
+        (np.ones((4, 4, 4), bool), {"phase": []}, "phase is empty"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(image, options, message):
+    with pytest.raises(InputError, match=message):
+        tb.render(image, **options)
+
+
+def test_another_suffix_than_png_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(InputError, match=r"\.png"):
+        tb.render(foam(8), tmp_path / "still.jpg", size=SMALL)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_volume_beyond_memory_is_refused(monkeypatch):
+    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1000)
+    with pytest.raises(MemoryBudgetError, match="render a crop"):
+        tb.render(foam(8))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 30, 30), (3, 5, 70)])
+def test_thin_volumes_are_drawn(shape):
+    assert drawn(tb.render(np.ones(shape, bool), size=SMALL)).any()
