@@ -156,8 +156,12 @@ def _only_series(tiff: Any) -> Any:
     series = tiff.series[0]
     if len(tiff.series) > 1:
         raise InputError(f"{tiff.filename} holds {len(tiff.series)} unlike stacks: save the one you mean alone")
-    if any(page is None for page in series.pages):
-        raise ValueError("pages that its metadata name are missing")
+    for page in series.pages:
+        if page is None:
+            raise ValueError("pages that its metadata name are missing")
+        # A count of bytes is asked for in one piece, however little of it the file has.
+        if max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0) > tiff.filehandle.size:
+            raise ValueError("voxels of a page lie beyond its end")
     images = (tiff.imagej_metadata or {}).get("images", 1) if tiff.is_imagej else 1
     if images * tiff.pages.first.size > series.size:
         raise ValueError(f"its metadata name {images} pages, {len(series.pages)} are there")

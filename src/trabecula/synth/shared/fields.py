@@ -10,6 +10,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.measure.distance import signed_distance
+from trabecula.synth.shared.histogram import brightest
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase."""
@@ -34,22 +35,23 @@ def quantise(field: np.ndarray, *, clip: float) -> np.ndarray:
 
 
 def labels_of(fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray) -> np.ndarray:
-    """Labels (uint8) of int8 fields (C, Z, Y, X).
+    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume `fractions`.
 
-    Two phases split at 0. More go to the largest field, each shifted by a constant so that the volume `fractions` come out:
-    the fields' zeros alone need not agree where three phases meet.
+    Two phases are split where the fraction is met to the voxel. More go to the largest field, each shifted by a constant so
+    that the fractions come out as nearly as forty steps bring them: zeros alone need not agree where three phases meet.
     """
     if len(present) == 2:
-        return np.where(fields[0] > 0, present[1], present[0]).astype(np.uint8)
-    shift = np.zeros(len(present))
-    rate = 100.0
+        upper = brightest(fields[0], round(fields[0].size * float(fractions[1])))
+        return np.where(upper, present[1], present[0]).astype(np.uint8)
+    shift = np.zeros(len(present), np.float32)
+    rate = 100.0 * 256
     kept, least = fields.argmax(0), np.inf
     for _ in range(40):
-        winner = np.argmax([field + np.float32(s) for field, s in zip(fields, shift, strict=True)], axis=0)
+        winner = np.argmax([field + s for field, s in zip(fields, shift, strict=True)], axis=0)
         excess = np.bincount(winner.ravel(), minlength=len(present)) / winner.size - fractions
         if np.abs(excess).max() < least:
             kept, least = winner, np.abs(excess).max()
         else:
             rate /= 2  # overshot
-        shift = shift - rate * excess
+        shift = (shift - rate * excess).astype(np.float32)
     return np.asarray(present, np.uint8)[kept]

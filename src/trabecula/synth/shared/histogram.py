@@ -23,14 +23,41 @@ def match_histogram(field: np.ndarray, sorted_target: np.ndarray) -> np.ndarray:
     -------
     (Z, Y, X) int8
     """
-    ranks = np.empty(field.shape, np.uint16)
-    for_slabs(lambda a, b: _rank_values(field, ranks, a, b), len(field))
-    # Plane by plane, since bincount widens what it is given to 8 bytes a voxel.
-    total = sum(np.bincount(plane.ravel(), minlength=_BINS) for plane in ranks)
+    ranks, total = _ranked(field)
     middle = np.cumsum(total) - total // 2
     place = middle * len(sorted_target) // field.size
     table = sorted_target[np.minimum(place, len(sorted_target) - 1)].astype(np.int8)
     return table[ranks]
+
+
+def brightest(field: np.ndarray, count: int) -> np.ndarray:
+    """The `count` brightest voxels of (Z, Y, X) int16 as a mask, to the voxel.
+
+    Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by raster order.
+    """
+    ranks, total = _ranked(field)
+    above = np.cumsum(total[::-1])[::-1]  # voxels in this bin and all brighter ones
+    straddling = int(np.searchsorted(-above, -count, side="right")) - 1
+    if straddling < 0:
+        return np.ones(field.shape, bool)
+    chosen = ranks > straddling
+    tied = np.flatnonzero(ranks.ravel() == straddling)
+    places = np.unravel_index(tied, field.shape)
+    around = np.zeros(len(tied), np.int32)
+    for offset in np.ndindex(3, 3, 3):
+        near = [np.clip(p + o - 1, 0, side - 1) for p, o, side in zip(places, offset, field.shape, strict=True)]
+        around += field[tuple(near)]
+    missing = count - int(np.count_nonzero(chosen))
+    chosen.ravel()[tied[np.argsort(-around, kind="stable")[:missing]]] = True
+    return chosen
+
+
+def _ranked(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every voxel's mixed value as a bin number (uint16), and how many voxels each bin holds."""
+    ranks = np.empty(field.shape, np.uint16)
+    for_slabs(lambda a, b: _rank_values(field, ranks, a, b), len(field))
+    # Plane by plane, since bincount widens what it is given to 8 bytes a voxel.
+    return ranks, np.sum([np.bincount(plane.ravel(), minlength=_BINS) for plane in ranks], axis=0)
 
 
 @inline

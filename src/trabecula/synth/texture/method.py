@@ -20,7 +20,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import for_slabs
 from trabecula.synth.base import Method, Model
-from trabecula.synth.shared.fields import labels_of, phase_fields, quantise
+from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
 from trabecula.synth.shared.histogram import match_histogram
 from trabecula.synth.shared.neighbourhoods import (
     SCALE,
@@ -52,12 +52,13 @@ class Level:
     step: int  # voxels between the output's neighbourhoods
 
 
-@dataclass
+@dataclass(frozen=True)
 class State:
     """The output at one resolution."""
 
-    field: np.ndarray  # (C, Z, Y, X) int8
-    match: np.ndarray  # (sz, sy, sx) int32
+    match: np.ndarray  # (sz, sy, sx) int32, index of the nearest neighbourhood per site
+    votes: np.ndarray  # (C, Z, Y, X) int16, the weighted mean of what overlaps, times 256
+    field: np.ndarray  # (C, Z, Y, X) int8, the same with the exemplar's histogram
 
 
 class Texture(Method):
@@ -106,24 +107,26 @@ class TextureModel(Model):
             if state is None:
                 match = np.empty(grid, np.int32)
                 start_matches(match, len(level.features), stage)
-                state = State(np.empty(0, np.int8), match)
-                _cast(level, state, np.ones(grid, np.int32), trim=0)
+                state = _cast(level, match, np.ones(grid, np.int32), trim=0)
             else:
                 state = _refined(self.levels[i + 1], level, state, grid)
-            self._optimise(level, state, stage, index=i)
+            state = self._optimise(level, state, stage, index=i)
         assert state is not None  # there is at least one level
-        labels = labels_of(state.field, self.present, self.fractions)
-        return np.ascontiguousarray(labels[tuple(slice(side) for side in request.shape)])
+        inside = (slice(None), *(slice(side) for side in request.shape))
+        return labels_of(np.ascontiguousarray(state.votes[inside]), self.present, self.fractions)
 
-    def _optimise(self, level: Level, state: State, stage: np.uint64, *, index: int) -> None:
+    def _optimise(self, level: Level, state: State, stage: np.uint64, *, index: int) -> State:
         config = self.config
         coarsest = index == len(self.levels) - 1
         rounds = config.first_rounds if coarsest else config.rounds[min(index, len(config.rounds) - 1)]
         for number in track(range(rounds), f"level {len(self.levels) - index} of {len(self.levels)}"):
             features = project(state.field, level.basis, step=level.step)
+            match = state.match
             for sweep in range(config.sweeps):
-                distance = _sweep(level, state, features, stage, number * config.sweeps + sweep, config)
-            _cast(level, state, _weights(distance, level, config.robustness), trim=config.trim if index == 0 else 0)
+                match, distance = _sweep(level, match, features, stage, number * config.sweeps + sweep, config)
+            weights = _weights(distance, level, config.robustness)
+            state = _cast(level, match, weights, trim=config.trim if index == 0 else 0)
+        return state
 
     def _plan(self, request: Request) -> Plan:
         finest = self.levels[0]
@@ -166,9 +169,9 @@ def _level(field: np.ndarray, config: TextureConfig, *, scale: int, coarsest: bo
 
 def _refined(coarse: Level, level: Level, state: State, grid: tuple[int, ...]) -> State:
     """The coarse result on the finer grid: its field doubled (a distance doubles too), its matches moved along."""
-    doubled = double(state.field).astype(np.int16) * 2
     shape = covered_shape(grid, width=level.basis.width, step=level.step)
-    field = fit_to(np.clip(doubled, -127, 127).astype(np.int8), shape)
+    farther = np.clip(double(state.field).astype(np.int16) * 2, -FULL, FULL).astype(np.int8)
+    doubled = fit_to(farther, shape)
     sites, moved = [], []
     for count, have in zip(grid, state.match.shape, strict=True):
         corner = np.arange(count) * level.step
@@ -180,21 +183,20 @@ def _refined(coarse: Level, level: Level, state: State, grid: tuple[int, ...]) -
         np.clip((2 * cell * coarse.stride + offset) // level.stride, 0, side - 1)
         for cell, offset, side in zip(np.unravel_index(old, coarse.shape), np.ix_(*moved), level.shape, strict=True)
     ]
-    return State(field, np.ravel_multi_index(fine, level.shape).astype(np.int32))
+    return State(np.ravel_multi_index(fine, level.shape).astype(np.int32), doubled.astype(np.int16) * 256, doubled)
 
 
 def _sweep(
-    level: Level, state: State, features: np.ndarray, stage: np.uint64, sweep: int, config: TextureConfig
-) -> np.ndarray:
-    """One search sweep; returns the distances of the new matches."""
-    old, match = state.match, np.empty_like(state.match)
+    level: Level, old: np.ndarray, features: np.ndarray, stage: np.uint64, sweep: int, config: TextureConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """One search sweep: new matches and their distances."""
+    match = np.empty_like(old)
     distance = np.empty(old.shape, np.int32)
     penalty = _penalty(old, len(level.features), config.index_penalty)
     arguments: tuple[Any, ...] = (features, level.features, penalty, old, match, distance, level.shape)
     arguments += (level.step // level.stride, stage, sweep + 1, config.tries)
     for_slabs(lambda a, b: search(*arguments, a, b), len(old), least=2)
-    state.match = match
-    return distance
+    return match, distance
 
 
 def _penalty(match: np.ndarray, count: int, weight: float) -> np.ndarray:
@@ -216,14 +218,15 @@ def _weights(distance: np.ndarray, level: Level, robustness: float) -> np.ndarra
     return table.astype(np.int32)[ratio]
 
 
-def _cast(level: Level, state: State, weights: np.ndarray, *, trim: int) -> None:
-    """Vote and match the histogram: the matches become the field."""
-    shape = covered_shape(state.match.shape, width=level.basis.width, step=level.step)
+def _cast(level: Level, match: np.ndarray, weights: np.ndarray, *, trim: int) -> State:
+    """Vote and match the histogram: the matches become a field."""
+    shape = covered_shape(match.shape, width=level.basis.width, step=level.step)
     channels = len(level.field)
     total = np.empty((channels + 1, *shape), np.int32)
-    mean = np.empty((channels, *shape), np.int16)
-    arguments: tuple[Any, ...] = (level.field, state.match, weights, level.shape, level.stride, level.step)
-    arguments += (level.basis.width, trim, total, mean)
+    votes = np.empty((channels, *shape), np.int16)
+    arguments: tuple[Any, ...] = (level.field, match, weights, level.shape, level.stride, level.step)
+    arguments += (level.basis.width, trim, total, votes)
     for_slabs(lambda a, b: vote(*arguments, a, b), shape[0])
     del total
-    state.field = np.stack([match_histogram(m, s) for m, s in zip(mean, level.sorted_values, strict=True)])
+    matched = [match_histogram(mean, values) for mean, values in zip(votes, level.sorted_values, strict=True)]
+    return State(match, votes, np.stack(matched))
