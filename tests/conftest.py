@@ -15,6 +15,7 @@ def data() -> Path:
         pytest.skip("the folder of real scans (../shared/data) is not here")
     return DATA
 
+
 # A first call may compile a kernel, so a time limit on one example says nothing.
 settings.register_profile("trabecula", deadline=None)
 settings.load_profile("trabecula")

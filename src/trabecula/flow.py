@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from trabecula import finish, mesh
+from trabecula import finish
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError
 from trabecula.core.image import Image, as_image, default_phases
@@ -26,6 +26,7 @@ from trabecula.io import files
 from trabecula.io.formats import suffixes
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.surface import mesh
 from trabecula.report.certificate import Certificate, verify
 from trabecula.report.page import page
 from trabecula.report.page import write_page as page_to_file
@@ -71,7 +72,9 @@ def load(
         if isinstance(threshold, str):
             say(f"{name} is grey: threshold {found} found (--threshold chooses another)")
     elif threshold not in (None, "auto"):
-        raise InputError(f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey")
+        raise InputError(
+            f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey"
+        )
     return image
 
 
@@ -162,7 +165,9 @@ def check_folder(path: str | os.PathLike[str], *, size: int = 0) -> None:
         raise FileError(f"cannot write {path}: no right to write into {folder}; choose another place")
     free = shutil.disk_usage(folder).free
     if free < size:
-        raise FileError(f"cannot write {path}: about {size >> 20} MiB are needed, {free >> 20} MiB are free in {folder}")
+        raise FileError(
+            f"cannot write {path}: about {size >> 20} MiB are needed, {free >> 20} MiB are free in {folder}"
+        )
 
 
 def demo(folder: str | os.PathLike[str], *, shape: int = 120, seed: int = 7) -> Certificate:
@@ -228,11 +233,16 @@ def replay(recipe: Recipe, *, folder: Path, exemplar: str | os.PathLike[str] | N
 def _difference(step: Mapping[str, Any]) -> str:
     what = step.get("source") or step.get("method") or step.get("operation") or step["verb"]
     made = ", ".join(f"{name} {number}" for name, number in step.get("versions", {}).items())
-    return f"step {step['verb']!r} ({what}) gives other voxels than recorded: the file has changed, or the versions ({made}) differ"
+    return (
+        f"step {step['verb']!r} ({what}) gives other voxels than recorded: "
+        f"the file has changed, or the versions ({made}) differ"
+    )
 
 
 def _read_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    candidates = [exemplar] if exemplar else [step["source"], folder / step["source"], folder / Path(step["source"]).name]
+    candidates = (
+        [exemplar] if exemplar else [step["source"], folder / step["source"], folder / Path(step["source"]).name]
+    )
     for candidate in candidates:
         if Path(candidate).exists():
             return files.read(candidate, **step["options"])
@@ -241,7 +251,9 @@ def _read_again(image: Image | None, step: Mapping[str, Any], folder: Path, exem
 
 def _array_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
     if not exemplar:
-        raise InputError(f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with --exemplar")
+        raise InputError(
+            f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with --exemplar"
+        )
     return files.read(exemplar)
 
 
@@ -264,7 +276,9 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Path, Any], Image]]
     "crop": lambda image, step, folder, exemplar: cut_box(_given(image), step["size"], corner=step["corner"]),
     "segment": lambda image, step, folder, exemplar: segment(_given(image), step["threshold"], phases=step["phases"]),
     "generate": _generate_again,
-    "finish": lambda image, step, folder, exemplar: finish.OPERATIONS[step["operation"]](_given(image), **step["settings"]),
+    "finish": lambda image, step, folder, exemplar: finish.OPERATIONS[step["operation"]](
+        _given(image), **step["settings"]
+    ),
     "render": lambda image, step, folder, exemplar: render(
         _given(image), **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")}
     ),

@@ -18,12 +18,12 @@ def run(options: argparse.Namespace) -> int:
     """Write the surface or the voxels; for a surface, print what a check of it says."""
     from pathlib import Path
 
-    from trabecula import mesh
     from trabecula.flow import check_target
     from trabecula.io.files import read, write
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
+    from trabecula.mesh.surface import mesh
 
     check_target(options.out, surfaces=True)
     image = read(options.file)

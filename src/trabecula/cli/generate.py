@@ -12,7 +12,9 @@ from trabecula.cli import terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to make, from what, and where to put it."""
     add_request(parser)
-    parser.add_argument("--out", required=True, metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)")
+    parser.add_argument(
+        "--out", required=True, metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)"
+    )
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
@@ -23,9 +25,13 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shape", nargs="+", required=True, metavar="N", help="voxels: one number (a cube), or z y x")
     parser.add_argument("--seed", default="0", help="0 .. 2**63 - 1 (default 0)")
     parser.add_argument("--preset", help="ready settings of the method")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable"
+    )
     parser.add_argument("--periodic", action="store_true", help="repeat without a seam along every axis")
-    parser.add_argument("--memory", type=float, metavar="GIB", help="memory that may be used (default: what is available)")
+    parser.add_argument(
+        "--memory", type=float, metavar="GIB", help="memory that may be used (default: what is available)"
+    )
     parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
     shared.add_reading(parser)
 
@@ -60,7 +66,9 @@ def run(options: argparse.Namespace) -> int:
     write(material, options.out)
     digest = material.recipe.steps[-1]["sha256"]
     if options.json:
-        terminal.show_json({"out": options.out, "shape": material.shape, "sha256": digest, "recipe": material.recipe.to_json()})
+        terminal.show_json(
+            {"out": options.out, "shape": material.shape, "sha256": digest, "recipe": material.recipe.to_json()}
+        )
     else:
         print(f"{options.out}: {material!r}\nsha256 {digest}")
     return 0

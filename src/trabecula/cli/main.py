@@ -85,7 +85,9 @@ def _parser(verb: str | None):
     verbs = parser.add_subparsers(metavar="VERB", parser_class=Parser)
     chosen = None
     for name, summary in VERBS.items():
-        sub = verbs.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False)
+        sub = verbs.add_parser(
+            name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False
+        )
         if name == verb:
             module = importlib.import_module(f"trabecula.cli.{name}")
             module.add_arguments(sub)

@@ -20,7 +20,13 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         terminal.show_json(
             {
-                name: {"summary": spec.summary, "paper": spec.paper, "exemplar": spec.exemplar, "kinds": spec.kinds, "scaling": spec.scaling}
+                name: {
+                    "summary": spec.summary,
+                    "paper": spec.paper,
+                    "exemplar": spec.exemplar,
+                    "kinds": spec.kinds,
+                    "scaling": spec.scaling,
+                }
                 for name, spec in found.items()
             }
         )

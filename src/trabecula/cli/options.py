@@ -14,7 +14,9 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or z y x")
     group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
     group.add_argument("--phases", nargs="+", metavar="NAME", help="names of the labels, darkest first")
-    group.add_argument("--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, or auto (default)")
+    group.add_argument(
+        "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, or auto (default)"
+    )
     group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
 
 
@@ -58,7 +60,9 @@ def integers(words: list[str], *, name: str) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError:
-        raise InputError(f"{name} {' '.join(words)}: give one whole number or three (a file comes before {name})") from None
+        raise InputError(
+            f"{name} {' '.join(words)}: give one whole number or three (a file comes before {name})"
+        ) from None
 
 
 def settings(pairs: list[str]) -> dict[str, Any]:

@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--look", default="bone", help="bone, foam, bread, sponge or stone")
     parser.add_argument("--size", nargs=2, default=["800", "600"], metavar=("W", "H"), help="pixels (default 800 600)")
     parser.add_argument("--cut", default="corner", help="corner (default) or none")
-    parser.add_argument("--camera", nargs=2, metavar=("AZ", "EL"), help="degrees around and above")
+    parser.add_argument(
+        "--camera", nargs=2, default=["32", "26"], metavar=("AZ", "EL"), help="degrees around and above"
+    )
     shared.add_reading(parser)
 
 
@@ -26,7 +28,14 @@ def run(options: argparse.Namespace) -> int:
     check_target(options.out)
     image = shared.load_exemplar(options.file, options)
     size = shared.integers(options.size, name="--size")
-    view = {"camera": tuple(shared.numbers(options.camera, name="--camera"))} if options.camera else {}
-    render(image, options.out, look=options.look, size=(size[0], size[1]), cut=options.cut, **view)
+    azimuth, elevation = shared.numbers(options.camera, name="--camera")
+    render(
+        image,
+        options.out,
+        look=options.look,
+        size=(size[0], size[1]),
+        cut=options.cut,
+        camera=(azimuth, elevation),
+    )
     print(f"{options.out}: {size[0]} x {size[1]} pixels")
     return 0

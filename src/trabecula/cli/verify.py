@@ -15,7 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="results, ours or anybody's")
     parser.add_argument("--json", action="store_true", help="print as JSON (a list for several files)")
     parser.add_argument("--report", metavar="HTML", help="write one self-contained page")
-    parser.add_argument("--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)")
+    parser.add_argument(
+        "--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)"
+    )
     shared.add_reading(parser)
 
 

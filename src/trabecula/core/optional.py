@@ -19,4 +19,6 @@ def need(module: str, *, extra: str, purpose: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtraError(f"{purpose} needs {module}, which is not installed: pip install 'trabecula[{extra}]'") from error
+        raise MissingExtraError(
+            f"{purpose} needs {module}, which is not installed: pip install 'trabecula[{extra}]'"
+        ) from error

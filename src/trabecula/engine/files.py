@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -32,7 +31,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         if isinstance(error, FileError):
             raise
-        raise FileError(f"cannot write {path}: {error.strerror or error}; check the folder, its rights and the space left") from error
+        raise FileError(
+            f"cannot write {path}: {error.strerror or error}; check the folder, its rights and the space left"
+        ) from error
     finally:
         _remove(temporary)
 
@@ -49,7 +50,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
             raise
         _remove(aside)
     else:
-        os.replace(temporary, path)
+        temporary.replace(path)
 
 
 def _remove(path: Path) -> None:

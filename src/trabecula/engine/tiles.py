@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import pairwise
 
 from trabecula.core.errors import InputError
 
@@ -55,5 +56,5 @@ def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8
     pieces = min(4 * count, max(count, length // least))
     bounds = [length * i // pieces for i in range(pieces + 1)]
     with ThreadPoolExecutor(count) as pool:
-        for future in [pool.submit(work, a, b) for a, b in zip(bounds, bounds[1:], strict=False)]:
+        for future in [pool.submit(work, a, b) for a, b in pairwise(bounds)]:
             future.result()

@@ -37,8 +37,28 @@ class Sample:
 SAMPLES = {
     sample.name: sample
     for sample in (
-        Sample("bone", "stand-in for cancellous bone: rods with some plates, longer along z", 15.0, 1.35, 0.82, 0.22, 0.45, 40.0, "um"),
-        Sample("foam", "stand-in for an open-cell foam: struts along the edges of cells", 17.0, 1.0, 0.88, 0.0, 0.35, 25.0, "um"),
+        Sample(
+            "bone",
+            "stand-in for cancellous bone: rods with some plates, longer along z",
+            15.0,
+            1.35,
+            0.82,
+            0.22,
+            0.45,
+            40.0,
+            "um",
+        ),
+        Sample(
+            "foam",
+            "stand-in for an open-cell foam: struts along the edges of cells",
+            17.0,
+            1.0,
+            0.88,
+            0.0,
+            0.35,
+            25.0,
+            "um",
+        ),
     )
 }
 
@@ -111,7 +131,7 @@ def _cells(field, size, walls, wander, grow, start, stop):
         for y in range(field.shape[1]):
             for x in range(field.shape[2]):
                 d1, d2, d3 = np.float32(1e9), np.float32(1e9), np.float32(1e9)
-                id1, id2 = np.int64(0), np.int64(0)
+                id1, id2 = 0, 0
                 bz, by, bx = int(z // size[0]), int(y // size[1]), int(x // size[2])
                 for cz in range(bz - 2, bz + 3):
                     for cy in range(by - 2, by + 3):

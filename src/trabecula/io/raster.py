@@ -90,7 +90,7 @@ def read(path: Path) -> Content:
             if form == "PNG" and getattr(picture, "n_frames", 1) > 1:
                 raise InputError(f"{path} is an animation of {picture.n_frames} pictures: save one")
             bands = len(picture.getbands())
-            room = path.stat().st_size * 8 * DEFLATE if form == "PNG" else None  # up to 8 pixels in a byte
+            room = path.stat().st_size * 8 * DEFLATE if form != "JPEG" else None  # up to 8 pixels in a byte
             check_claim(path, (picture.height, picture.width, bands), np.dtype(_MODES[picture.mode]), stored=room)
             values, colour = _pixels(picture)
             text = picture.info.get(KEY) if form == "PNG" else picture.info.get("comment")

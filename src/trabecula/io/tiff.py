@@ -42,7 +42,6 @@ def write(image: Image, path: Path) -> Path:
 
     check_dtype(image.values.dtype, _PLAIN, form="TIFF")
     flavour, metadata = _flavour(image)
-    x, y = image.spacing[-1], image.spacing[-2]
     with (
         replacing(path) as temporary,
         tifffile.TiffWriter(
@@ -53,12 +52,16 @@ def write(image: Image, path: Path) -> Path:
             shaped=flavour == "plain",
         ) as tiff,
     ):
+        values = np.ascontiguousarray(image.values)
+        if flavour == "imagej":  # all its axes, TZCYXS: tifffile would take a last axis of one voxel for samples
+            y, x = image.shape[-2:]
+            values = values.reshape(1, -1, 1, y, x, 3 if image.kind == "colour" else 1)
         tiff.write(
-            np.ascontiguousarray(image.values),
+            values,
             photometric="rgb" if image.kind == "colour" else "minisblack",
             compression="zlib",
             maxworkers=thread_count(),
-            resolution=(_per_unit(x), _per_unit(y)),
+            resolution=(_per_unit(image.spacing[-1]), _per_unit(image.spacing[-2])),
             resolutionunit="none",
             metadata=metadata,
             extratags=[(TAG, "s", 0, encode(image), True)],
@@ -71,7 +74,7 @@ def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
     axes = ("ZYX" if image.ndim == 3 else "YX") + ("S" if image.kind == "colour" else "")
     name = image.values.dtype.name
     if name in _IMAGEJ and image.values.nbytes <= _CLASSIC_ROOM:
-        metadata: dict[str, Any] = {"axes": axes, "unit": canonical(image.unit) if has_length(image.unit) else "pixel"}
+        metadata: dict[str, Any] = {"unit": canonical(image.unit) if has_length(image.unit) else "pixel"}
         if image.ndim == 3:
             metadata["spacing"] = image.spacing[0]
         if image.kind == "labels":  # else a viewer shows labels 0 and 1 both as black
@@ -107,8 +110,12 @@ def read(path: Path) -> Content:
         shrinks = {"NONE": 1, "ADOBE_DEFLATE": DEFLATE, "DEFLATE": DEFLATE}.get(page.compression.name)
         check_claim(path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks)
         native = page.compression.name in _DECODED
-        values = series.asarray(maxworkers=thread_count()) if native else _by_pillow(path, tiff, series.shape)
-        values = _stacked(values, series.axes, path)
+        values = (
+            series.asarray(squeeze=False, maxworkers=thread_count())
+            if native
+            else _by_pillow(path, tiff, series.get_shape(squeeze=False))
+        )
+        values = _stacked(values, series.get_axes(squeeze=False), path)
         values, colour = _meant(values, page, tiff.is_imagej, inverted=native and page.photometric.name == "MINISWHITE")
         tag = page.tags.get(TAG)
         fields = decode(tag.value if tag else None)
@@ -181,9 +188,9 @@ def _by_pillow(path: Path, tiff: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
-    """The values with axes (z, y, x), colour last."""
+    """The values with axes (z, y, x), colour last; one page is a picture."""
     for axis, letter in reversed(list(enumerate(axes))):
-        if values.shape[axis] == 1 and letter not in "ZQIYXS":
+        if values.shape[axis] == 1 and letter not in "YX":
             values, axes = values.take(0, axis), axes[:axis] + axes[axis + 1 :]
     stack = [letter for letter in axes if letter not in "YXS"]
     if len(stack) > 1 or any(letter not in "ZQI" for letter in stack) or "Y" not in axes or "X" not in axes:

@@ -172,14 +172,18 @@ class Method(ABC):
         if spec.exemplar is None:
             raise InputError(f"method {spec.name!r} takes no exemplar")
         if f"{image.ndim}d" != spec.exemplar:
-            raise InputError(f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}")
+            raise InputError(
+                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}"
+            )
         if image.kind not in spec.kinds:
             raise InputError(
-                f"method {spec.name!r} takes {' or '.join(spec.kinds)}, got {image.kind}: segment it first (tb.segment, or --threshold auto)"
+                f"method {spec.name!r} takes {' or '.join(spec.kinds)}, got {image.kind}: "
+                "segment it first (tb.segment, or --threshold auto)"
             )
         if image.kind == "labels" and len(np.unique(image.values)) < 2:
             raise InputError(
-                f"the exemplar holds one phase only ({image.phases[int(image.values.flat[0])]}): give a crop with both, or another threshold"
+                f"the exemplar holds one phase only ({image.phases[int(image.values.flat[0])]}): "
+                "give a crop with both, or another threshold"
             )
 
     @abstractmethod

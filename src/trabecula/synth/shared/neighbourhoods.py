@@ -67,7 +67,9 @@ def project(field: np.ndarray, basis: Basis, *, step: int) -> np.ndarray:
         for z in range(start, stop):
             for y0 in range(0, grid[1], max(1, _ROWS // grid[2])):
                 block = windows[:, z, y0 : y0 + max(1, _ROWS // grid[2])]
-                rows = np.ascontiguousarray(block.transpose(1, 2, 0, 3, 4, 5), np.float32).reshape(-1, len(basis.vectors))
+                rows = np.ascontiguousarray(block.transpose(1, 2, 0, 3, 4, 5), np.float32).reshape(
+                    -1, len(basis.vectors)
+                )
                 features[z, y0 : y0 + block.shape[1]] = np.rint(rows @ basis.vectors * factor).reshape(
                     block.shape[1], grid[2], -1
                 )
@@ -87,8 +89,8 @@ def covered_shape(grid: tuple[int, ...], *, width: int, step: int) -> tuple[int,
 
 
 def _windows(field: np.ndarray, width: int, step: int) -> np.ndarray:
-    views = np.lib.stride_tricks.sliding_window_view(field, (width,) * 3, axis=(1, 2, 3))
-    return views[:, ::step, ::step, ::step]
+    views = np.lib.stride_tricks.sliding_window_view(field, (1, width, width, width))
+    return views[:, ::step, ::step, ::step, 0]
 
 
 def _rows(windows: np.ndarray, corners: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -101,8 +101,8 @@ def search(features, exemplar, penalty, old, match, distance, shape, ratio, key,
 def vote(field, match, weight, shape, stride, step, width, trim, total, result, start, stop):
     """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in int16.
 
-    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32; stride of E in voxels; total (C + 1, planes, ...) int32
-    scratch; result (C, ...) int16. The rim of `trim` voxels of a neighbourhood does not vote, except at the domain's border.
+    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32; stride of E in voxels; total (C + 1, ...) int32
+    scratch; result (C, ...) int16. The rim of `trim` voxels of a neighbourhood does not vote, except at the border.
     """
     SZ, SY, SX = match.shape
     C = field.shape[0]

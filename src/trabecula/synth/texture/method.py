@@ -8,7 +8,6 @@ distances, so the last threshold is exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -72,7 +71,7 @@ class Texture(Method):
         if min(exemplar.shape) < config.neighbourhood + _ROOM:
             raise InputError(
                 f"the exemplar is {exemplar.shape}, a neighbourhood of {config.neighbourhood} needs at least "
-                f"{config.neighbourhood + _ROOM} voxels along every axis: give a larger exemplar, or lower --set neighbourhood="
+                f"{config.neighbourhood + _ROOM} voxels along every axis: give a larger exemplar, or a smaller neighbourhood"
             )
         return TextureModel(config, [exemplar])
 
@@ -193,9 +192,26 @@ def _sweep(
     match = np.empty_like(old)
     distance = np.empty(old.shape, np.int32)
     penalty = _penalty(old, len(level.features), config.index_penalty)
-    arguments: tuple[Any, ...] = (features, level.features, penalty, old, match, distance, level.shape)
-    arguments += (level.step // level.stride, stage, sweep + 1, config.tries)
-    for_slabs(lambda a, b: search(*arguments, a, b), len(old), least=2)
+    ratio = level.step // level.stride
+
+    def work(start: int, stop: int) -> None:
+        search(
+            features,
+            level.features,
+            penalty,
+            old,
+            match,
+            distance,
+            level.shape,
+            ratio,
+            stage,
+            sweep + 1,
+            config.tries,
+            start,
+            stop,
+        )
+
+    for_slabs(work, len(old), least=2)
     return match, distance
 
 
@@ -220,13 +236,19 @@ def _weights(distance: np.ndarray, level: Level, robustness: float) -> np.ndarra
 
 def _cast(level: Level, match: np.ndarray, weights: np.ndarray, *, trim: int) -> State:
     """Vote and match the histogram: the matches become a field."""
-    shape = covered_shape(match.shape, width=level.basis.width, step=level.step)
-    channels = len(level.field)
-    total = np.empty((channels + 1, *shape), np.int32)
-    votes = np.empty((channels, *shape), np.int16)
-    arguments: tuple[Any, ...] = (level.field, match, weights, level.shape, level.stride, level.step)
-    arguments += (level.basis.width, trim, total, votes)
-    for_slabs(lambda a, b: vote(*arguments, a, b), shape[0])
-    del total
+    votes = _voted(level, match, weights, trim=trim)
     matched = [match_histogram(mean, values) for mean, values in zip(votes, level.sorted_values, strict=True)]
     return State(match, votes, np.stack(matched))
+
+
+def _voted(level: Level, match: np.ndarray, weights: np.ndarray, *, trim: int) -> np.ndarray:
+    width = level.basis.width
+    shape = covered_shape(match.shape, width=width, step=level.step)
+    total = np.empty((len(level.field) + 1, *shape), np.int32)
+    votes = np.empty((len(level.field), *shape), np.int16)
+
+    def work(start: int, stop: int) -> None:
+        vote(level.field, match, weights, level.shape, level.stride, level.step, width, trim, total, votes, start, stop)
+
+    for_slabs(work, shape[0])
+    return votes

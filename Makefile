@@ -1,0 +1,47 @@
+# Everything runs in .venv, made from pinned requirements by plain pip. No compiler is needed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ifeq ($(OS),Windows_NT)
+BIN := $(VENV)/Scripts
+endif
+
+.PHONY: demo test check docs bench wheel clean
+
+demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
+	$(BIN)/trabecula demo --out out
+
+test: $(VENV)/dev.stamp             ## the test suite
+	$(BIN)/python -m pytest
+
+check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
+	$(BIN)/ruff check src tests benchmarks docs
+	$(BIN)/ruff format --check src tests benchmarks docs
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+docs: $(VENV)/docs.stamp            ## executes every example, builds docs/_build/html
+	$(BIN)/python docs/build.py
+
+bench: $(VENV)/dev.stamp            ## the tables; minutes
+	$(BIN)/python benchmarks/run.py
+
+wheel: $(VENV)/dev.stamp            ## dist/*.whl
+	$(BIN)/python -m pip wheel --no-deps --wheel-dir dist .
+
+$(VENV)/base.stamp: requirements/base.txt pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/base.txt
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	touch $@
+
+$(VENV)/dev.stamp: $(VENV)/base.stamp requirements/dev.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/dev.txt
+	touch $@
+
+$(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/docs.txt
+	touch $@
+
+clean:
+	rm -rf $(VENV) out build dist docs/_build docs/gallery
