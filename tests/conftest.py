@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import trabecula as tb
+
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
@@ -14,6 +16,12 @@ def data() -> Path:
     if not DATA.is_dir():
         pytest.skip("the folder of real scans (../shared/data) is not here")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def bone() -> tb.Image:
+    """The package's own sample, made once."""
+    return tb.sample("bone")
 
 
 # A first call may compile a kernel, so a time limit on one example says nothing.

@@ -37,9 +37,9 @@ _HOMES = {
     "render": "view.still",
     "verify": "report.certificate",
 }
-_ROOMS = {"errors": "core.errors", "measure": "measure", "finish": "finish", "mesh": "mesh"}
+_ROOMS = {"errors": "errors", "measure": "measure", "finish": "finish", "mesh": "mesh"}
 
-__all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]  # noqa: PLE0604
+__all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]
 
 
 def __getattr__(name: str) -> Any:

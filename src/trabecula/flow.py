@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from trabecula import finish
 from trabecula.core.checks import check_name
-from trabecula.core.errors import FileError, InputError, NotReproducedError
+from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
 from trabecula.core.image import Image, as_image, default_phases
 from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe, digest
@@ -23,7 +23,7 @@ from trabecula.exemplar.crop import crop as cut_box
 from trabecula.exemplar.samples import sample
 from trabecula.exemplar.segment import segment
 from trabecula.io import files
-from trabecula.io.formats import suffixes
+from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.surface import mesh
@@ -100,6 +100,8 @@ def check_page(path: str | os.PathLike[str]) -> None:
     """Raise before any work is done where a page cannot be written to `path`."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise InputError(f"a report is a page, {path} should end in .html")
+    if Path(path).is_dir():
+        raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
     check_folder(path)
 
 
@@ -146,11 +148,20 @@ def export(image: Image | ArrayLike, path: str | os.PathLike[str], *, phase: str
 
 def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: int = 0) -> None:
     """Raise before any work is done where `path` has an unknown suffix, cannot be written, or has no room for `size` bytes."""
-    target = Path(path)
-    known = {*suffixes(), *(SURFACES if surfaces else ())}
-    suffix = ".nii.gz" if target.name.lower().endswith(".nii.gz") else target.suffix.lower()
-    if not (os.fspath(path).endswith(("/", os.sep)) or (target.is_dir() and not suffix)):
+    target, text = Path(path), os.fspath(path)
+    suffix = suffix_of(text) or target.suffix.lower()
+    if suffix or not text.endswith(("/", os.sep)):
+        known = {**suffixes(), **(SURFACES if surfaces else {})}
+        if not suffix:
+            format_of(text)  # which says that there is none
         check_name(suffix, known, name="format")
+        a_folder = suffix not in SURFACES and suffixes()[suffix].folder
+    else:
+        a_folder = True
+    if not a_folder and target.is_dir():
+        raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
+    if a_folder and target.exists() and not target.is_dir():
+        raise FileError(f"cannot write {path}: a file of that name is there; choose another name, or remove it")
     check_folder(path, size=size)
 
 
@@ -208,13 +219,13 @@ def rerun(path: str | os.PathLike[str], *, exemplar: str | os.PathLike[str] | No
         not the recipe's.
     """
     image = files.read(path)
-    steps = [step["verb"] for step in image.recipe.steps]
-    if not steps or steps == ["read"]:
+    steps = image.recipe.steps
+    if not steps or [step["verb"] for step in steps] == ["read"]:
         raise InputError(f"{path} holds no recipe: it was not made by this package, or its metadata is lost")
-    again = replay(image.recipe, folder=Path(path).absolute().parent, exemplar=exemplar)
-    if digest(again.values) != digest(image.values):
+    # Before any work: the last step recorded the digest that its replay would have to meet as well.
+    if digest(image.values) != steps[-1].get("sha256"):
         raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
-    return again
+    return replay(image.recipe, folder=Path(path).absolute().parent, exemplar=exemplar)
 
 
 def replay(recipe: Recipe, *, folder: Path, exemplar: str | os.PathLike[str] | None = None) -> Image:
@@ -222,8 +233,18 @@ def replay(recipe: Recipe, *, folder: Path, exemplar: str | os.PathLike[str] | N
     image: Image | None = None
     for step in recipe.steps:
         check_name(step["verb"], _STEPS, name="step of a recipe")
-        image = _STEPS[step["verb"]](image, step, folder, exemplar)
-        if digest(image.values) != step["sha256"]:
+        try:
+            image = _STEPS[step["verb"]](image, step, folder, exemplar)
+            same = digest(image.values) == step["sha256"]
+        except TrabeculaError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            # The parameters come from a file, and anybody may have written it.
+            raise InputError(
+                f"the recipe is damaged: its step {step['verb']!r} cannot be done again "
+                f"({type(error).__name__}: {error})"
+            ) from error
+        if not same:
             raise NotReproducedError(_difference(step))
     if image is None:
         raise InputError("the recipe is empty: there is nothing to do again")
@@ -232,7 +253,7 @@ def replay(recipe: Recipe, *, folder: Path, exemplar: str | os.PathLike[str] | N
 
 def _difference(step: Mapping[str, Any]) -> str:
     what = step.get("source") or step.get("method") or step.get("operation") or step["verb"]
-    made = ", ".join(f"{name} {number}" for name, number in step.get("versions", {}).items())
+    made = ", ".join(f"{name} {number}" for name, number in dict(step.get("versions") or {}).items())
     return (
         f"step {step['verb']!r} ({what}) gives other voxels than recorded: "
         f"the file has changed, or the versions ({made}) differ"

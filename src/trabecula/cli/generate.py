@@ -30,7 +30,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--periodic", action="store_true", help="repeat without a seam along every axis")
     parser.add_argument(
-        "--memory", type=float, metavar="GIB", help="memory that may be used (default: what is available)"
+        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
     shared.add_reading(parser)
@@ -44,7 +44,7 @@ def prepare(options: argparse.Namespace) -> tuple[Any, Any]:
     chosen = method(options.method, preset=options.preset, **shared.settings(options.set))
     request = Request(
         tuple(shared.integers(options.shape, name="--shape")),
-        seed=shared.integers([options.seed], name="--seed")[0],
+        seed=shared.integer(options.seed, name="--seed"),
         periodic=(options.periodic,) * 3,
     )
     return chosen.fit(shared.load_exemplar(options.exemplar, options)), request
@@ -61,8 +61,7 @@ def run(options: argparse.Namespace) -> int:
         model, request = prepare(options)
         plan = model.plan(request)
         check_target(options.out, size=plan.disk)
-        budget = None if options.memory is None else int(options.memory * 2**30)
-        material = model.generate(request, memory=budget)
+        material = model.generate(request, memory=options.memory)
     write(material, options.out)
     digest = material.recipe.steps[-1]["sha256"]
     if options.json:

@@ -8,7 +8,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from trabecula.cli import terminal
 
@@ -31,17 +31,29 @@ class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line with the nearest known word."""
 
     def error(self, message: str) -> NoReturn:
-        unknown = message.removeprefix("unrecognized arguments: ").split()[0] if "unrecognized" in message else ""
-        options = [option for action in self._actions for option in action.option_strings]
-        near = difflib.get_close_matches(unknown, options, n=1) if unknown.startswith("-") else []
-        hint = f"; did you mean {near[0]}?" if near else ""
-        terminal.fail(f"{message}{hint} (see {self.prog} --help)")
+        """Say what is wrong in one line, and leave with status 2."""
+        terminal.fail(f"{message} (see {self.prog} --help)")
         raise SystemExit(2)
+
+    # Here and not in `error`, since argparse would let the parser of all verbs complain, which knows no verb's options.
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and refuse what is left over, with the nearest option."""
+        found, left_over = super().parse_known_args(args, namespace)
+        if left_over:
+            options = [option for action in self._actions for option in action.option_strings]
+            unknown = next((word.split("=")[0] for word in left_over if word.startswith("-")), "")
+            near = difflib.get_close_matches(unknown, options, n=1) if unknown else []
+            hint = f"; did you mean {near[0]}?" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(word or repr(word) for word in left_over)}{hint}")
+        return found, left_over
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a path or a sign that the terminal cannot show is no reason to fail
+            stream.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
     except KeyboardInterrupt:
@@ -74,6 +86,13 @@ def _run(words: list[str]) -> int:
         terminal.fail(str(error))
     except MemoryError:
         terminal.fail("out of memory: ask for a smaller --shape, or see trabecula plan")
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # The machine's word on a path (a name too long, a device gone): the user's to mend as much as a missing file.
+        terminal.fail(
+            f"{error.filename or 'input or output'}: {error.strerror or error}; check the path and the device"
+        )
     return 2
 
 

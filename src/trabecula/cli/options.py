@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from typing import Any
 
 
@@ -53,6 +54,27 @@ def numbers(words: list[str], *, name: str) -> list[float]:
         raise InputError(f"{name} {' '.join(words)}: give numbers (a file comes before {name})") from None
 
 
+def integer(word: str, *, name: str) -> int:
+    """An integer from a word; its range is checked where it is used."""
+    from trabecula.core.errors import InputError
+
+    try:
+        return int(word)
+    except ValueError:
+        raise InputError(f"{name} {word}: give one whole number") from None
+
+
+def gibibytes(word: str) -> int:
+    """Bytes from a number of GiB, as a type of argparse."""
+    try:
+        count = float(word)
+    except ValueError:
+        count = math.nan
+    if not (math.isfinite(count) and count > 0):
+        raise argparse.ArgumentTypeError(f"{word!r} should be a number of GiB above 0")
+    return int(count * 2**30)
+
+
 def integers(words: list[str], *, name: str) -> list[int]:
     """Integers from words; the values are checked where they are used."""
     from trabecula.core.errors import InputError
@@ -74,8 +96,20 @@ def settings(pairs: list[str]) -> dict[str, Any]:
         name, sign, value = pair.partition("=")
         if not sign or not name:
             raise InputError(f"--set {pair}: write --set name=value")
+        if name == "preset":
+            raise InputError(f"--set {pair}: a preset is no setting, write --preset {value}")
         try:
-            found[name] = json.loads(value)
-        except ValueError:
+            found[name] = json.loads(value, parse_float=_finite, parse_constant=_finite)
+        except InputError:
+            raise
+        except (ValueError, RecursionError):
             found[name] = value
     return found
+
+
+def _finite(text: str) -> float:
+    from trabecula.core.errors import InputError
+
+    if not math.isfinite(float(text)):
+        raise InputError(f"--set: {text} is not a finite number")
+    return float(text)

@@ -11,6 +11,9 @@ import numpy as np
 
 from trabecula.core.errors import InputError, UnknownNameError
 
+MOST_VOXELS = 2**48
+"""So that voxels times bytes stay inside 64 bits in every forecast."""
+
 
 def check_name(value: str, known: Iterable[str], *, name: str) -> None:
     """Raise `UnknownNameError` where `value` is not in `known`, suggesting the nearest that is."""
@@ -40,7 +43,7 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
     try:
         raw = [value] if isinstance(value, (int, np.integer, float)) else list(value)
         sides = [int(side) for side in raw]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} {value!r} is not made of integers: give one number or {ndim}") from None
     if any(side != given for side, given in zip(sides, raw, strict=True)):
         raise InputError(f"{name} {value!r} is not made of whole numbers")
@@ -50,6 +53,8 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
         raise InputError(f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest axis first")
     if min(sides) < 1:
         raise InputError(f"{name} {tuple(sides)} must be positive along every axis")
+    if math.prod(sides) > MOST_VOXELS:
+        raise InputError(f"{name} {tuple(sides)} is more than 2**48 voxels, which no run can hold: ask for less")
     return tuple(sides)
 
 
@@ -57,8 +62,8 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
     """Voxel edges, one per axis, positive and finite; `None` means 1 along every axis."""
     if value is None:
         return (1.0,) * ndim
-    raw: list[Any] = [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
     try:
+        raw: list[Any] = [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
         edges = [float(edge) for edge in raw]
     except (TypeError, ValueError):
         raise InputError(f"spacing {value!r} is not made of numbers: give one or {ndim}") from None

@@ -57,7 +57,7 @@ class Image:
 
     def __post_init__(self) -> None:
         check_name(self.kind, KINDS, name="kind of image")
-        values = np.asarray(self.values)
+        values = _real_array(self.values)
         ndim = values.ndim - (self.kind == "colour")
         if ndim not in (2, 3):
             raise InputError(
@@ -66,7 +66,7 @@ class Image:
         if values.size == 0:
             raise InputError(f"the image is empty: shape {values.shape}")
         check_finite(values, name="the image")
-        object.__setattr__(self, "spacing", as_spacing(self.spacing or None, ndim=ndim))
+        object.__setattr__(self, "spacing", as_spacing(_given(self.spacing), ndim=ndim))
         object.__setattr__(self, "values", _checked_values(values, self.kind))
         object.__setattr__(self, "phases", _checked_phases(self.values, self.kind, self.phases))
 
@@ -85,6 +85,21 @@ class Image:
         edge = "x".join(f"{s:g}" for s in self.spacing)
         names = f", phases {'/'.join(self.phases)}" if self.phases else ""
         return f"<Image {size} {self.kind}, voxel {edge} {self.unit}{names}>"
+
+
+def _real_array(values: ArrayLike) -> np.ndarray:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError("the rows of the image differ in length: give an array of equal sides") from None
+    if array.dtype.kind not in "biufc":
+        raise InputError(f"the image holds {array.dtype} values: numbers are needed")
+    return array
+
+
+def _given(spacing: float | Sequence[float] | None) -> float | Sequence[float] | None:
+    """None where the spacing was left out: the field's default is (), and 0 is a mistake that has to be told."""
+    return None if np.size(spacing) == 0 else spacing  # type: ignore[arg-type]
 
 
 def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
@@ -111,12 +126,15 @@ def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _checked_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[str, ...]:
+    phases = () if phases is None else phases
     if kind != "labels":
-        if phases:
+        if len(phases):
             raise InputError(f"phases name labels; an image of kind {kind!r} has none")
         return ()
     count = int(values.max()) + 1
-    if not phases:
+    if isinstance(phases, str):
+        raise InputError(f"phases={phases!r} is one text: give one name per label, such as ('void', 'solid')")
+    if not len(phases):
         return default_phases(max(2, count))
     if len(phases) < max(count, 2) or len(set(phases)) != len(phases):
         raise InputError(f"phases {tuple(phases)} must name at least {max(count, 2)} labels, each name once")
@@ -136,7 +154,9 @@ def labels(values: ArrayLike, **fields: Any) -> Image:
     InputError
         More than 16 levels (a grey image: segment it), NaN, or levels that are not whole numbers.
     """
-    array = np.asarray(values)
+    array = _real_array(values)
+    if array.size == 0:
+        raise InputError(f"the array is empty: shape {array.shape}")
     check_finite(array, name="the array")
     levels = distinct_levels(array, limit=MAX_PHASES)
     if levels is None:
@@ -155,14 +175,15 @@ def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
     """The sorted distinct values, or None where there are more than `limit` (found without sorting the whole array)."""
     if values.dtype == bool:
         values = values.view(np.uint8)
-    if values.dtype in (np.uint8, np.uint16):
-        levels = np.flatnonzero(np.bincount(values.ravel()))
-        return levels if len(levels) <= limit else None
-    levels = np.unique(values.ravel()[:65536])
-    for start in range(65536, values.size, 1 << 22):
+    flat = values.ravel()
+    small = values.dtype in (np.uint8, np.uint16)
+    levels = np.unique(flat[:65536])
+    # In pieces, since bincount widens its input to 8 bytes a voxel.
+    for start in range(65536, flat.size, 1 << 22):
         if len(levels) > limit:
             return None
-        levels = np.union1d(levels, values.ravel()[start : start + (1 << 22)])
+        piece = flat[start : start + (1 << 22)]
+        levels = np.union1d(levels, np.flatnonzero(np.bincount(piece)).astype(piece.dtype) if small else piece)
     return levels if len(levels) <= limit else None
 
 

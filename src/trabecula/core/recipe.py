@@ -7,6 +7,7 @@ recipes of its exemplars.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import platform
@@ -33,7 +34,7 @@ class Recipe:
 
     def to_json(self) -> list[dict[str, Any]]:
         """The steps as plain JSON."""
-        return [dict(step) for step in self.steps]
+        return [copy.deepcopy(dict(step)) for step in self.steps]
 
     @classmethod
     def from_json(cls, steps: Any) -> Recipe:
@@ -42,7 +43,7 @@ class Recipe:
             return cls()
         if not isinstance(steps, list) or not all(isinstance(step, dict) and "verb" in step for step in steps):
             raise InputError("the recipe is damaged: it should be a list of steps, each with a verb")
-        return cls(tuple(steps))
+        return cls(tuple(copy.deepcopy(steps)))
 
     def __bool__(self) -> bool:
         return bool(self.steps)

@@ -52,7 +52,7 @@ class Request:
 
 
 def _as_periodic(value: bool | Sequence[bool]) -> tuple[bool, ...]:
-    axes = (value,) * 3 if isinstance(value, bool) else tuple(bool(axis) for axis in value)
+    axes = (bool(value),) * 3 if isinstance(value, (bool, np.bool_)) else tuple(bool(axis) for axis in value)
     if len(axes) != 3:
         raise InputError(f"periodic takes one truth value or three (z, y, x): got {value!r}")
     return axes

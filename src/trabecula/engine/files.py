@@ -20,7 +20,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     FileError
-        The folder cannot be written, or the disk is full.
+        The folder cannot be written, the disk is full, or a folder is where a file should go.
     """
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex[:8]}-{path.name}")
@@ -39,6 +39,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:
+    if path.is_dir() and not temporary.is_dir():
+        raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
     if path.is_dir() and not path.is_symlink():
         # A folder cannot be replaced in one step: set the old one aside, so that a failure can put it back.
         aside = path.with_name(f".{uuid.uuid4().hex[:8]}-{path.name}")

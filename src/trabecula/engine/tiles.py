@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from itertools import pairwise
+from typing import Any
 
 from trabecula.core.errors import InputError
 
@@ -21,7 +23,7 @@ def thread_count() -> int:
         return chosen
     named = os.environ.get("TRABECULA_THREADS")
     if named:
-        if not named.isdigit() or int(named) < 1:
+        if not named.isdecimal() or int(named) < 1:
             raise InputError(f"TRABECULA_THREADS={named!r} should be a positive integer")
         return int(named)
     try:
@@ -42,6 +44,13 @@ def threads(count: int) -> Iterator[None]:
         _threads.reset(token)
 
 
+@cache
+def _blas() -> Any:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
 def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8) -> None:
     """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
 
@@ -49,6 +58,11 @@ def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8
     a kernel that honours the first sentence does not.
     """
     count = min(thread_count(), max(1, length // least))
+    with _blas().limit(limits=1):  # threads of the matrix products inside would fight with these
+        _run(work, length, count, least)
+
+
+def _run(work: Callable[[int, int], object], length: int, count: int, least: int) -> None:
     if count == 1:
         work(0, length)
         return

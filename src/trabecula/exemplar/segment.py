@@ -8,11 +8,13 @@ import numpy as np
 
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, with_values
+from trabecula.core.image import Image, distinct_levels, with_values
 from trabecula.measure.components import label_components
 
 METHODS = ("otsu", "dual")
 _BINS = 1024
+_PIECE = 1 << 22  # voxels counted at once: bincount widens them to 8 bytes each
+_LARGEST = 1e150  # its square is still a number
 
 
 def segment(
@@ -53,7 +55,7 @@ def segment(
     if low == high:
         raise InputError(f"the image has one value only ({low:g}): there is nothing to segment")
     found = _thresholds(values, threshold)
-    solid = values > found[0] if len(found) == 1 else _hysteresis(values, found)
+    solid = values > np.float64(found[0]) if len(found) == 1 else _hysteresis(values, found)
     if not solid.any() or solid.all():
         raise InputError(f"threshold {_text(found)} leaves one phase only: the image runs from {low:g} to {high:g}")
     labels = solid.astype(np.uint8)
@@ -73,7 +75,8 @@ def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
     levels, counts = _histogram(values)
     share = counts / counts.sum()
     weight = np.concatenate([[0.0], np.cumsum(share)])
-    moment = np.concatenate([[0.0], np.cumsum(share * levels)])
+    # About the mean, or a large offset would cost the digits that tell the classes apart.
+    moment = np.concatenate([[0.0], np.cumsum(share * (levels - np.sum(share * levels)))])
 
     def spread(first: np.ndarray, last: np.ndarray) -> np.ndarray:
         # weight times squared mean of the class of bins first..last-1: its part of the between-class variance
@@ -95,16 +98,20 @@ def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
 def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) -> tuple[float, ...]:
     if isinstance(threshold, str):
         check_name(threshold, METHODS, name="way to find a threshold")
+        if max(abs(float(values.min())), abs(float(values.max()))) > _LARGEST:
+            raise InputError(f"the image holds values beyond {_LARGEST:g}: rescale it, or give a threshold as a number")
         return otsu(values, classes=2 if threshold == "otsu" else 3)
-    numbers = (threshold,) if isinstance(threshold, (int, float, np.number)) else tuple(threshold)
-    found = tuple(float(number) for number in numbers)
+    try:
+        found = tuple(float(number) for number in np.atleast_1d(threshold))
+    except (TypeError, ValueError):
+        raise InputError(f"threshold {threshold!r} should be a number, a pair (low, high), 'otsu' or 'dual'") from None
     if len(found) not in (1, 2) or not np.all(np.isfinite(found)) or sorted(found) != list(found):
         raise InputError(f"threshold {_text(found)} should be one finite number, or a pair (low, high)")
     return found
 
 
 def _hysteresis(values: np.ndarray, thresholds: tuple[float, ...]) -> np.ndarray:
-    low, high = thresholds
+    low, high = np.float64(thresholds)
     pieces, sizes = label_components(values > low)
     kept = np.zeros(len(sizes) + 1, bool)
     kept[np.unique(pieces[values > high])] = True
@@ -114,18 +121,27 @@ def _hysteresis(values: np.ndarray, thresholds: tuple[float, ...]) -> np.ndarray
 
 def _histogram(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Levels in rising order and how often each occurs; more than 1024 levels are binned."""
-    if values.dtype == np.uint8:
-        counts = np.bincount(values.ravel(), minlength=256)
-        levels = np.flatnonzero(counts)
-        return levels.astype(np.float64), counts[levels]
-    counts, edges = np.histogram(values, bins=_BINS)
+    levels = distinct_levels(values, limit=_BINS)
+    if levels is not None:
+        return levels.astype(np.float64), _counted(values.ravel(), levels)
+    # In float16 the edges of 1024 bins would coincide.
+    counts, edges = np.histogram(values.astype(np.float32) if values.dtype == np.float16 else values, bins=_BINS)
     centres = (edges[:-1] + edges[1:]) / 2
     used = np.flatnonzero(counts)
     return centres[used], counts[used]
 
 
+def _counted(flat: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    total = np.zeros(len(levels), np.int64)
+    for start in range(0, flat.size, _PIECE):
+        total += np.bincount(np.searchsorted(levels, flat[start : start + _PIECE]), minlength=len(levels))
+    return total
+
+
 def _between(levels: np.ndarray, cut: int) -> float:
-    return float((levels[cut - 1] + levels[cut]) / 2)
+    low, high = float(levels[cut - 1]), float(levels[cut])
+    middle = low + (high - low) / 2
+    return middle if middle < high else low  # of two neighbouring numbers the middle rounds to one of them
 
 
 def _text(thresholds: Sequence[float]) -> str:

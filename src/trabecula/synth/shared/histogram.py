@@ -56,8 +56,10 @@ def _ranked(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every voxel's mixed value as a bin number (uint16), and how many voxels each bin holds."""
     ranks = np.empty(field.shape, np.uint16)
     for_slabs(lambda a, b: _rank_values(field, ranks, a, b), len(field))
-    # Plane by plane, since bincount widens what it is given to 8 bytes a voxel.
-    return ranks, np.sum([np.bincount(plane.ravel(), minlength=_BINS) for plane in ranks], axis=0)
+    total = np.zeros(_BINS, np.int64)
+    for plane in ranks:  # one at a time, since bincount widens what it is given to 8 bytes a voxel
+        total += np.bincount(plane.ravel(), minlength=_BINS)
+    return ranks, total
 
 
 @inline

@@ -18,7 +18,7 @@ SCALE = 8
 
 _EXACT = 2**24 / 127 * 0.98
 _SAMPLES = 8192
-_ROWS = 1 << 15
+_ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,12 @@ def project(field: np.ndarray, basis: Basis, *, step: int) -> np.ndarray:
 
     for_slabs(work, grid[0], least=2)
     return features
+
+
+def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
+    """Memory that `project` takes per thread beyond its result."""
+    length, count = basis.vectors.shape
+    return min(_ROWS, grid[1] * grid[2]) * (4 * length + 16 * count)
 
 
 def grid_shape(shape: tuple[int, ...], *, width: int, step: int) -> tuple[int, ...]:

@@ -49,7 +49,7 @@ class TextureConfig:
     """Exponent r of the vote's weights d^(r - 2), 0 .. 2 (section 4.3); 2 is plain least squares."""
 
     trim: int = 1
-    """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. w / 2 - 1: less averaging."""
+    """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. (w - t) / 2: less averaging."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rounds", tuple(int(count) for count in _as_sequence(self.rounds)))
@@ -64,7 +64,7 @@ class TextureConfig:
         _check_range(self, "tries", 0, 64)
         _check_range(self, "index_penalty", 0, 1)
         _check_range(self, "robustness", 0, 2)
-        _check_range(self, "trim", 0, self.neighbourhood // 2 - 1)
+        _check_range(self, "trim", 0, (self.neighbourhood - self.step) // 2)
         if not self.rounds or not all(1 <= count <= 100 for count in self.rounds):
             raise InputError(f"rounds {self.rounds} should be whole numbers from 1 to 100, finest level first")
 

@@ -17,13 +17,14 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.synth.base import Method, Model
 from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
 from trabecula.synth.shared.histogram import match_histogram
 from trabecula.synth.shared.neighbourhoods import (
     SCALE,
     Basis,
+    block_bytes,
     covered_shape,
     grid_shape,
     principal_basis,
@@ -35,6 +36,7 @@ from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.kernels import search, start_matches, vote
 
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
+_SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _MANY = 1_000_000  # neighbourhoods of an exemplar above which only every `step`-th is a candidate
 
 
@@ -133,14 +135,15 @@ class TextureModel(Model):
         voxels = int(np.prod(covered_shape(grid, width=finest.basis.width, step=finest.step), dtype=np.int64))
         sites = int(np.prod(grid, dtype=np.int64))
         channels, dimensions = len(finest.field), finest.features.shape[1]
-        held = sum(level.features.nbytes + level.field.nbytes for level in self.levels)
+        # Two moments compete for the peak: a vote beside the round before, and (several phases) the last choice in float32.
+        voting = voxels * (9 * channels + 7) + sites * (2 * dimensions + 20)
+        choosing = voxels * (20 * channels + 10) if len(self.present) > 2 else 0
         return Plan(
             memory={
-                "interpreter and kernels": 150 << 20,
-                "exemplar": held,
-                "votes": voxels * (4 * (channels + 1) + 4 * channels),
-                "output": voxels * (2 * channels + 2),
-                "features": sites * (2 * dimensions + 20),
+                "interpreter and kernels": 170 << 20,
+                "exemplar": sum(level.features.nbytes + level.field.nbytes for level in self.levels),
+                "output": max(voting, choosing),
+                "scratch": thread_count() * block_bytes(finest.basis, grid) + 16 * len(finest.features),
             },
             disk=int(np.prod(request.shape, dtype=np.int64)) // 8,
         )
@@ -156,7 +159,7 @@ def _levels_that_fit(shape: tuple[int, ...], width: int) -> int:
 def _level(field: np.ndarray, config: TextureConfig, *, scale: int, coarsest: bool) -> Level:
     values = quantise(field / np.float32(scale), clip=config.clip)
     basis = principal_basis(values, width=config.neighbourhood, variance=config.variance, most=config.components)
-    step = 1 if coarsest else config.step
+    step = 1 if coarsest and scale >= _SPARSE_BELOW else config.step
     positions = np.prod([side - config.neighbourhood + 1 for side in values.shape[1:]])
     stride = step if positions > _MANY else 1
     features = project(values, basis, step=stride)

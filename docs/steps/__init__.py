@@ -1,0 +1,1 @@
+"""The steps of `docs/build.py`."""

@@ -1,0 +1,297 @@
+"""Write the pages that follow from the code: docs/methods and docs/reference. A new method, setting, format, verb,
+measure or public name appears without an edit here."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import importlib
+import inspect
+import os
+import re
+import shutil
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import trabecula
+from trabecula.synth.base import Spec
+from trabecula.synth.registry import methods
+
+# Rooms in the order of the data, with what the API page calls them; a room that is not named here comes last.
+_ROOMS = {
+    "core": "What everything speaks of",
+    "io": "Files",
+    "exemplar": "Exemplars",
+    "synth": "Methods and models",
+    "finish": "Finish",
+    "measure": "Measure",
+    "report": "The certificate",
+    "mesh": "Surfaces",
+    "view": "Pictures",
+    "flow": "From file to file",
+    "engine": "Memory and threads",
+}
+# What public functions return or take, and is no name of `trabecula` itself.
+_ALSO = {
+    "synth.base": ("Method", "Model", "Spec"),
+    "report.certificate": ("Certificate", "Metric"),
+    "mesh.surface": ("mesh",),
+    "mesh.base": ("Mesh",),
+    "mesh.check": ("check", "MeshCheck"),
+    "mesh.files": ("write_mesh",),
+    "view.slices": ("slices", "montage"),
+    "engine.plan": ("Plan",),
+}
+
+
+def write(docs: Path) -> None:
+    """Write every generated page anew."""
+    for folder in ("methods", "reference"):
+        shutil.rmtree(docs / folder, ignore_errors=True)
+        (docs / folder).mkdir()
+    found = methods()
+    for name, spec in found.items():
+        (docs / "methods" / f"{name}.md").write_text(method_page(spec), encoding="utf-8")
+    pages = {
+        "methods/index.md": methods_index(found),
+        "reference/formats.md": formats_page(),
+        "reference/command-line.md": command_line_page(),
+        "reference/measures.md": measures_page(),
+        "reference/api.md": api_page(),
+    }
+    for name, text in pages.items():
+        (docs / name).write_text(text, encoding="utf-8")
+
+
+def methods_index(found: dict[str, Spec]) -> str:
+    """The table of methods."""
+    dimensions = {"2d": "2-D", "3d": "3-D", None: "none"}
+    rows = [
+        (
+            f"[{name}]({name}.md)",
+            spec.summary,
+            spec.paper,
+            dimensions[spec.exemplar] + (f", {' or '.join(spec.kinds)}" if spec.exemplar else ""),
+            ", ".join(("shape", "seed", *sorted(spec.honours))),
+            ", ".join(f"`trabecula[{extra}]`" for extra in spec.extras) or "nothing",
+        )
+        for name, spec in found.items()
+    ]
+    head = ("method", "makes", "after", "exemplar", "honours", "needs besides the base install")
+    return f"""# Methods
+
+A method learns from an exemplar and gives a model; the model makes material. `trabecula methods` prints the first columns.
+
+{table(head, rows)}
+
+*Honours* lists the parts of a {{py:class}}`request <trabecula.Request>` that the method follows. It refuses the others by name.
+
+```{{toctree}}
+:hidden:
+:glob:
+
+*
+```
+"""
+
+
+def method_page(spec: Spec) -> str:
+    """A method's card, what its SPEC says, and its settings."""
+    package = importlib.import_module(f"trabecula.synth.{_folder(spec)}")
+    card = Path(package.__file__).with_name("README.md")
+    text = _without_dead_links(card.read_text(encoding="utf-8").strip()) if card.exists() else spec.summary
+    if not text.startswith("# "):
+        text = f"# {spec.name}\n\n{text}"
+    facts = [
+        ("after", spec.paper),
+        ("exemplar", f"{spec.exemplar}: {' or '.join(spec.kinds)}" if spec.exemplar else "none"),
+        ("honours", ", ".join(("shape", "seed", *sorted(spec.honours)))),
+        ("scaling", spec.scaling),
+        ("presets", ", ".join(spec.presets) or "none"),
+        ("extras", ", ".join(spec.extras) or "none"),
+    ]
+    settings = table(("setting", "default", "meaning"), settings_of(spec))
+    return f"""{text}
+
+## At a glance
+
+{table(("what", ""), facts)}
+
+## Settings
+
+In Python `tb.method("{spec.name}", name=value)`; on the command line `--set name=value`.
+
+{settings}
+"""
+
+
+def settings_of(spec: Spec) -> list[tuple[str, str, str]]:
+    """Name, default and meaning of every setting: fields of the config and the strings below them."""
+    module, _, attribute = spec.target.partition(":")
+    config = getattr(importlib.import_module(module), attribute).config_type
+    meanings = _strings_below_fields(config)
+    return [
+        (f"`{field.name}`", f"`{_default(field)}`", meanings.get(field.name, ""))
+        for field in dataclasses.fields(config)
+    ]
+
+
+def formats_page() -> str:
+    """Suffixes that are read and written."""
+    from trabecula.io.formats import SLICES, suffixes
+    from trabecula.mesh.formats import FORMATS
+
+    rows: dict[tuple[str, str], list[str]] = {}
+    for suffix, form in suffixes().items():
+        rows.setdefault((form.name, form.note), []).append(f"`{suffix}`")
+    volumes = [(" ".join(names), name, note) for (name, note), names in rows.items()]
+    volumes.append(("`/`", SLICES.name, SLICES.note))
+    surfaces = [(f"`{suffix}`", note) for suffix, (note, _) in FORMATS.items()]
+    return f"""# Formats
+
+How they are used: [read and write formats](../howto/formats.md).
+
+## Volumes and pictures, read and written
+
+{table(("suffix", "format", "note"), volumes)}
+
+## Surfaces, written
+
+{table(("suffix", "format"), surfaces)}
+"""
+
+
+def command_line_page() -> str:
+    """Every verb with its usage and options, from the parsers themselves."""
+    from trabecula.cli.main import VERBS, _parser
+
+    os.environ["COLUMNS"] = "100"
+    parts = [
+        "# Command line reference\n\nHow the verbs go together: [the command line](../guide/command-line.md). "
+        "Every verb has `--help`. Exit status: 0 where the verb did its work, 2 where it was refused, 130 where it was "
+        "interrupted.\n"
+    ]
+    for verb in VERBS:
+        parser, _ = _parser(verb)
+        parts.append(_verb_section(verb, parser._subparsers._group_actions[0].choices[verb]))
+    return "\n".join(parts)
+
+
+def measures_page() -> str:
+    """Every public measure, room by room."""
+    from trabecula import measure
+
+    homes: dict[str, list[str]] = {}
+    for name in measure.__all__:
+        homes.setdefault(getattr(measure, name).__module__, []).append(name)
+    overview = table(
+        ("measure", "what it is"),
+        [
+            (f"{{py:obj}}`{name} <trabecula.measure.{name}>`", _summary(getattr(measure, name)))
+            for name in measure.__all__
+        ],
+    )
+    parts = [
+        "# Measures\n\nEvery measure is a function of `trabecula.measure` (`tb.measure`) that takes an Image or an array of "
+        "labels. "
+        "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths and phases mean: "
+        f"[conventions](../guide/conventions.md).\n\n{overview}\n"
+    ]
+    for home, names in sorted(homes.items()):
+        about = inspect.getdoc(importlib.import_module(home)).partition("\n\n")[0].replace("\n", " ")
+        title = home.rpartition(".")[2].capitalize()
+        parts.append(f"## {title}\n\n{about}\n\n{directives(f'trabecula.measure.{name}' for name in names)}")
+    return "\n".join(parts)
+
+
+def api_page() -> str:
+    """Every public name of the package, by room."""
+    rooms: dict[str, list[str]] = {room: [] for room in _ROOMS}
+    for name, home in trabecula._HOMES.items():
+        rooms.setdefault(home.partition(".")[0], []).append(f"trabecula.{name}")
+    for home, names in _ALSO.items():
+        rooms.setdefault(home.partition(".")[0], []).extend(f"trabecula.{home}.{name}" for name in names)
+    rooms["finish"] += [f"trabecula.finish.{name}" for name in trabecula.finish.OPERATIONS]
+    parts = [
+        "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its first use, so "
+        "`import trabecula` costs next to nothing. Longer names are what these functions take and return. "
+        "`tb.mesh(image)` is `trabecula.mesh.surface.mesh`, `tb.errors` are [the errors](../guide/errors.md), "
+        "`tb.measure` has [its own page](measures.md).\n"
+    ]
+    for room, names in rooms.items():
+        shown = [name for name in names if name != "trabecula.describe" or room == "measure"]
+        if shown:
+            parts.append(f"## {_ROOMS.get(room, room.capitalize())}\n\n{directives(shown)}")
+    return "\n".join(parts)
+
+
+def directives(names: Iterable[str]) -> str:
+    """Sphinx directives that print the docstrings of these dotted names."""
+    lines = ["```{eval-rst}"]
+    for name in names:
+        home, _, last = name.rpartition(".")
+        thing = getattr(importlib.import_module(home), last)
+        if inspect.isclass(thing):
+            lines += [f".. autoclass:: {name}", "   :members:", ""]
+        else:
+            lines += [f".. autofunction:: {name}", ""]
+    return "\n".join([*lines, "```", ""])
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+
+    def row(cells: Iterable[str]) -> str:
+        return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
+
+    return "\n".join([row(head), "|" + " --- |" * len(head), *(row(cells) for cells in rows)])
+
+
+def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
+    usage = parser.format_usage().strip().replace("usage: ", "").replace("\n" + " " * len("usage: "), "\n")
+    parts = [f"## {verb}\n\n{parser.description}\n\n```text\n{usage}\n```\n"]
+    for group in parser._action_groups:
+        rows = [(_spelled(action), action.help or "") for action in group._group_actions if action.dest != "help"]
+        if rows:
+            title = {"positional arguments": "what", "options": "option"}.get(group.title, group.title)
+            parts.append(table((title, ""), rows) + "\n")
+    return "\n".join(parts)
+
+
+def _spelled(action: argparse.Action) -> str:
+    if not action.option_strings:
+        return f"`{action.metavar or action.dest}`"
+    value = "" if action.nargs == 0 else action.metavar or action.dest.upper()
+    words = " ".join(value) if isinstance(value, tuple) else value + (" ..." if action.nargs == "+" else "")
+    return f"`{' '.join([', '.join(action.option_strings), words]).strip()}`"
+
+
+def _folder(spec: Spec) -> str:
+    return spec.target.partition(":")[0].split(".")[2]
+
+
+def _strings_below_fields(config: type) -> dict[str, str]:
+    tree = ast.parse(inspect.getsource(inspect.getmodule(config)))
+    body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == config.__name__)
+    return {
+        field.target.id: inspect.cleandoc(below.value.value)
+        for field, below in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+    }
+
+
+def _default(field: dataclasses.Field) -> str:
+    if field.default is not dataclasses.MISSING:
+        return repr(field.default)
+    return repr(field.default_factory()) if field.default_factory is not dataclasses.MISSING else "required"
+
+
+def _summary(thing: object) -> str:
+    return inspect.getdoc(thing).partition("\n\n")[0]
+
+
+def _without_dead_links(text: str) -> str:
+    """A card lies beside the code: its links to files there lead nowhere in the site and become plain words."""
+    return re.sub(r"(?<!!)\[([^\]]+)\]\((?!https?:|#|mailto:)[^)]+\)", r"\1", text)

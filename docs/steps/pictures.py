@@ -1,0 +1,89 @@
+"""Draw the gallery and write its page, docs/gallery: what the package makes today of its own samples, and its certificates."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import trabecula as tb
+from trabecula.view.looks import LOOKS
+from trabecula.view.slices import montage
+
+_SIDE = 120  # voxels of what is made for a picture
+_SEED = 7
+_LOOK_OF = {"bone": "bone", "foam": "foam"}
+
+
+def draw(folder: Path) -> None:
+    """Every picture and the page that shows them."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    parts = [_INTRODUCTION]
+    for name in tb.samples():
+        parts.append(draw_sample(name, folder))
+    parts.append(draw_looks(folder))
+    (folder / "index.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+def draw_sample(name: str, folder: Path) -> str:
+    """A sample, more of it, their slices and the certificate; the section that shows them."""
+    exemplar = tb.sample(name)
+    material = tb.finish.connect(tb.method("texture").fit(exemplar).generate(_SIDE, seed=_SEED))
+    look = _LOOK_OF.get(name, "stone")
+    tb.render(exemplar, folder / f"{name}.png", look=look, size=(640, 480))
+    tb.render(material, folder / f"{name}-more.png", look=look, size=(640, 480))
+    titles = [f"sample:{name}, {exemplar.shape[0]}^3", f"texture, {_SIDE}^3, seed {_SEED}"]
+    montage([exemplar, material], titles, folder / f"{name}-slices.png", look=look, side=300)
+    verdict = tb.verify(exemplar, material, names=[f"{name}.zarr"])
+    (folder / f"{name}-certificate.txt").write_text(verdict.to_table() + "\n", encoding="utf-8")
+    return _SAMPLE.format(
+        name=name, side=_SIDE, seed=_SEED, look=look, summary=tb.samples()[name].capitalize(), own=exemplar.shape[0]
+    )
+
+
+def draw_looks(folder: Path) -> str:
+    """One crop in every look; the table that shows them."""
+    piece = tb.crop(tb.sample("bone"), 64)
+    for name in LOOKS:
+        tb.render(piece, folder / f"look-{name}.png", look=name, size=(320, 240))
+    names = " | ".join(f"`{name}`" for name in LOOKS)
+    shown = " | ".join(f"![the look {name}](look-{name}.png)" for name in LOOKS)
+    return f"""## Looks
+
+`--look` of `trabecula render`, `look=` of {{py:func}}`trabecula.render`: the same 64^3 voxels of `sample:bone`.
+A look is colour and gloss; it changes no voxel.
+
+| {names} |
+|{" --- |" * len(LOOKS)}
+| {shown} |
+"""
+
+
+_INTRODUCTION = """# Gallery
+
+Drawn anew at every build of this documentation, from the samples that the package makes. The samples are stand-ins for
+scans: right in kind, wrong in detail. Nothing here is
+chosen: it is one seed, the first that was tried, and the [certificate](../howto/certificate.md) stands below it.
+"""
+
+_SAMPLE = """## {name}
+
+{summary}. Left the sample, {own}^3 voxels; right {side}^3 voxels made from it by `texture` and then connected.
+
+| sample:{name} | made from it |
+| --- | --- |
+| ![a still of sample:{name}]({name}.png) | ![a still of what texture makes of it]({name}-more.png) |
+
+![middle slices across z, y and x, of both]({name}-slices.png)
+
+```sh
+trabecula generate sample:{name} --shape {side} --seed {seed} --out more.zarr
+trabecula finish more.zarr --connect --out {name}.zarr
+trabecula render {name}.zarr --look {look} --size 640 480 --out {name}-more.png
+trabecula verify sample:{name} {name}.zarr
+```
+
+```{{literalinclude}} {name}-certificate.txt
+:language: text
+```
+"""

@@ -1,0 +1,23 @@
+"""The exceptions by their public address: `from trabecula.errors import TrabeculaError`. They are defined in `core.errors`."""
+
+from trabecula.core.errors import (
+    FileError,
+    InputError,
+    MemoryBudgetError,
+    MissingExtraError,
+    NotReproducedError,
+    RequestError,
+    TrabeculaError,
+    UnknownNameError,
+)
+
+__all__ = [
+    "FileError",
+    "InputError",
+    "MemoryBudgetError",
+    "MissingExtraError",
+    "NotReproducedError",
+    "RequestError",
+    "TrabeculaError",
+    "UnknownNameError",
+]

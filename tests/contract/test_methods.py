@@ -1,0 +1,164 @@
+"""What every method promises, whichever it is: the suite loops over the registry. A new method is tested by being there."""
+
+import dataclasses
+import importlib
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.core.recipe import digest
+from trabecula.engine.plan import GIB
+from trabecula.errors import InputError, MemoryBudgetError, RequestError, UnknownNameError
+from trabecula.flow import replay
+from trabecula.synth.registry import methods
+
+SPECS = methods()
+SHAPE = (34, 30, 37)  # odd and even, no multiple of a step or of a level
+
+
+def exemplar_for(spec):
+    """A small exemplar of the dimensions that a method wants."""
+    volume = tb.crop(tb.sample("bone"), 40)
+    if spec.exemplar == "3d":
+        return volume
+    flat = tb.Image(volume.values[20], "labels", volume.spacing[1:], volume.unit, volume.phases)
+    return dataclasses.replace(flat, recipe=flat.recipe.then("array", flat.values))
+
+
+@pytest.fixture(scope="module", params=sorted(SPECS))
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def spec(name):
+    return SPECS[name]
+
+
+@pytest.fixture(scope="module")
+def exemplar(spec):
+    return exemplar_for(spec)
+
+
+@pytest.fixture(scope="module")
+def model(name, exemplar):
+    return tb.method(name).fit(exemplar)
+
+
+@pytest.fixture(scope="module")
+def material(model):
+    return model.generate(SHAPE, seed=5)
+
+
+def test_the_folder_is_complete(name, spec):
+    home = importlib.import_module(f"trabecula.synth.{name}")
+    card = (Path(home.__file__).parent / "README.md").read_text(encoding="utf-8")
+    assert spec.paper.split("(")[0].split(",")[0] in card, "the card names the paper's first author"
+    for heading in ("Where the paper is", "Deviations", "Input", "Cost", "Knobs", "Known failures"):
+        assert f"## {heading}" in card, f"the card lacks a section {heading!r}"
+    assert spec.exemplar in ("2d", "3d", None)
+    assert spec.scaling in ("window", "sweep", "whole")
+    assert spec.honours <= {"periodic", "mask", "target", "fixed"}
+
+
+def test_the_config_is_frozen_and_every_field_is_told(name):
+    config = tb.method(name).config
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(config, dataclasses.fields(config)[0].name, 1)
+    source = Path(importlib.import_module(type(config).__module__).__file__).read_text(encoding="utf-8")
+    for field in dataclasses.fields(config):
+        after = source.split(f"    {field.name}: ", 1)[1].split("\n", 1)[1]
+        assert after.lstrip().startswith('"""'), f"{field.name} has no docstring below it"
+
+
+def test_the_result_is_what_was_asked_for(material, exemplar):
+    assert material.shape == SHAPE
+    assert material.kind == exemplar.kind
+    assert material.spacing == exemplar.spacing
+    assert (material.unit, material.phases) == (exemplar.unit, exemplar.phases)
+    assert set(np.unique(material.values)) <= set(np.unique(exemplar.values))
+
+
+def test_the_same_seed_gives_the_same_voxels(model, material):
+    assert np.array_equal(model.generate(SHAPE, seed=5).values, material.values)
+    assert not np.array_equal(model.generate(SHAPE, seed=6).values, material.values)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_threads_do_not_matter(name, exemplar, material, count):
+    with tb.threads(count):
+        again = tb.method(name).fit(exemplar).generate(SHAPE, seed=5)
+    assert np.array_equal(again.values, material.values)
+
+
+def test_the_recipe_makes_the_same_voxels(material, tmp_path):
+    again = replay(material.recipe, folder=tmp_path)
+    assert digest(again.values) == digest(material.values) == material.recipe.steps[-1]["sha256"]
+    assert again.recipe.to_json() == material.recipe.to_json()
+
+
+def test_the_exemplar_is_not_written_into(name, exemplar):
+    before = exemplar.values.copy()
+    tb.method(name).fit(exemplar).generate((16, 16, 16), seed=1)
+    assert np.array_equal(exemplar.values, before)
+
+
+def test_what_a_method_cannot_honour_is_refused_by_name(model, spec):
+    parts = {
+        "periodic": True,
+        "mask": np.ones(SHAPE, bool),
+        "target": {"porosity": np.full(SHAPE, 0.5)},
+        "fixed": tb.Image(np.zeros(SHAPE, np.uint8), "labels"),
+    }
+    for part, value in parts.items():
+        if part not in spec.honours:
+            with pytest.raises(RequestError, match=part):
+                model.generate(SHAPE, seed=1, **{part: value})
+
+
+def test_a_run_over_its_budget_is_refused_before_it_starts(model):
+    tracemalloc.start()
+    with pytest.raises(MemoryBudgetError, match=r"GiB|TiB"):
+        model.generate((4000, 4000, 4000), seed=1, memory=GIB)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20, "memory was taken before the budget was checked"
+    tracemalloc.stop()
+
+
+def test_the_forecast_of_memory_holds(model):
+    request = tb.Request((96, 88, 80), seed=1)
+    plan = model.plan(request)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    model.generate(tb.Request((16, 16, 16), seed=1))  # so that loading kernels is not counted
+    tracemalloc.start()
+    model.generate(request)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak <= arrays, "the run takes more than was forecast"
+    assert arrays <= 1.5 * peak, "the forecast is far above what the run takes"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda image: image.values[0] if image.ndim == 3 else np.stack([image.values] * 30), "exemplar"),
+        (lambda image: tb.Image(image.values.astype(np.float32), "grey"), "grey"),
+        (lambda image: np.zeros_like(image.values), "one phase"),
+        (lambda image: np.resize(image.values, (5,) * image.ndim), "exemplar"),
+        (lambda image: image.values.astype(np.float32), "plain array"),
+    ],
+    ids=["other dimensions", "grey", "one phase", "too small", "float labels"],
+)
+def test_an_exemplar_that_cannot_be_used_is_refused(name, spec, exemplar, spoil, words):
+    if words == "grey" and "grey" in spec.kinds:
+        pytest.skip(f"{name} takes grey exemplars")
+    with pytest.raises(InputError, match=words):
+        tb.method(name).fit(spoil(exemplar))
+
+
+def test_an_unknown_setting_suggests_the_nearest(name):
+    field = dataclasses.fields(tb.method(name).config)[0].name
+    with pytest.raises(UnknownNameError, match=field):
+        tb.method(name, **{field[:-1] + "_": 1})

@@ -1,0 +1,66 @@
+"""Forecasts: their sum, their refusal, their text."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trabecula.engine import plan as plans
+from trabecula.engine.plan import GIB, Plan, available_memory, check_budget, format_bytes
+from trabecula.errors import MemoryBudgetError
+
+PLAN = Plan({"votes": 3 * GIB, "output": GIB}, disk=5)
+
+
+def test_the_peak_is_the_sum_and_goes_into_json():
+    assert PLAN.peak == 4 * GIB and Plan().peak == 0
+    assert PLAN.to_json() == {"memory": {"votes": 3 * GIB, "output": GIB}, "disk": 5, "seconds": None, "peak": 4 * GIB}
+
+
+def test_a_run_over_its_budget_is_refused():
+    check_budget(PLAN, budget=4 * GIB)
+    with pytest.raises(MemoryBudgetError) as caught:
+        check_budget(PLAN, budget=4 * GIB - 1, advice="render a crop")
+    assert str(caught.value) == (
+        "this run needs about 4.0 GiB of memory, 4.0 GiB may be used: render a crop, or raise --memory"
+    )
+
+
+def test_without_a_budget_what_is_available_counts(monkeypatch):
+    monkeypatch.setattr(plans, "available_memory", lambda: 2 * GIB)
+    check_budget(Plan({"all": 2 * GIB}))
+    with pytest.raises(MemoryBudgetError, match=r"2\.0 GiB may be used"):
+        check_budget(PLAN)
+
+
+def test_the_lower_of_machine_and_group_is_available(monkeypatch):
+    for machine, group, lower in [(5, 3, 3), (3, 5, 3), (None, 7, 7), (7, None, 7)]:
+        monkeypatch.setattr(plans, "_meminfo_available", lambda machine=machine: machine)
+        monkeypatch.setattr(plans, "_cgroup_available", lambda group=group: group)
+        assert available_memory() == lower
+    monkeypatch.setattr(plans, "_meminfo_available", lambda: None)
+    monkeypatch.setattr(plans, "_cgroup_available", lambda: None)
+    assert available_memory() > GIB // 4
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (0, "0 B"),
+        (1023, "1023 B"),
+        (1024, "1.0 KiB"),
+        (1536, "1.5 KiB"),
+        (150 << 20, "150 MiB"),
+        (99.94 * GIB, "99.9 GiB"),
+        (5 << 40, "5.0 TiB"),
+        (3 << 50, "3072 TiB"),
+    ],
+)
+def test_bytes_as_a_person_reads_them(count, text):
+    assert format_bytes(count) == text
+
+
+@given(st.integers(0, 2**60))
+def test_the_text_of_bytes_is_right_to_a_twentieth(count):
+    number, unit = format_bytes(count).split()
+    size = float(number) * 1024 ** ["B", "KiB", "MiB", "GiB", "TiB"].index(unit)
+    assert abs(size - count) <= 0.05 * count
