@@ -44,4 +44,4 @@ $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) out build dist docs/_build docs/gallery
+	rm -rf $(VENV) out build dist docs/_build docs/gallery docs/methods docs/reference

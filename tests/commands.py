@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from trabecula.cli.main import main
 
-SMALL = ("--set", "first_rounds=2", "--set", "rounds=[1]")
+SMALL = ("--set", "neighbourhood=4", "--set", "first_rounds=2", "--set", "rounds=[1]")
 """Settings of `texture` for which voxels do not matter, only that they are made."""
 
 

@@ -20,7 +20,9 @@ def test_importing_the_package_loads_nothing():
 
 
 def test_every_public_name_is_there():
-    assert loaded("import trabecula as tb\nfor name in tb.__all__: getattr(tb, name)", ("trabecula.flow",)) == ["trabecula.flow"]
+    assert loaded("import trabecula as tb\nfor name in tb.__all__: getattr(tb, name)", ("trabecula.flow",)) == [
+        "trabecula.flow"
+    ]
 
 
 def test_the_nouns_need_numpy_alone():
@@ -33,7 +35,9 @@ def test_help_and_typing_errors_need_no_numpy(words):
     assert not {"numpy", *HEAVY} & set(loaded(code, ("numpy", *HEAVY)))
 
 
-@pytest.mark.parametrize("verb", ["generate", "verify", "export", "render", "measure", "rerun", "demo", "plan", "finish"])
+@pytest.mark.parametrize(
+    "verb", ["generate", "verify", "export", "render", "measure", "rerun", "demo", "plan", "finish"]
+)
 def test_help_of_a_verb_loads_nothing_heavy(verb):
     code = f"from trabecula.cli.main import main\ntry:\n    main([{verb!r}, '--help'])\nexcept SystemExit:\n    pass"
     assert loaded(code, ("numpy", *HEAVY)) == []

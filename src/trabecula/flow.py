@@ -44,7 +44,7 @@ def load(
     threshold: float | Sequence[float] | str | None = None,
     **reading: Any,
 ) -> Image:
-    """An image from a file or from `sample:NAME`, cropped and segmented where asked.
+    """An image from a file or from `sample:NAME`, segmented and cropped where asked.
 
     Parameters
     ----------
@@ -64,8 +64,6 @@ def load(
         image = sample(name.removeprefix(SAMPLE_PREFIX))
     else:
         image = files.read(name, **reading) if phases is None else _read_with_phases(name, phases, reading)
-    if crop is not None:
-        image = cut_box(image, crop)
     if image.kind == "grey" and threshold is not None:
         image = segment(image, "otsu" if threshold == "auto" else threshold, phases=phases or ("void", "solid"))
         found = image.recipe.steps[-1]["threshold"]
@@ -75,7 +73,8 @@ def load(
         raise InputError(
             f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey"
         )
-    return image
+    # After the threshold was found, so that it is the whole scan's and every crop of it is cut at the same level.
+    return image if crop is None else cut_box(image, crop)
 
 
 def _read_with_phases(name: str, phases: Sequence[str], reading: Mapping[str, Any]) -> Image:
@@ -261,9 +260,9 @@ def _difference(step: Mapping[str, Any]) -> str:
 
 
 def _read_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    candidates = (
-        [exemplar] if exemplar else [step["source"], folder / step["source"], folder / Path(step["source"]).name]
-    )
+    if exemplar is not None:
+        return files.read(exemplar, **step["options"])
+    candidates = [step["source"], folder / step["source"], folder / Path(step["source"]).name]
     for candidate in candidates:
         if Path(candidate).exists():
             return files.read(candidate, **step["options"])
@@ -271,7 +270,7 @@ def _read_again(image: Image | None, step: Mapping[str, Any], folder: Path, exem
 
 
 def _array_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    if not exemplar:
+    if exemplar is None:
         raise InputError(
             f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with --exemplar"
         )

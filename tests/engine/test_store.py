@@ -41,7 +41,7 @@ def test_colour_is_a_channel_before_space(tmp_path):
     assert multiscale["datasets"][0]["coordinateTransformations"][0]["scale"] == [1.0, 2.5, 0.1, 0.3]
 
 
-def test_a_store_without_our_mark_or_unfinished_is_refused(tmp_path):
+def test_an_unfinished_store_is_refused(tmp_path):
     fields = {"kind": "grey", "spacing": [1, 1, 1], "unit": "voxel", "phases": [], "recipe": []}
     group, array = store.create(
         tmp_path / "x.zarr", (2, 3, 4), np.dtype("u1"), scale=(1, 1, 1), unit=None, fields=fields
@@ -51,10 +51,46 @@ def test_a_store_without_our_mark_or_unfinished_is_refused(tmp_path):
         tb.read(tmp_path / "x.zarr")
     store.finish(group)
     assert tb.read(tmp_path / "x.zarr").values.sum() == 7 * 24
-    zarr.create_array(tmp_path / "group.zarr/0", shape=(2, 2), dtype="u1")
-    zarr.create_group(tmp_path / "group.zarr")
-    with pytest.raises(FileError, match="nothing says that it is complete"):
-        tb.read(tmp_path / "group.zarr")
+
+
+def voxels():
+    return np.random.default_rng(0).integers(0, 3, (4, 5, 6)).astype(np.uint8)
+
+
+def test_a_plain_array_of_somebody_else_is_read(tmp_path):
+    zarr.create_array(tmp_path / "a.zarr", data=voxels(), chunks=(2, 2, 2))
+    image = tb.read(tmp_path / "a.zarr", spacing=2, unit="um")
+    assert np.array_equal(image.values, voxels())
+    assert (image.kind, image.spacing, image.unit) == ("labels", (2, 2, 2), "um")
+
+
+@pytest.mark.parametrize(("version", "form"), [("0.4", 2), ("0.5", 3)])
+def test_ome_zarr_of_somebody_else_keeps_its_scale(version, form, tmp_path):
+    axes = [{"name": "c", "type": "channel"}] + [
+        {"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"
+    ]
+    datasets = [
+        {"path": path, "coordinateTransformations": [{"type": "scale", "scale": [1, 4 * f, 2 * f, 3 * f]}]}
+        for path, f in (("fine", 1), ("coarse", 2))
+    ]
+    ome = {"version": version, "multiscales": [{"axes": axes, "datasets": datasets}]}
+    group = zarr.create_group(tmp_path / "o.zarr", zarr_format=form, attributes={"ome": ome} if form == 3 else ome)
+    group.create_array("fine", data=voxels()[None], chunks=(1, 2, 3, 4))
+    group.create_array("coarse", data=voxels()[None, ::2, ::2, ::2], chunks=(1, 2, 3, 4))
+    image = tb.read(tmp_path / "o.zarr")
+    assert np.array_equal(image.values, voxels())
+    assert (image.spacing, image.unit) == ((4, 2, 3), "um")
+
+
+def test_what_is_open_in_somebody_elses_store_is_said(tmp_path):
+    group = zarr.create_group(tmp_path / "two.zarr")
+    group.create_array("one", data=voxels())
+    group.create_array("two", data=voxels())
+    with pytest.raises(FileError, match="one, two"):
+        tb.read(tmp_path / "two.zarr")
+    zarr.create_array(tmp_path / "times.zarr", data=np.stack([voxels()] * 2))
+    with pytest.raises(FileError, match="times or channels"):
+        tb.read(tmp_path / "times.zarr")
 
 
 def test_a_lost_chunk_is_not_read_as_zeros(tmp_path):

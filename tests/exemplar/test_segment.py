@@ -52,7 +52,9 @@ def test_two_populations_are_told_apart(bimodal, dtype):
 
 @given(
     arrays.arrays(
-        st.sampled_from(["u1", "i2", "f4"]), arrays.array_shapes(min_dims=2, max_dims=2, max_side=6), elements=st.integers(0, 20)
+        st.sampled_from(["u1", "i2", "f4"]),
+        arrays.array_shapes(min_dims=2, max_dims=2, max_side=6),
+        elements=st.integers(0, 20),
     )
 )
 def test_otsu_is_the_best_of_all_thresholds(values):
@@ -112,7 +114,12 @@ def test_a_threshold_that_is_given_divides_and_is_recorded():
     np.testing.assert_array_equal(image.values, values > 9.5)
     step = image.recipe.steps[-1]
     assert image.phases == ("pore", "bone")
-    assert (step["verb"], step["threshold"], step["found_by"], step["phases"]) == ("segment", 9.5, "given", ["pore", "bone"])
+    assert (step["verb"], step["threshold"], step["found_by"], step["phases"]) == (
+        "segment",
+        9.5,
+        "given",
+        ["pore", "bone"],
+    )
     assert step["sha256"] == digest(image.values)
 
 

@@ -17,7 +17,7 @@ VERBS = {
     "methods": "the methods there are",
     "samples": "the samples that the package makes, and where real scans are published",
     "generate": "make material from an exemplar",
-    "plan": "memory, disk and time of a generate, before it starts",
+    "plan": "memory and disk of a generate, before it starts",
     "measure": "every descriptor of a material",
     "verify": "is it the same material? figures against the exemplar's own spread",
     "finish": "connect: join what is near, remove what floats",

@@ -67,12 +67,12 @@ def integer(word: str, *, name: str) -> int:
 def gibibytes(word: str) -> int:
     """Bytes from a number of GiB, as a type of argparse."""
     try:
-        count = float(word)
+        count = float(word) * 2**30
     except ValueError:
         count = math.nan
     if not (math.isfinite(count) and count > 0):
         raise argparse.ArgumentTypeError(f"{word!r} should be a number of GiB above 0")
-    return int(count * 2**30)
+    return int(count)
 
 
 def integers(words: list[str], *, name: str) -> list[int]:

@@ -14,6 +14,10 @@ from trabecula.core.errors import InputError, UnknownNameError
 MOST_VOXELS = 2**48
 """So that voxels times bytes stay inside 64 bits in every forecast."""
 
+WIDEST = 1e20
+MOST_ANISOTROPIC = 1e6
+"""Of a voxel's edges: far beyond any scan, and their squares and cubes are still numbers."""
+
 
 def check_name(value: str, known: Iterable[str], *, name: str) -> None:
     """Raise `UnknownNameError` where `value` is not in `known`, suggesting the nearest that is."""
@@ -73,6 +77,11 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
         raise InputError(f"spacing {tuple(raw)} has {len(raw)} numbers: give one or {ndim}, slowest axis first")
     if not all(math.isfinite(edge) and edge > 0 for edge in edges):
         raise InputError(f"spacing {tuple(edges)} must be positive and finite along every axis")
+    if min(edges) < 1 / WIDEST or max(edges) > WIDEST or max(edges) > MOST_ANISOTROPIC * min(edges):
+        raise InputError(
+            f"spacing {tuple(edges)} is outside {1 / WIDEST:g} .. {WIDEST:g}, or differs between axes by more than a "
+            "million: check its numbers, or choose another unit"
+        )
     return tuple(edges)
 
 

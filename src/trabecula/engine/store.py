@@ -26,7 +26,7 @@ _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain littl
 
 @dataclass(frozen=True)
 class Store:
-    """A finished store, opened; nothing of its voxels is in memory yet."""
+    """A store, opened; nothing of its voxels is in memory yet. `fields` is empty and `scale` may be where it is not ours."""
 
     path: Path
     array: Any
@@ -43,7 +43,7 @@ class Store:
             Chunks are missing; zarr itself would give zeros for them.
         """
         missing = self.array.nchunks - self.array.nchunks_initialized
-        if missing:
+        if missing and self.fields:  # elsewhere a missing chunk means its fill value
             raise ValueError(f"{missing} of its {self.array.nchunks} chunks are missing")
         return np.asarray(self.array[...])
 
@@ -116,27 +116,41 @@ def finish(group: Any) -> None:
 
 
 def open_finished(path: Path) -> Store:
-    """Open a store that this package finished.
+    """Open a store: one that this package finished, or anybody's with one array or a multiscale image in it.
 
     Raises
     ------
     FileError
-        Somebody else's store, or one whose run did not end.
+        A store of ours whose run did not end; somebody else's in which it is open what to read.
     """
     import zarr
 
-    group = zarr.open_group(str(path), mode="r")
-    fields = group.attrs.get(KEY)
+    node = zarr.open(str(path), mode="r")
+    fields = node.attrs.get(KEY)
     if not isinstance(fields, Mapping):
-        raise FileError(
-            f"cannot read {path} as Zarr: its attributes hold no {KEY!r}, so nothing says that it is complete; "
-            "read it with zarr and write it again"
-        )
+        return _open_foreign(path, node)
     if fields.get("complete") is not True:
         raise FileError(f"cannot read {path} as Zarr: the run that wrote it did not finish; run it again")
-    scale, unit = _calibration(group.attrs["ome"])
+    scale, unit = _calibration(node.attrs["ome"])
     plain = {name: value for name, value in fields.items() if name != "complete"}
-    return Store(path, group[ARRAY], plain, scale, unit)
+    return Store(path, node[ARRAY], plain, scale, unit)
+
+
+def _open_foreign(path: Path, node: Any) -> Store:
+    """Somebody else's: an array, a multiscale image (OME-Zarr 0.4 or 0.5; its finest level), or a group of one array."""
+    import zarr
+
+    if isinstance(node, zarr.Array):
+        return Store(path, node, {}, (), None)
+    ome = node.attrs.get("ome", node.attrs)
+    if "multiscales" in ome:
+        scale, unit = _calibration(ome)
+        return Store(path, node[ome["multiscales"][0]["datasets"][0]["path"]], {}, scale, unit)
+    arrays = [name for name, _ in node.arrays()]
+    if len(arrays) != 1:
+        names = ", ".join(sorted(arrays)) or "none"
+        raise FileError(f"cannot read {path} as Zarr: one array is needed, it holds {names}; give the array's own path")
+    return Store(path, node[arrays[0]], {}, (), None)
 
 
 def _ome(axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
 from trabecula.io.guard import check_claim, damaged
@@ -27,12 +28,24 @@ def write(image: Image, path: Path) -> Path:
 
 
 def read(path: Path) -> Content:
-    """Read a finished Zarr store (see `trabecula.io.files.read`)."""
+    """Read a Zarr store (see `trabecula.io.files.read`)."""
     with damaged(path, "Zarr"):
         opened = store.open_finished(path)
         check_claim(path, opened.array.shape, opened.array.dtype)
-        fields = checked(opened.fields)
+        fields = checked(opened.fields) if opened.fields else None
         values = opened.load()
+        if fields is None:
+            return Content(_spatial(path, values, len(opened.scale)), spacing=opened.scale or None, unit=opened.unit)
         colour = fields["kind"] == "colour"
         values = np.moveaxis(values, 0, -1) if colour else values
         return Content(values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields)
+
+
+def _spatial(path: Path, values: np.ndarray, axes: int) -> np.ndarray:
+    """The voxels without OME's leading axes of time and channel, which must be of length one."""
+    extra = values.ndim - axes if axes else max(0, values.ndim - 3)
+    if any(side != 1 for side in values.shape[:extra]):
+        raise FileError(
+            f"cannot read {path} as Zarr: {values.shape} has times or channels; write one of them to a store of its own"
+        )
+    return values.reshape(values.shape[extra:])

@@ -66,7 +66,7 @@ class Model(ABC):
         self.exemplars = tuple(exemplars)
 
     def plan(self, request: Request) -> Plan:
-        """Forecast memory, disk and time of a request, without starting it."""
+        """Forecast memory and disk of a request, without starting it."""
         self._check_request(request)
         return self._plan(request)
 
