@@ -3,13 +3,15 @@
 import errno
 import os
 import shutil
+import subprocess
+import sys
 from collections import namedtuple
 
 import numpy as np
 import pytest
-from commands import SMALL, attempt, contents, refused, trabecula
 
 import trabecula as tb
+from commands import SMALL, attempt, contents, refused, trabecula
 
 TARGETS = ("new.zarr", "old.npy", "old.zarr", "new.tif")
 
@@ -50,6 +52,7 @@ def scans(tmp_path_factory, bone):
     np.save(folder / "none.npy", good[:0])
     (folder / "scan.dicom").write_bytes(b"DICM")
     (folder / "scan.txt").write_text("a scan")
+    (folder / "file.zarr").write_text("precious")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         trabecula("generate", "scan.npy", "--shape", 16, "--out", "made.npy", *SMALL)
@@ -321,6 +324,7 @@ def test_words(place, words, says):
         ("scan.npy/new.zarr", "scan.npy is a file, not a folder; choose another place"),
         ("scan.npy/deep/new.zarr", "scan.npy is a file, not a folder; choose another place"),
         ("folder.npy", "a folder of that name is there; choose another name"),
+        ("file.zarr", "a file of that name is there; choose another name"),
         ("x" * 300 + ".npy", "File name too long"),
     ],
 )
@@ -447,11 +451,16 @@ def test_a_bad_environment_is_told(place, monkeypatch):
     assert generate("scan.npy") == "TRABECULA_THREADS='many' should be a positive integer"
 
 
-def test_names_that_no_terminal_shows(tmp_path, scans, monkeypatch):
+def test_names_that_no_terminal_shows(tmp_path, scans):
     """A name of stray bytes is read, written and printed, escaped."""
-    monkeypatch.chdir(tmp_path)
-    name = os.fsdecode(b"knochen-\xff.npy")
-    shutil.copy(scans / "scan.npy", name)
-    out = os.fsdecode(b"teil-\xff.npy")
-    assert attempt("generate", name, "--shape", 16, "--out", out, *SMALL).status == 0
-    assert trabecula("rerun", out).status == 0
+    shutil.copy(scans / "scan.npy", tmp_path / os.fsdecode(b"knochen-\xff.npy"))
+    for words in ([b"export", b"knochen-\xff.npy", b"--out", b"teil-\xff.npy"], [b"measure", b"kein-\xff.npy"]):
+        done = subprocess.run(
+            [sys.executable, b"-m", b"trabecula.cli.main", *words],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONUTF8": "1"},
+            capture_output=True,
+        )
+        assert b"Traceback" not in done.stderr and b"-\\udcff.npy" in done.stdout + done.stderr
+        assert done.returncode == (0 if words[0] == b"export" else 2)
+    np.testing.assert_array_equal(tb.read(tmp_path / os.fsdecode(b"teil-\xff.npy")).values, np.load(scans / "scan.npy"))

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import zarr
-from commands import SMALL, refused, trabecula
 
 import trabecula as tb
+from commands import SMALL, refused, trabecula
 from trabecula.core.recipe import digest
 from trabecula.exemplar import samples
 from trabecula.exemplar.segment import otsu

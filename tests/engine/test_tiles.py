@@ -68,7 +68,7 @@ def test_threads_nest_and_end_with_their_block(monkeypatch):
 @pytest.mark.parametrize("text", ["0", "-2", "two", "1.5", "²"])
 def test_a_bad_environment_is_told(monkeypatch, text):
     monkeypatch.setenv("TRABECULA_THREADS", text)
-    with pytest.raises(InputError, match="TRABECULA_THREADS='.*' should be a positive integer"):
+    with pytest.raises(InputError, match=r"TRABECULA_THREADS='.*' should be a positive integer"):
         thread_count()
 
 

@@ -76,7 +76,7 @@ def test_a_full_disk_in_the_body_is_told_in_one_line(tmp_path):
 
 
 def test_a_files_own_error_is_passed_on_as_it_is(tmp_path):
-    with pytest.raises(FileError, match="^cannot hold it$"), replacing(tmp_path / "x"):
+    with pytest.raises(FileError, match=r"^cannot hold it$"), replacing(tmp_path / "x"):
         raise FileError("cannot hold it")
 
 

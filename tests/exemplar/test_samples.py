@@ -49,7 +49,7 @@ def test_what_they_claim(made, name):
 def test_one_piece_that_goes_through(made, name):
     ndimage = pytest.importorskip("scipy.ndimage")
     solid = made[name].values == 1
-    pieces, count = ndimage.label(solid)
+    pieces, _ = ndimage.label(solid)
     sizes = np.bincount(pieces.ravel())[1:]
     assert sizes.max() >= 0.98 * sizes.sum()
     body = pieces == 1 + sizes.argmax()

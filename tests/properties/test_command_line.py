@@ -3,22 +3,39 @@
 import json
 import math
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import SMALL, attempt, contents
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import trabecula as tb
+from commands import SMALL, attempt, contents
 from trabecula.cli.main import VERBS
 
 few = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # What a shell can pass: no NUL, and bytes that are no UTF-8 as surrogates.
 words = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12) | st.sampled_from(
-    ["-", "--", "-1", "0", "1e9", "nan", "inf", "--out", "--json", "--set", "1" * 5000, "a" * 400, "../..", "sample:", "\udcff"]
+    [
+        "-",
+        "--",
+        "-1",
+        "0",
+        "1e9",
+        "nan",
+        "inf",
+        "--out",
+        "--json",
+        "--set",
+        "1" * 5000,
+        "a" * 400,
+        "../..",
+        "sample:",
+        "\udcff",
+    ]
 )
 numbers = st.integers().map(str) | st.floats().map(str) | words
 
@@ -28,7 +45,7 @@ def folder(tmp_path_factory, bone):
     """A folder with a scan and a file made from it."""
     place = tmp_path_factory.mktemp("words")
     np.save(place / "scan.npy", tb.crop(bone, 20).values)
-    here = os.getcwd()
+    here = Path.cwd()
     os.chdir(place)
     assert attempt("generate", "scan.npy", "--shape", 12, "--out", "made.npy", *SMALL).status == 0
     yield place
@@ -69,7 +86,13 @@ def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, thre
 @given(numbers, st.lists(numbers, min_size=1, max_size=3), st.lists(numbers, min_size=1, max_size=3), words)
 def test_any_values_of_the_options_of_reading(folder, threshold, spacing, crop, text):
     told("plan", "scan.npy", "--shape", 12, *SMALL, "--kind", "grey", "--threshold", threshold)
-    for option in (["--spacing", *spacing], ["--crop", *crop], ["--unit", text], ["--kind", text], ["--phases", text, text + "x"]):
+    for option in (
+        ["--spacing", *spacing],
+        ["--crop", *crop],
+        ["--unit", text],
+        ["--kind", text],
+        ["--phases", text, text + "x"],
+    ):
         told("plan", "scan.npy", "--shape", 12, *SMALL, *option)
 
 

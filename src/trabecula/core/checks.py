@@ -15,8 +15,8 @@ MOST_VOXELS = 2**48
 """So that voxels times bytes stay inside 64 bits in every forecast."""
 
 WIDEST = 1e20
-MOST_ANISOTROPIC = 1e6
-"""Of a voxel's edges: far beyond any scan, and their squares and cubes are still numbers."""
+MOST_ANISOTROPIC = 1e15
+"""Of a voxel's edges: far beyond any scan, and squares of their ratio still fit into float32."""
 
 
 def check_name(value: str, known: Iterable[str], *, name: str) -> None:
@@ -79,8 +79,8 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
         raise InputError(f"spacing {tuple(edges)} must be positive and finite along every axis")
     if min(edges) < 1 / WIDEST or max(edges) > WIDEST or max(edges) > MOST_ANISOTROPIC * min(edges):
         raise InputError(
-            f"spacing {tuple(edges)} is outside {1 / WIDEST:g} .. {WIDEST:g}, or differs between axes by more than a "
-            "million: check its numbers, or choose another unit"
+            f"spacing {tuple(edges)} is outside {1 / WIDEST:g} .. {WIDEST:g}, or differs between axes by more than "
+            f"{MOST_ANISOTROPIC:g} times: check its numbers, or choose another unit"
         )
     return tuple(edges)
 

@@ -125,7 +125,7 @@ def open_finished(path: Path) -> Store:
     """
     import zarr
 
-    node = zarr.open(str(path), mode="r")
+    node: Any = zarr.open(str(path), mode="r")
     fields = node.attrs.get(KEY)
     if not isinstance(fields, Mapping):
         return _open_foreign(path, node)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
@@ -51,6 +51,11 @@ def _blas() -> Any:
     return ThreadpoolController()
 
 
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Matrix products inside the block use one thread: their own threads fight with ours, and with each other on small work."""
+    return _blas().limit(limits=1)
+
+
 def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8) -> None:
     """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
 
@@ -58,7 +63,7 @@ def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8
     a kernel that honours the first sentence does not.
     """
     count = min(thread_count(), max(1, length // least))
-    with _blas().limit(limits=1):  # threads of the matrix products inside would fight with these
+    with one_blas_thread():
         _run(work, length, count, least)
 
 

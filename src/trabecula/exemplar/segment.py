@@ -111,7 +111,7 @@ def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) ->
 
 
 def _hysteresis(values: np.ndarray, thresholds: tuple[float, ...]) -> np.ndarray:
-    low, high = np.float64(thresholds)
+    low, high = (np.float64(threshold) for threshold in thresholds)
     pieces, sizes = label_components(values > low)
     kept = np.zeros(len(sizes) + 1, bool)
     kept[np.unique(pieces[values > high])] = True

@@ -42,7 +42,7 @@ def labels_of(fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarra
     """
     if len(present) == 2:
         upper = brightest(fields[0], round(fields[0].size * float(fractions[1])))
-        return np.where(upper, present[1], present[0]).astype(np.uint8)
+        return np.where(upper, np.uint8(present[1]), np.uint8(present[0]))
     shift = np.zeros(len(present), np.float32)
     rate = 100.0 * 256
     kept, least = fields.argmax(0), np.inf

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, one_blas_thread
 
 SCALE = 8
 """A feature is SCALE times the projection, so a squared distance is SCALE**2 times the neighbourhood's (at most 2^31)."""
@@ -44,8 +44,9 @@ def principal_basis(field: np.ndarray, *, width: int, variance: float, most: int
     corners = np.unravel_index(_spread(int(np.prod(windows.shape[1:4]))), windows.shape[1:4])
     sample = _rows(windows, corners).astype(np.float64)
     total = sample.sum(0)
-    covariance = sample.T @ sample - np.outer(total, total) / len(sample)
-    eigenvalues, vectors = np.linalg.eigh(covariance)
+    with one_blas_thread():
+        covariance = sample.T @ sample - np.outer(total, total) / len(sample)
+        eigenvalues, vectors = np.linalg.eigh(covariance)
     eigenvalues, vectors = np.maximum(eigenvalues[::-1], 0), vectors[:, ::-1]
     share = np.cumsum(eigenvalues) / max(eigenvalues.sum(), 1e-30)
     count = min(most, int(np.searchsorted(share, variance)) + 1, len(share))
