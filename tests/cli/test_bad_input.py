@@ -208,8 +208,8 @@ def test_shapes(place, words, says):
         (("--set", "clip=-Infinity"), "-Infinity is not a finite number"),
         (("--set", "clip=1e999"), "1e999 is not a finite number"),
         (("--set", "rounds=[1,NaN]"), "NaN is not a finite number"),
-        (("--set", "rounds=[]"), "rounds () should be whole numbers"),
-        (("--set", "rounds=[0]"), "rounds (0,) should be whole numbers"),
+        (("--set", "rounds=[]"), "rounds is empty"),
+        (("--set", "rounds=[0]"), "rounds=0 is outside 1 .. 100"),
         (("--threshold", "100"), "holds labels, a threshold is for grey images"),
         (("--kind", "lables"), "unknown kind of image 'lables': did you mean 'labels'"),
         (("--unit", "parsec"), "unknown unit 'parsec'"),
@@ -235,16 +235,19 @@ def test_options(place, words, says):
         assert says in generate("scan.npy", *words, out=out)
 
 
-@pytest.mark.xfail(reason="the settings of texture do not check these yet", strict=False)
 @pytest.mark.parametrize(
     "setting",
     [
         *("rounds=abc", 'rounds=[1,"a"]', "rounds=[[1]]", "rounds=null", "rounds=[1.5]"),
-        *("levels=1.0", "first_rounds=2.0", "components=8.0", "sweeps=1.0", "name=x", "cls=x"),
+        *("levels=1.5", "levels=true", "first_rounds=2.1", "name=x", "cls=x"),
     ],
 )
 def test_settings_of_the_wrong_type(place, setting):
     generate("scan.npy", "--set", setting)
+
+
+def test_a_whole_number_may_be_written_with_a_point():
+    assert tb.method("texture", levels=2.0, rounds=3).config == tb.method("texture", levels=2, rounds=[3]).config
 
 
 @pytest.mark.parametrize(

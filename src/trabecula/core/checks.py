@@ -92,3 +92,14 @@ def as_seed(value: int) -> int:
     if not 0 <= int(value) < 2**63:
         raise InputError(f"seed {value} is outside 0 .. 2**63 - 1")
     return int(value)
+
+
+def as_number(value: Any, *, name: str, low: float, high: float, whole: bool = False) -> float | int:
+    """A number from `low` to `high`, an int where `whole`; for the fields of a method's config."""
+    kind = "a whole number" if whole else "a number"
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not number or (whole and value != value // 1):
+        raise InputError(f"{name}={value!r} should be {kind} from {low} to {high}")
+    if not low <= value <= high:
+        raise InputError(f"{name}={value} is outside {low} .. {high}")
+    return int(value) if whole else float(value)

@@ -14,7 +14,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
 from trabecula.core.seeds import key
-from trabecula.engine.compile import inline, kernel
+from trabecula.engine.compile import kernel
 from trabecula.engine.random import philox
 from trabecula.engine.tiles import for_slabs
 
@@ -91,7 +91,9 @@ def sample(name: str) -> Image:
     field = np.empty((_SIDE,) * 3, np.float32)
     size = np.array([chosen.cell * chosen.stretch, chosen.cell, chosen.cell], np.float32)
     grow = key(0, f"sample/{name}")
-    for_slabs(lambda a, b: _cells(field, size, np.float32(chosen.walls), np.float32(chosen.wander), grow, a, b), _SIDE)
+    centres = np.empty((*(int(_SIDE // edge) + 5 for edge in size), 3))
+    _centres(centres, size, np.float32(chosen.wander), grow)
+    for_slabs(lambda a, b: _cells(field, centres, size, np.float32(chosen.walls), grow, a, b), _SIDE)
     field = _rounded(field)
     count = round(field.size * (1 - chosen.porosity))
     level = np.partition(field.ravel(), count)[count]
@@ -109,20 +111,26 @@ def _rounded(field: np.ndarray) -> np.ndarray:
     return field
 
 
-@inline
-def _centre(cz, cy, cx, size, wander, grow):
-    """Centre of a cell: its place in the grid, moved at random (every other row by half a cell, so that cells pack)."""
-    r0, r1, r2, _ = philox(grow, cz, cy, cx, 0)
+@kernel
+def _centres(centres, size, wander, grow):
+    """Centres of the cells (voxels): places in a grid, moved at random, every other row by half a cell so that cells pack.
+
+    Cell (i, j, k) of the array is cell (i - 2, j - 2, k - 2) of the grid, since a voxel looks two cells far.
+    """
     unit = np.float32(2.0 / 4294967296.0) * wander
-    shift = np.float32(0.5) * ((cz + cy) % 2)
-    z = (cz + np.float32(0.5) - wander + r0 * unit) * size[0]
-    y = (cy + np.float32(0.5) - wander + r1 * unit) * size[1]
-    x = (cx + np.float32(0.5) - wander + r2 * unit + shift) * size[2]
-    return z, y, x
+    for i in range(centres.shape[0]):
+        for j in range(centres.shape[1]):
+            for k in range(centres.shape[2]):
+                cz, cy, cx = i - 2, j - 2, k - 2
+                r0, r1, r2, _ = philox(grow, cz, cy, cx, 0)
+                shift = np.float32(0.5) * ((cz + cy) % 2)
+                centres[i, j, k, 0] = (cz + np.float32(0.5) - wander + r0 * unit) * size[0]
+                centres[i, j, k, 1] = (cy + np.float32(0.5) - wander + r1 * unit) * size[1]
+                centres[i, j, k, 2] = (cx + np.float32(0.5) - wander + r2 * unit + shift) * size[2]
 
 
 @kernel
-def _cells(field, size, walls, wander, grow, start, stop):
+def _cells(field, centres, size, walls, grow, start, stop):
     """Distance (about, voxels) to the nearest edge between three cells, or to a wall between two where it is a plate.
 
     d1 <= d2 <= d3 are the distances to the nearest centres: d3 - d1 vanishes on edges, d2 - d1 on walls.
@@ -136,9 +144,9 @@ def _cells(field, size, walls, wander, grow, start, stop):
                 for cz in range(bz - 2, bz + 3):
                     for cy in range(by - 2, by + 3):
                         for cx in range(bx - 2, bx + 3):
-                            pz, py, px = _centre(cz, cy, cx, size, wander, grow)
-                            dz = (pz - z) * (size[2] / size[0])
-                            d = np.float32(np.sqrt(dz * dz + (py - y) ** 2 + (px - x) ** 2))
+                            centre = centres[cz + 2, cy + 2, cx + 2]
+                            dz = (centre[0] - z) * (size[2] / size[0])
+                            d = np.float32(np.sqrt(dz * dz + (centre[1] - y) ** 2 + (centre[2] - x) ** 2))
                             name = ((cz + 64) << 32) + ((cy + 64) << 16) + (cx + 64)
                             if d < d1:
                                 d3, d2, d1 = d2, d1, d

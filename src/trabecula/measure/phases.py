@@ -31,6 +31,11 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
     """
     image = as_image(image)
     check_labels(image)
+    if phase is None and "void" not in image.phases:
+        raise InputError(
+            f"no phase of {', '.join(image.phases)} is named void, so it is open what is solid: give the phase (--phase), "
+            "or name one of them void (--phases)"
+        )
     if phase is None and default == "solid":
         return image, image.values != phase_index(image, None, default="void")
     return image, image.values == phase_index(image, phase, default=default)

@@ -135,7 +135,7 @@ class Method(ABC):
         self.config = config
 
     @classmethod
-    def configured(cls, *, preset: str | None = None, **settings: Any) -> Method:
+    def configured(cls, /, *, preset: str | None = None, **settings: Any) -> Method:
         """The method with a preset's settings, changed by `settings`.
 
         Raises

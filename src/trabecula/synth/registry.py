@@ -21,7 +21,7 @@ def methods() -> dict[str, Spec]:
     return dict(sorted(found.items()))
 
 
-def method(name: str, *, preset: str | None = None, **settings: Any) -> Method:
+def method(name: str, /, *, preset: str | None = None, **settings: Any) -> Method:
     """A method by name, with settings.
 
     Parameters

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 
 
@@ -52,34 +53,30 @@ class TextureConfig:
     """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. (w - t) / 2: less averaging."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rounds", tuple(int(count) for count in _as_sequence(self.rounds)))
-        _check_range(self, "neighbourhood", 4, 10)
-        _check_range(self, "step", 1, self.neighbourhood // 2)
-        _check_range(self, "levels", 1, 8)
-        _check_range(self, "first_rounds", 1, 100)
-        _check_range(self, "clip", 2, 20)
-        _check_range(self, "variance", 0.5, 1)
-        _check_range(self, "components", 4, 128)
-        _check_range(self, "sweeps", 1, 10)
-        _check_range(self, "tries", 0, 64)
-        _check_range(self, "index_penalty", 0, 1)
-        _check_range(self, "robustness", 0, 2)
-        _check_range(self, "trim", 0, (self.neighbourhood - self.step) // 2)
-        if not self.rounds or not all(1 <= count <= 100 for count in self.rounds):
-            raise InputError(f"rounds {self.rounds} should be whole numbers from 1 to 100, finest level first")
+        for name, (low, high) in _RANGES.items():
+            self._keep(name, low, high)
+        self._keep("step", 1, self.neighbourhood // 2)
+        self._keep("trim", 0, (self.neighbourhood - self.step) // 2)
+        counts = self.rounds if isinstance(self.rounds, (list, tuple)) else (self.rounds,)
+        if not counts:
+            raise InputError("rounds is empty: give the rounds of the finest level first, such as [4, 6, 8]")
+        checked = tuple(as_number(count, name="rounds", low=1, high=100, whole=True) for count in counts)
+        object.__setattr__(self, "rounds", checked)
+
+    def _keep(self, name: str, low: float, high: float) -> None:
+        whole = isinstance(getattr(TextureConfig, name), int)
+        object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
 
 
-def _as_sequence(value: object) -> list[int]:
-    try:
-        return list(value)  # type: ignore[call-overload]
-    except TypeError:
-        return [value]  # type: ignore[list-item]
-
-
-def _check_range(config: TextureConfig, name: str, low: float, high: float) -> None:
-    value = getattr(config, name)
-    whole = isinstance(getattr(TextureConfig, name), int)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or (whole and value != int(value)):
-        raise InputError(f"{name}={value!r} should be {'a whole' if whole else 'a'} number from {low} to {high}")
-    if not low <= value <= high:
-        raise InputError(f"{name}={value} is outside {low} .. {high}")
+_RANGES = {
+    "neighbourhood": (4, 10),
+    "levels": (1, 8),
+    "first_rounds": (1, 100),
+    "clip": (2, 20),
+    "variance": (0.5, 1),
+    "components": (4, 128),
+    "sweeps": (1, 10),
+    "tries": (0, 64),
+    "index_penalty": (0, 1),
+    "robustness": (0, 2),
+}

@@ -145,7 +145,7 @@ class TextureModel(Model):
                 "output": max(voting, choosing),
                 "scratch": thread_count() * block_bytes(finest.basis, grid) + 16 * len(finest.features),
             },
-            disk=int(np.prod(request.shape, dtype=np.int64)) // 8,
+            disk=int(np.prod(request.shape, dtype=np.int64)),  # uncompressed; most formats take a tenth
         )
 
 
