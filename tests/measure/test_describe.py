@@ -77,3 +77,17 @@ def test_real_bone(data):
         r_max=30,
     )
     assert 0.1 < result["thickness"] < 0.4 and result["largest_fraction"] > 0.9 and all(result["percolates"].values())
+
+
+def test_every_value_is_plain_python():
+    """NumPy's own scalars are refused by `json` in some versions and not in others."""
+    volume = np.random.default_rng(0).integers(0, 2, (30, 30, 30)).astype(np.uint8)
+
+    def leaves(value):
+        if isinstance(value, dict):
+            return [leaf for part in value.values() for leaf in leaves(part)]
+        if isinstance(value, list):
+            return [leaf for part in value for leaf in leaves(part)]
+        return [value]
+
+    assert {type(leaf) for leaf in leaves(describe(volume, r_max=5))} <= {int, float, bool, str, type(None)}

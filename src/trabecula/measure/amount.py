@@ -25,7 +25,7 @@ def porosity(image: Image | ArrayLike, *, phase: str | int | None = None) -> flo
     0.75
     """
     _, inside = indicator(image, phase, default="void")
-    return np.count_nonzero(inside) / inside.size
+    return int(np.count_nonzero(inside)) / inside.size
 
 
 def volume_fractions(image: Image | ArrayLike) -> dict[str, float]:

@@ -107,7 +107,7 @@ def chord_length(image: Image | ArrayLike, *, phase: str | int | None = None, ax
         lines = np.moveaxis(inside, along, 0)
         if len(lines) > 1:
             rates.append(np.count_nonzero(lines[1:] != lines[:-1]) / lines[1:].size / image.spacing[along])
-    fraction = np.count_nonzero(inside) / inside.size
+    fraction = int(np.count_nonzero(inside)) / inside.size
     crossings = float(np.mean(rates)) if rates else 0.0
     if fraction == 0:
         return 0.0

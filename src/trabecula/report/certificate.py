@@ -254,7 +254,7 @@ class _Reference:
         metrics = {}
         for key, value in self.distances(numbers, curves).items():
             band = (0.0, max(part[key] for part in self.part_distances)) if self.part_distances else None
-            metrics[key] = Metric(value, band, None if band is None else value <= band[1], 0.0)
+            metrics[key] = Metric(value, band, None if band is None else bool(value <= band[1]), 0.0)
         for key in _PLAIN:
             metrics[key] = self._number(key, numbers[key], [part[key] for part in self.part_numbers], self.numbers[key])
         for key in _COUNTS:
@@ -285,7 +285,7 @@ class _Reference:
         low, high = float(min(known)), float(max(known))
         if value is None:
             return Metric(None, (low, high), False, own)
-        inside = (key in _AT_MOST or value >= low) and (key in _AT_LEAST or value <= high)
+        inside = bool((key in _AT_MOST or value >= low) and (key in _AT_LEAST or value <= high))
         return Metric(value, (low, high), inside, own)
 
 
