@@ -140,6 +140,19 @@ def test_the_forecast_of_memory_holds(model):
     assert arrays <= 1.5 * peak, "the forecast is far above what the run takes"
 
 
+def test_the_forecast_of_learning_holds_and_is_kept_to(name, exemplar):
+    method = tb.method(name)
+    plan = method.plan_fit(exemplar)
+    method.fit(exemplar)  # so that loading kernels is not counted
+    tracemalloc.start()
+    method.fit(exemplar)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak <= plan.peak - plan.memory["interpreter and kernels"] <= 1.5 * peak
+    with pytest.raises(MemoryBudgetError, match="smaller crop"):
+        method.fit(exemplar, memory=plan.peak - 1)
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [

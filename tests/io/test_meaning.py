@@ -138,3 +138,12 @@ def test_real_scans(data, tmp_path):
     assert tb.read(data / "tex_gravel.png").kind == "grey"
     again = tb.read(tb.write(bone, tmp_path / "bone.zarr"))
     assert again.recipe == bone.recipe and again.phases == ("marrow", "bone")
+
+
+def test_metaimage_keeps_bars_wherever_its_lines_are_cut(tmp_path):
+    """The JSON is cut into lines that stand in bars; a bar of the JSON itself at a cut must survive."""
+    values = np.zeros((2, 2, 2), np.uint8)
+    for length in range(400):
+        recipe = tb.Recipe().then("made", values, note="x" * length + "|")
+        tb.write(tb.Image(values, "labels", recipe=recipe), tmp_path / "a.mha")
+        assert tb.read(tmp_path / "a.mha").recipe == recipe

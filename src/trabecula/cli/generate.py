@@ -36,8 +36,8 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     shared.add_reading(parser)
 
 
-def prepare(options: argparse.Namespace) -> tuple[Any, Any]:
-    """The fitted model and the request. What can be refused without work is refused first."""
+def prepare(options: argparse.Namespace) -> tuple[Any, Any, Any]:
+    """The method, its exemplar and the request. What can be refused without work is refused first."""
     from trabecula.core.request import Request
     from trabecula.synth.registry import method
 
@@ -47,7 +47,7 @@ def prepare(options: argparse.Namespace) -> tuple[Any, Any]:
         seed=shared.integer(options.seed, name="--seed"),
         periodic=(options.periodic,) * 3,
     )
-    return chosen.fit(shared.load_exemplar(options.exemplar, options)), request
+    return chosen, shared.load_exemplar(options.exemplar, options), request
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
 
     check_target(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
-        model, request = prepare(options)
+        method, exemplar, request = prepare(options)
+        model = method.fit(exemplar, memory=options.memory)
         plan = model.plan(request)
         check_target(options.out, size=plan.disk)
         material = model.generate(request, memory=options.memory)

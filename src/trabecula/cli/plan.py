@@ -18,12 +18,16 @@ def run(options: argparse.Namespace) -> int:
     """Print the forecast."""
     from trabecula.engine.plan import available_memory, format_bytes
 
-    model, request = prepare(options)
-    plan = model.plan(request)
+    method, exemplar, request = prepare(options)
+    learning = method.plan_fit(exemplar)
+    making = method.fit(exemplar, memory=options.memory).plan(request)
+    peak = max(learning.peak, making.peak)
     if options.json:
-        terminal.show_json({**plan.to_json(), "available": available_memory()})
+        found = {**making.to_json(), "peak": peak, "learning": learning.to_json(), "available": available_memory()}
+        terminal.show_json(found)
         return 0
-    rows = [(name, format_bytes(size)) for name, size in plan.memory.items()]
-    rows += [("peak memory", format_bytes(plan.peak)), ("available", format_bytes(available_memory()))]
-    terminal.show_rows([*rows, ("disk", format_bytes(plan.disk))])
+    rows = [("learning: " + name, format_bytes(size)) for name, size in learning.memory.items()]
+    rows += [("making: " + name, format_bytes(size)) for name, size in making.memory.items()]
+    rows += [("peak memory", format_bytes(peak)), ("available", format_bytes(available_memory()))]
+    terminal.show_rows([*rows, ("disk", format_bytes(making.disk))])
     return 0

@@ -102,7 +102,7 @@ def read(path: Path) -> Content:
         values = np.frombuffer(raw, dtype).reshape(shape)
         spacing = _floats(fields.get("ElementSpacing") or fields.get("ElementSize"))
         unit = fields.get("DistanceUnits")
-        pieces = [fields[key].strip("|") for key in sorted(fields) if key.startswith(_KEY)]
+        pieces = [fields[key].removeprefix("|").removesuffix("|") for key in sorted(fields) if key.startswith(_KEY)]
         return Content(
             values,
             colour=channels == 3,

@@ -151,16 +151,25 @@ class Method(ABC):
             check_name(name, known, name=f"setting of {cls.spec.name}")
         return cls(cls.config_type(**settings))
 
-    def fit(self, exemplar: Image | np.ndarray) -> Model:
+    def fit(self, exemplar: Image | np.ndarray, *, memory: int | None = None) -> Model:
         """Learn from an exemplar.
+
+        Parameters
+        ----------
+        exemplar : Image or array of labels
+        memory : int, optional
+            Budget in bytes. Default: what the machine has available.
 
         Raises
         ------
         InputError
             The exemplar has the wrong dimensions or kind, one phase only, or is too small.
+        MemoryBudgetError
+            Learning would take more memory than the budget.
         """
         image = as_image(exemplar, name="the exemplar")
         self._check_exemplar(image)
+        check_budget(self.plan_fit(image), budget=memory, advice="learn from a smaller crop (--crop)")
         if not image.recipe:
             image = Image(
                 image.values, image.kind, image.spacing, image.unit, image.phases, Recipe().then("array", image.values)
@@ -185,6 +194,10 @@ class Method(ABC):
                 f"the exemplar holds one phase only ({image.phases[int(image.values.flat[0])]}): "
                 "give a crop with both, or another threshold"
             )
+
+    def plan_fit(self, exemplar: Image) -> Plan:
+        """Forecast the memory that learning takes, the exemplar itself left out."""
+        return Plan()
 
     @abstractmethod
     def _fit(self, exemplar: Image) -> Model: ...

@@ -79,6 +79,11 @@ def project(field: np.ndarray, basis: Basis, *, step: int) -> np.ndarray:
     return features
 
 
+def basis_bytes(length: int) -> int:
+    """Memory that `principal_basis` takes for vectors of `length`: the sample in float64, and the eigenproblem."""
+    return 8 * _SAMPLES * length + 24 * length**2
+
+
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
     """Memory that `project` takes per thread beyond its result."""
     length, count = basis.vectors.shape

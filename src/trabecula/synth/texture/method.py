@@ -24,6 +24,7 @@ from trabecula.synth.shared.histogram import match_histogram
 from trabecula.synth.shared.neighbourhoods import (
     SCALE,
     Basis,
+    basis_bytes,
     block_bytes,
     covered_shape,
     grid_shape,
@@ -35,6 +36,7 @@ from trabecula.synth.texture import SPEC
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.kernels import search, start_matches, vote
 
+_PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
 _SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _MANY = 1_000_000  # neighbourhoods of an exemplar above which only every `step`-th is a candidate
@@ -76,6 +78,14 @@ class Texture(Method):
                 f"{config.neighbourhood + _ROOM} voxels along every axis: give a larger exemplar, or a smaller neighbourhood"
             )
         return TextureModel(config, [exemplar])
+
+    def plan_fit(self, exemplar: Image) -> Plan:
+        """The principal components, and the finest level's fields and candidates."""
+        present = len(np.unique(exemplar.values))
+        channels = 1 if present == 2 else present
+        fields = exemplar.values.size * (14 + 10 * channels)
+        basis = basis_bytes(channels * self.config.neighbourhood**3)
+        return Plan({"interpreter and kernels": _PROCESS, "fields": fields, "basis": basis})
 
 
 class TextureModel(Model):
@@ -140,7 +150,7 @@ class TextureModel(Model):
         choosing = voxels * (20 * channels + 10) if len(self.present) > 2 else 0
         return Plan(
             memory={
-                "interpreter and kernels": 170 << 20,
+                "interpreter and kernels": _PROCESS,
                 "exemplar": sum(level.features.nbytes + level.field.nbytes for level in self.levels),
                 "output": max(voting, choosing),
                 "scratch": thread_count() * block_bytes(finest.basis, grid) + 16 * len(finest.features),
