@@ -1,5 +1,6 @@
 """Fixtures for every room's tests."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,9 @@ def bone() -> tb.Image:
     return tb.sample("bone")
 
 
-# A first call may compile a kernel, so a time limit on one example says nothing.
-settings.register_profile("trabecula", deadline=None)
-settings.load_profile("trabecula")
+# A first call may compile a kernel, so a time limit on one example says nothing. The suite tries the same examples every
+# time; HYPOTHESIS_EXAMPLES=1000 looks for new ones.
+_SEARCH = os.environ.get("HYPOTHESIS_EXAMPLES")
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None, max_examples=int(_SEARCH or 100))
+settings.load_profile("search" if _SEARCH else "same")
