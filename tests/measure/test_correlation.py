@@ -1,4 +1,4 @@
-"""Two-point function and lineal path: pairs counted one by one, and structures whose curves are known."""
+"""Two-point function: pairs counted one by one, and what is refused."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import trabecula as tb
-from trabecula.measure import covariance_form, lineal_path, two_point
+from trabecula.engine.tiles import threads
+from trabecula.measure.correlation import covariance_form, two_point
 
 
 def counted(inside, r_max, *, spacing=(1, 1, 1), mask=None, periodic=(False,) * 3):
@@ -37,9 +38,7 @@ def counted(inside, r_max, *, spacing=(1, 1, 1), mask=None, periodic=(False,) * 
     st.integers(0, 2**32 - 1),
 )
 def test_equals_pairs_counted_one_by_one(inside, spacing, periodic, masked, seed):
-    # An even wrapped side has an offset that is its own mirror image: counted once by hand, twice by symmetry, in
-    # hits and pairs alike, so only radii that such an offset cannot reach are compared when wrapped.
-    r_max = 2 if any(periodic) else 5
+    r_max = 3 if any(periodic) else 5
     mask = np.random.default_rng(seed).random(inside.shape) < 0.8 if masked else None
     image = tb.Image(inside, "labels", spacing=spacing[-inside.ndim :])
     periodic = periodic[-inside.ndim :]
@@ -83,24 +82,6 @@ def test_independent_voxels_give_phi_squared():
     assert covariance_form(s2)[0] == 1
 
 
-def test_overlapping_spheres_follow_their_formula():
-    # Torquato 2002: outside overlapping spheres of radius R and density n, S2 = exp(-n V(r)), V the union of two
-    # spheres.
-    rng, side, radius, count = np.random.default_rng(2), 100, 9.0, 190
-    solid = np.zeros((side,) * 3, bool)
-    grid = np.indices(solid.shape)
-    for centre in rng.random((count, 3)) * side:
-        offset = np.abs(grid - centre[:, None, None, None])
-        offset = np.minimum(offset, side - offset)
-        solid |= (offset**2).sum(axis=0) < radius**2
-    r = np.arange(31)
-    union = 4 / 3 * np.pi * radius**3 * np.where(r < 2 * radius, 1 + 0.75 * r / radius - (r / radius) ** 3 / 16, 2)
-    theory = np.exp(-count / side**3 * union)
-    s2 = two_point(solid, r_max=30, phase="void", periodic=True)
-    assert abs(s2[0] - theory[0]) < 0.03
-    np.testing.assert_allclose(covariance_form(s2), covariance_form(theory), atol=0.06)
-
-
 def test_two_dimensions_and_phases():
     image = tb.Image(
         np.arange(3)[np.random.default_rng(3).integers(0, 3, (40, 50))], "labels", phases=("void", "a", "b")
@@ -126,6 +107,14 @@ def test_what_does_not_fit_is_refused():
         {"r_max": 2, "mask": mask},
         {"r_max": 2, "mask": mask[:4]},
         {"r_max": 2, "periodic": (True, False)},
+        {"r_max": 2.5},
+        {"r_max": 2, "axis": 0, "direction": (1, 0, 0)},
+        {"r_max": 2, "direction": (1, 0)},
+        {"r_max": 2, "direction": (0, 0, 0)},
+        {"r_max": 2, "direction": (np.nan, 0, 1)},
+        {"r_max": 2, "direction": "up"},
+        {"r_max": 4, "direction": (0, 2, 1)},
+        {"r_max": 3, "direction": (0, 2, 1), "periodic": True},
     ]:
         with pytest.raises(tb.errors.InputError):
             two_point(solid, **options)
@@ -138,24 +127,131 @@ def test_a_volume_of_0_and_255_is_refused_and_not_measured_wrongly():
         two_point(np.full((8, 8, 8), 255, np.uint8), r_max=2)
 
 
+def lattice_count(inside, mask, offset, periodic):
+    """Pairs in the phase and pairs that fit, one `offset` apart."""
+    hits = pairs = 0
+    for here in np.argwhere(mask):
+        there = here + offset
+        if periodic:
+            there %= inside.shape
+        elif np.any(there < 0) or np.any(there >= inside.shape):
+            continue
+        if mask[tuple(there)]:
+            pairs += 1
+            hits += inside[tuple(here)] and inside[tuple(there)]
+    return hits, pairs
+
+
+@pytest.mark.parametrize("direction", [(1, 1, 0), (0, -1, 2), (2, 0, 0), (0, 0, -1), (-1, 1, 1)])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_along_a_lattice_direction_only_its_own_offsets_count(direction, periodic):
+    rng = np.random.default_rng(5)
+    inside, mask = rng.random((9, 8, 10)) < 0.5, rng.random((9, 8, 10)) < 0.8
+    s2 = two_point(inside, r_max=2, direction=direction, periodic=periodic, mask=mask)
+    for r, value in enumerate(s2):
+        hits, pairs = lattice_count(inside & mask, mask, r * np.array(direction), periodic)
+        assert value == pytest.approx(hits / pairs, abs=1e-14)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_between_voxels_a_direction_interpolates_pairs(masked):
+    rng = np.random.default_rng(6)
+    inside = rng.random((9, 10)) < 0.5
+    mask = rng.random((9, 10)) < 0.8 if masked else np.ones((9, 10), bool)
+    # Sample 2 ends at (1.5, -0.5): a quarter each of the four voxels around it.
+    corners = [lattice_count(inside & mask, mask, np.array(at), False) for at in ((1, 0), (1, -1), (2, 0), (2, -1))]
+    hits, pairs = np.sum(corners, axis=0)
+    s2 = two_point(inside, r_max=2, direction=(0.75, -0.25), mask=mask if masked else None)
+    assert s2[2] == pytest.approx(hits / pairs, abs=1e-14)
+
+
+def test_a_tilted_wave_is_a_triangle_along_every_direction():
+    # Half of a period lies in the phase; a step u along it advances it by wave . u of a period.
+    wave = np.array([0.0, 1.0, 1.0]) / 16
+    phase = np.tensordot(wave, np.indices((16, 48, 48)), 1) % 1
+    solid = phase < 0.5
+    for direction in [(0, 1, 1), (0, 1, -1), (0, 0.6, 0.8), (0.3, 0.9, -0.2)]:
+        s2 = two_point(solid, r_max=12, direction=direction, periodic=(False, True, True))
+        turn = np.arange(13) * np.dot(wave, direction) % 1
+        theory = np.abs(turn - 0.5)
+        np.testing.assert_allclose(s2, theory, atol=0.035 if np.any(np.array(direction) % 1) else 1e-12)
+
+
+def test_a_direction_along_an_axis_is_that_axis():
+    solid = np.random.default_rng(7).random((12, 13, 14)) < 0.4
+    for axis in range(3):
+        along = two_point(solid, r_max=8, axis=axis)
+        unit = np.eye(3)[axis]
+        assert two_point(solid, r_max=8, direction=unit).tolist() == along.tolist()
+        assert two_point(solid, r_max=4, direction=-2 * unit).tolist() == along[::2].tolist()
+        np.testing.assert_allclose(two_point(solid, r_max=16, direction=unit / 2)[::2], along, atol=1e-14)
+
+
+def test_where_few_pairs_fit_they_are_still_counted_exactly():
+    rng = np.random.default_rng(8)
+    solid = rng.random((30, 31, 32)) < 0.9
+    corners = np.zeros(solid.shape, bool)
+    corners[:2, :2, :2] = corners[-2:, -2:, -2:] = corners[:2, -2:, :2] = True
+    corners |= rng.random(solid.shape) < 0.02
+    result = two_point(solid, r_max=31, mask=corners)
+    np.testing.assert_allclose(result, counted(solid & corners, 31, mask=corners), atol=1e-12)
+
+
+def test_errors_of_float32_stay_below_a_millionth_wherever_pairs_are_few(monkeypatch):
+    from trabecula.measure.correlation import separations
+
+    def with_the_largest_error(first, second, *args, exact=False):
+        counts = mirrored_counts(first, second, *args, exact=True)
+        return counts if exact else counts + 5e-8 * np.count_nonzero(first)
+
+    mirrored_counts = separations.mirrored_counts
+    rng = np.random.default_rng(11)
+    solid, sparse = rng.random((30, 31, 32)) < 0.7, rng.random((30, 31, 32)) < 0.03
+    for options in [{"r_max": 31}, {"r_max": 20, "mask": sparse}, {"r_max": 10}, {"r_max": 10, "mask": ~sparse}]:
+        truth = two_point(solid, **options)
+        with monkeypatch.context() as patch:
+            patch.setattr(separations, "mirrored_counts", with_the_largest_error)
+            np.testing.assert_allclose(two_point(solid, **options), truth, rtol=0, atol=1.2e-6)
+            assert two_point(solid | True, **options).max() <= 1
+
+
+def test_a_distance_without_a_pair_is_told():
+    mask = np.zeros((40, 8, 8), bool)
+    mask[:3] = mask[-3:] = True
+    with pytest.raises(tb.errors.InputError, match="lower r_max to 10"):
+        two_point(np.ones(mask.shape, bool), r_max=20, mask=mask)
+    with pytest.raises(tb.errors.InputError, match="some voxels"):
+        two_point(np.ones(mask.shape, bool), r_max=20, mask=np.zeros_like(mask))
+
+
+def test_float32_is_as_good_as_float64():
+    from trabecula.measure.correlation.fourier import mirrored_counts
+
+    # Nearly full: the largest counts beside which an error can hide.
+    solid = np.random.default_rng(9).random((90, 100, 110)) < 0.97
+    rough = mirrored_counts(solid, None, (20, 20, 20), (False, False, True))
+    exact = mirrored_counts(solid, None, (20, 20, 20), (False, False, True), exact=True)
+    np.testing.assert_allclose(rough, exact, rtol=0, atol=1e-7 * solid.sum())
+    shifted = solid[:-3, 4:] & solid[3:, :-4]
+    mirror = solid[:-3, :-4] & solid[3:, 4:]
+    assert exact[3, 4, 0] == (shifted.sum() + mirror.sum()) / 2
+
+
+def test_threads_change_nothing():
+    solid = np.random.default_rng(10).random((40, 41, 42)) < 0.5
+    curves = []
+    for count in (1, 2, 5):
+        with threads(count):
+            curves.append(two_point(solid, r_max=15, mask=solid | (np.indices(solid.shape)[0] > 3)).tolist())
+    assert curves[0] == curves[1] == curves[2]
+
+
 @settings(max_examples=25)
-@given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=4, max_side=8)))
-def test_lineal_path_equals_segments_counted_one_by_one(inside):
-    hits, fits = np.zeros(4), np.zeros(4)
-    for axis in range(inside.ndim):
-        for line in np.moveaxis(inside, axis, 0).reshape(inside.shape[axis], -1).T:
-            for r in range(4):
-                segments = [line[i : i + r + 1].all() for i in range(len(line) - r)]
-                hits[r] += sum(segments)
-                fits[r] += len(segments)
-    path = lineal_path(inside, r_max=3)
-    np.testing.assert_allclose(path, hits / fits, atol=1e-15)
-
-
-def test_lineal_path_of_layers_falls_linearly():
-    layers = np.zeros((44, 8, 8), np.uint8)
-    layers[np.arange(44) % 11 < 6] = 1
-    # A segment of r + 1 voxels fits 6 - r times into a layer of 6, once per period of 11; the window holds 4 whole
-    # periods.
-    assert lineal_path(layers, r_max=6, axis=0).tolist() == pytest.approx([4 * (6 - r) / (44 - r) for r in range(7)])
-    assert lineal_path(layers, r_max=6, axis=1).tolist() == pytest.approx([24 / 44] * 7)
+@given(arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=5, max_side=9)), st.permutations(range(3)))
+def test_turning_and_mirroring_change_nothing_radial(inside, order):
+    s2 = two_point(inside, r_max=4)
+    np.testing.assert_allclose(two_point(inside.transpose(order)[::-1], r_max=4), s2, atol=1e-14)
+    phi, complement = s2[0], two_point(inside, r_max=2, phase="void", periodic=True)
+    wrapped = two_point(inside, r_max=2, periodic=True)
+    # Around a torus every voxel has as many partners: the void's curve is the solid's, moved.
+    np.testing.assert_allclose(complement, wrapped + 1 - 2 * phi, atol=1e-12)

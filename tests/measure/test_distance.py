@@ -67,3 +67,27 @@ def test_what_is_not_a_boolean_image_is_refused(bad):
 def test_bad_options_are_refused(options):
     with pytest.raises(tb.errors.InputError):
         signed_distance(np.eye(3, dtype=bool)[None], **options)
+
+
+@given(volumes, st.tuples(*[st.booleans()] * 3), st.tuples(*[st.sampled_from([0.5, 1.0, 2.5])] * 3))
+def test_periodic_distance_equals_scipy_on_tiles(inside, wraps, edges):
+    periodic, spacing = wraps[: inside.ndim], edges[: inside.ndim]
+    if inside.all():
+        assert np.isinf(distance_transform(inside, spacing=spacing, periodic=periodic)).all()
+        return
+    # Three copies: nothing is further than half a side along a periodic axis.
+    margin = [(side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, periodic, strict=True)]
+    tiles = ndimage.distance_transform_edt(np.pad(inside, margin, mode="wrap"), sampling=spacing)
+    middle = tuple(slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True))
+    result = distance_transform(inside, spacing=spacing, periodic=periodic)
+    np.testing.assert_allclose(result, tiles[middle], rtol=1e-5)
+
+
+def test_periodic_signed_distance_of_a_slab_that_crosses_the_face():
+    inside = np.zeros((3, 4, 8), bool)
+    inside[:, :, [0, 1, 6, 7]] = True
+    expected = [1.5, 0.5, -0.5, -1.5, -1.5, -0.5, 0.5, 1.5]
+    assert np.array_equal(signed_distance(inside, periodic=True), np.broadcast_to(expected, inside.shape))
+    assert signed_distance(inside, periodic=(True, True, False))[0, 0, 0] == 1.5
+    with pytest.raises(tb.errors.InputError, match="periodic"):
+        distance_transform(inside, periodic=(True, True))

@@ -172,6 +172,85 @@ def test_local_thickness_equals_the_largest_sphere_of_all(inside, first):
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-5)
 
 
+def largest_spheres(inside, region, spacing, periodic):
+    """Local thickness by trying every sphere on every voxel, its images on a torus included."""
+    margin = [(4 * side, 4 * side) if wrap else (0, 0) for side, wrap in zip(inside.shape, periodic, strict=True)]
+    middle = tuple(slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True))
+    free = np.pad(inside | ~region, margin, mode="wrap")
+    radius = np.where(inside, ndimage.distance_transform_edt(free, sampling=spacing)[middle], 0)
+    radius = np.pad(radius, margin, mode="wrap")
+    points = (np.argwhere(inside) + [before for before, _ in margin]) * spacing
+    best = np.zeros(len(points))
+    for centre in np.argwhere(radius > 0):
+        own = radius[tuple(centre)]
+        far = np.sqrt(((points - centre * spacing) ** 2).sum(axis=1))
+        best = np.maximum(best, np.where(far < own - 1e-6, 2 * own - min(spacing) / 2, 0))
+    expected = np.zeros(inside.shape)
+    expected[inside] = best
+    return expected
+
+
+@settings(max_examples=40)
+@given(
+    arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=3, max_side=5)),
+    arrays(bool, (5, 5, 5), elements=st.sampled_from([True, True, True, False])),
+    st.tuples(*[st.booleans()] * 3),
+    st.sampled_from([1.0, 1.7]),
+)
+def test_local_thickness_with_a_mask_and_periodic_faces_tries_every_sphere(solid, mask, wraps, first):
+    mask = mask[tuple(map(slice, solid.shape))] if solid.ndim == 3 else mask[0][tuple(map(slice, solid.shape))]
+    inside, periodic = solid & mask, wraps[: solid.ndim]
+    if not mask.any() or (inside == mask).all():
+        return
+    spacing = (first,) + (1.0,) * (solid.ndim - 1)
+    image = tb.Image(solid, "labels", spacing=spacing)
+    result = measure.local_thickness(image, mask=mask, periodic=periodic)
+    np.testing.assert_allclose(result, largest_spheres(inside, mask, spacing, periodic), rtol=1e-5, atol=1e-5)
+    mean = float(result[inside].mean()) if inside.any() else 0.0
+    assert measure.thickness(image, mask=mask, periodic=periodic) == pytest.approx(mean, rel=1e-5)
+
+
+def test_thickness_on_a_torus_does_not_depend_on_the_origin_nor_on_threads():
+    solid = ndimage.gaussian_filter(np.random.default_rng(1).standard_normal((70, 24, 70)), 2, mode="wrap") > 0
+    with tb.threads(1):
+        one = measure.local_thickness(solid, periodic=True)
+    moved = measure.local_thickness(np.roll(solid, (9, -5, 33), axis=(0, 1, 2)), periodic=True)
+    np.testing.assert_array_equal(np.roll(one, (9, -5, 33), axis=(0, 1, 2)), moved)
+    with tb.threads(3):
+        assert np.array_equal(one, measure.local_thickness(solid, periodic=True))
+        assert np.array_equal(
+            measure.local_thickness(solid[:, :, 3:]), measure.local_thickness(solid[::-1, :, 3:])[::-1]
+        )
+
+
+def test_a_mask_bounds_no_sphere_and_a_full_one_is_refused():
+    slabs = np.zeros((20, 12, 12), np.uint8)
+    slabs[5:11] = 1
+    mask = np.zeros(slabs.shape, bool)
+    mask[:, 4:8, 4:8] = True
+    assert measure.thickness(slabs, mask=mask) == measure.thickness(slabs) == pytest.approx(6, abs=0.51)
+    assert measure.pore_size(slabs, periodic=True) == pytest.approx(14, abs=0.51)
+    with pytest.raises(tb.errors.InputError, match="mask"):
+        measure.local_thickness(slabs, mask=slabs == 1)
+    assert measure.thickness(slabs, mask=slabs == 0) == 0
+
+
+def test_thickness_of_voxels_a_million_times_as_deep_as_wide():
+    # Spheres larger than the tables of containment tell are all kept.
+    solid = np.zeros((5, 7, 9), np.uint8)
+    solid[1:4] = 1
+    flat = measure.thickness(tb.Image(solid, "labels", spacing=(1e6, 1.0, 1.0)))
+    assert flat == pytest.approx(1e6 * measure.thickness(solid), rel=0.2)
+
+
+def test_thickness_of_a_picture_with_wide_or_narrow_pixels():
+    # The tables of spheres follow the pixels, whatever the unit.
+    disc = (np.hypot(*np.ogrid[-20:21, -20:21]) < 12).astype(np.uint8)
+    plain = measure.thickness(disc)
+    for edge in (1e-20, 19.5, 1e20):
+        assert measure.thickness(tb.Image(disc, "labels", spacing=edge)) == pytest.approx(edge * plain, rel=1e-5)
+
+
 def test_chords_of_layers_and_of_a_ball():
     layers = np.zeros((61, 20, 20), np.uint8)
     layers[np.arange(61) % 10 < 4] = 1

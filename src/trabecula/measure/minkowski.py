@@ -1,35 +1,34 @@
 """Minkowski functionals from 2x2x2 (2x2) configurations: volume, surface, mean curvature, Euler number.
 
 One pass counts how often each of the 256 black-and-white cubes of eight voxels occurs; every functional is then a
-sum over 256 entries of a table that is made here, not typed in.
+sum over 256 entries of a table (`measure.cubes`).
 
 - Surface: Crofton's formula over the 13 directions between the eight voxels, each weighted with its share of the
   sphere for the given spacing (Legland, Kieu, Devaux 2007, doi:10.5566/ias.v26.p83-92).
 - Integral of mean curvature: Euler numbers of the plane sections across the three axes (the same paper; Ohser and
   Muecklich 2000, "Statistical Analysis of Microstructures in Materials Science", section 4.2).
 - Euler number: vertices - edges + faces - cells of the complex of voxels: with 26 neighbours every cell that touches
-  a voxel belongs to it, with 6 only those whose voxels are all inside.
+  a voxel belongs to it, with 6 only those whose voxels are all inside. With 18 it is the complex of 26 in which two
+  voxels that meet in nothing but a vertex are cut apart there, so that vertex counts twice; the void's neighbours are
+  then 6, as with 26 (the pair (18, 6) of digital topology; Kong and Rosenfeld 1989, doi:10.1016/0734-189X(89)90147-3).
 
-Densities are taken over the cubes inside the image, so its faces are no surface. Numbers of an object are taken with
-a margin of outside voxels, so its cut faces are surface.
+Densities are taken over the cubes inside the image (or its mask), so its faces are no surface. Numbers of an object
+are taken with a margin of outside voxels, so its cut faces are surface. A periodic image has neither: it goes on
+beyond its last voxel with its first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
-from trabecula.measure.phases import indicator
-
-_CORNERS = np.array(list(product((0, 1), repeat=3)))  # corner i is bit i of a configuration: (dz, dy, dx)
+from trabecula.measure.cubes import bits, count_cubes, cube_euler, curvature_table, square_euler, surface_table
+from trabecula.measure.phases import as_periodic, masked_indicator
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Minkowski:
     """
 
     volume: float
-    """Fraction of the phase, 0..1."""
+    """Fraction of the phase, 0..1, over the cubes counted: voxels at the faces count less (`porosity` is exact)."""
     surface: float
     """Area of the interface per volume, 1 / length."""
     mean_curvature: float
@@ -50,7 +49,12 @@ class Minkowski:
 
 
 def minkowski(
-    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    mask: ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> Minkowski:
     """All Minkowski functionals of a phase as densities; the faces of the image are no surface.
 
@@ -59,44 +63,61 @@ def minkowski(
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
-    connectivity : {6, 26} in 3-D, {4, 8} in 2-D, optional
+    connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
+    mask : bool array, the image's shape, optional
+        Only configurations wholly inside it count, so its rim is no surface.
+    periodic : bool or one per axis
+        Configurations wrap around the faces.
 
     Raises
     ------
     InputError
-        A side of one voxel, or another connectivity.
+        A side of one voxel, a mask that no configuration fits into, or another connectivity.
 
     Notes
     -----
     Surface is exact on average for isotropic structures and within some percent for curved ones; a flat interface
     along an axis comes out 8 % low (13 directions). Mean curvature is unbiased for isotropic structures.
     """
-    image, inside = indicator(image, phase)
+    image, inside, region = masked_indicator(image, phase, mask)
+    neighbours = _checked_connectivity(connectivity, image.ndim)
+    wraps = as_periodic(periodic, image.ndim)
     _check_sides(image.shape)
-    wide = _is_wide(connectivity, image.ndim)
-    counts = _configurations(inside)
+    counts = count_cubes(_extended(inside, wraps), None if region is None else _extended(region, wraps))
+    if not counts.any():
+        raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
     weights = counts / counts.sum()
     cell = float(np.prod(image.spacing))
-    volume = float(weights @ _bits().mean(axis=1)) if image.ndim == 3 else float(weights @ _bits()[:, :4].mean(axis=1))
+    volume = float(weights @ bits()[:, : 2**image.ndim].mean(axis=1))
+    density = float(weights @ _euler_table(neighbours)) / cell
     if image.ndim == 2:
-        euler = float(weights @ _quad_euler(wide)[np.arange(256) & 15]) / cell
-        return Minkowski(
-            volume, float(weights @ _surface_table((1.0, *image.spacing), flat=True)), 2 * np.pi * euler, euler
-        )
-    surface = float(weights @ _surface_table(image.spacing, flat=False))
-    euler = float(weights @ _cube_euler(wide)) / cell
-    return Minkowski(volume, surface, float(weights @ _curvature_table(image.spacing, wide)), euler)
+        length = float(weights @ surface_table((1.0, *image.spacing), flat=True))
+        return Minkowski(volume, length, 2 * np.pi * density, density)
+    surface = float(weights @ surface_table(image.spacing, flat=False))
+    return Minkowski(volume, surface, float(weights @ curvature_table(image.spacing, neighbours)), density)
 
 
 def mean_curvature(
-    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    mask: ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> float:
     """Integral of the mean curvature over the interface per volume, 1 / length^2; see `minkowski`."""
-    return minkowski(image, phase=phase, connectivity=connectivity).mean_curvature
+    return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).mean_curvature
 
 
-def euler(image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None) -> int:
+def euler(
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    mask: ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
+) -> int:
     """Euler number of a phase: components - tunnels + cavities; what lies beyond the faces is outside.
 
     Parameters
@@ -104,8 +125,12 @@ def euler(image: Image | ArrayLike, *, phase: str | int | None = None, connectiv
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
-    connectivity : {6, 26} in 3-D, {4, 8} in 2-D, optional
+    connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
+    mask : bool array, the image's shape, optional
+        Of the phase inside the mask, taken as an object: what lies beyond the mask is outside too.
+    periodic : bool or one per axis
+        Along these axes the last voxel is followed by the first, and no face is cut.
 
     Examples
     --------
@@ -113,18 +138,32 @@ def euler(image: Image | ArrayLike, *, phase: str | int | None = None, connectiv
     >>> euler(ring)
     0
     """
-    image, inside = indicator(image, phase)
-    wide = _is_wide(connectivity, image.ndim)
-    counts = _configurations(np.pad(inside, 1))
+    image, inside, _ = masked_indicator(image, phase, mask)
+    table = _euler_table(_checked_connectivity(connectivity, image.ndim))
+    wraps = as_periodic(periodic, image.ndim)
+    margin = [(0, 0) if wrap else (1, 1) for wrap in wraps]
+    counts = count_cubes(_extended(np.pad(inside, margin), wraps), None)
     # Tables hold eighths, so the sum of whole counts is exact.
-    return round(float(counts @ (_cube_euler(wide) if image.ndim == 3 else _quad_euler(wide)[np.arange(256) & 15])))
+    return round(float(counts @ table))
 
 
 def euler_density(
-    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    mask: ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> float:
     """Euler number per volume, 1 / length^3, free of what the faces cut; see `minkowski`."""
-    return minkowski(image, phase=phase, connectivity=connectivity).euler_density
+    return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).euler_density
+
+
+def _extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
+    """One more layer along every periodic axis: the first again."""
+    if not any(wraps):
+        return values
+    return np.pad(values, [(0, int(wrap)) for wrap in wraps], mode="wrap")
 
 
 def _check_sides(shape: tuple[int, ...]) -> None:
@@ -134,115 +173,15 @@ def _check_sides(shape: tuple[int, ...]) -> None:
         )
 
 
-def _is_wide(connectivity: int | None, ndim: int) -> bool:
-    allowed = (4, 8) if ndim == 2 else (6, 26)
+def _checked_connectivity(connectivity: int | None, ndim: int) -> int:
+    allowed = (4, 8) if ndim == 2 else (6, 18, 26)
     if connectivity not in (None, *allowed):
         raise InputError(
-            f"connectivity {connectivity} has no Euler number in {ndim}-D here: give {allowed[0]} or {allowed[1]}"
+            f"connectivity {connectivity} has no Euler number in {ndim}-D: give {', '.join(map(str, allowed))}"
         )
-    return connectivity == allowed[1]
+    return connectivity or allowed[0]
 
 
-def _configurations(inside: np.ndarray) -> np.ndarray:
-    """How often each of the 256 cubes occurs. A 2-D image is two equal slices: its squares are the lower four bits."""
-    solid = np.ascontiguousarray(inside if inside.ndim == 3 else np.stack([inside, inside]))
-    parts: list[np.ndarray] = []
-    for_slabs(lambda a, b: parts.append(_count_cubes(solid, a, b)), len(solid) - 1)
-    return np.sum(parts, axis=0)
-
-
-@kernel
-def _count_cubes(inside, start, stop):
-    _, height, width = inside.shape
-    counts = np.zeros(256, np.int64)
-    for z in range(start, stop):
-        for y in range(height - 1):
-            near = inside[z, y, 0] | inside[z, y + 1, 0] << 2 | inside[z + 1, y, 0] << 4 | inside[z + 1, y + 1, 0] << 6
-            for x in range(1, width):
-                far = (
-                    inside[z, y, x] | inside[z, y + 1, x] << 2 | inside[z + 1, y, x] << 4 | inside[z + 1, y + 1, x] << 6
-                )
-                counts[near | far << 1] += 1
-                near = far
-    return counts
-
-
-@lru_cache
-def _bits() -> np.ndarray:
-    """(256, 8): whether corner i is inside."""
-    return (np.arange(256)[:, None] >> np.arange(8)) & 1
-
-
-def _pairs() -> list[tuple[int, int]]:
-    return [(i, j) for i in range(8) for j in range(i + 1, 8)]
-
-
-@lru_cache
-def _surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
-    """(256,): surface per volume (or boundary per area of the lower square) if every cube were this one.
-
-    Of a direction's pairs of corners, the share with one end inside, over their distance, is the number of crossings
-    per length; the surface is twice (the length pi / 2 times) its mean over all directions.
-    """
-    groups: dict[tuple[int, ...], list[tuple[int, int]]] = {}
-    for i, j in _pairs():
-        step = _CORNERS[j] - _CORNERS[i]
-        if not (flat and (step[0] or i > 3)):
-            groups.setdefault(tuple(step), []).append((i, j))
-    steps = np.array(list(groups)) * np.array(spacing)
-    lengths = np.linalg.norm(steps, axis=1)
-    share = _direction_shares(steps / lengths[:, None], flat)
-    bits = _bits()
-    crossings = [np.mean([bits[:, i] != bits[:, j] for i, j in pairs], axis=0) for pairs in groups.values()]
-    return (share / lengths) @ np.array(crossings) * (np.pi / 2 if flat else 2.0)
-
-
-def _direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
-    """Share of the sphere (circle) that is nearer to each +-direction than to the others, by a regular sample of it."""
-    turn = np.arange(100_000) + 0.5
-    height = np.zeros_like(turn) if flat else turn / len(turn)  # directions have no sign: half a sphere is enough
-    angle = np.pi * turn / len(turn) if flat else np.pi * (1 + 5**0.5) * turn
-    around = np.sqrt(1 - height**2)
-    sample = np.stack([height, around * np.sin(angle), around * np.cos(angle)], axis=1)
-    nearest = np.argmax(np.abs(sample @ directions.T), axis=1)
-    return np.bincount(nearest, minlength=len(directions)) / len(turn)
-
-
-@lru_cache
-def _quad_euler(wide: bool) -> np.ndarray:
-    """(16,): share of a 2x2 square in the Euler number of a plane image; corners (0,0), (0,1), (1,0), (1,1)."""
-    bits = (np.arange(16)[:, None] >> np.arange(4)) & 1
-    edges = [(0, 1), (2, 3), (0, 2), (1, 3)]
-    if wide:
-        # Around the common vertex: the vertex, four half edges, four quarter faces.
-        return bits.any(axis=1) - sum(bits[:, [i, j]].any(axis=1) for i, j in edges) / 2 + bits.sum(axis=1) / 4
-    return bits.sum(axis=1) / 4 - sum(bits[:, [i, j]].all(axis=1) for i, j in edges) / 2 + bits.all(axis=1)
-
-
-@lru_cache
-def _cube_euler(wide: bool) -> np.ndarray:
-    """(256,): share of a 2x2x2 cube in the Euler number."""
-    bits = _bits()
-    sides = [np.flatnonzero(_CORNERS[:, axis] == at) for axis in range(3) for at in (0, 1)]
-    pairs = [pair for pair in _pairs() if np.abs(_CORNERS[pair[1]] - _CORNERS[pair[0]]).sum() == 1]
-    if wide:
-        # Around the common vertex: itself, six half edges (four voxels each), twelve quarter faces (two), eight
-        # eighths of a voxel.
-        half_edges = sum(bits[:, side].any(axis=1) for side in sides) / 2
-        quarter_faces = sum(bits[:, pair].any(axis=1) for pair in pairs) / 4
-        return bits.any(axis=1) - half_edges + quarter_faces - bits.sum(axis=1) / 8
-    edges = sum(bits[:, pair].all(axis=1) for pair in pairs) / 4
-    faces = sum(bits[:, side].all(axis=1) for side in sides) / 2
-    return bits.sum(axis=1) / 8 - edges + faces - bits.all(axis=1)
-
-
-def _curvature_table(spacing: tuple[float, ...], wide: bool) -> np.ndarray:
-    """(256,): mean curvature per volume: 2 pi times the sections' Euler number per area, averaged over the axes."""
-    bits, quad = _bits(), _quad_euler(wide)
-    table = np.zeros(256)
-    for axis in range(3):
-        area = float(np.prod(spacing)) / spacing[axis]
-        for at in (0, 1):
-            side = np.flatnonzero(_CORNERS[:, axis] == at)
-            table += quad[bits[:, side] @ (1 << np.arange(4))] / (2 * area)
-    return 2 * np.pi * table / 3
+def _euler_table(connectivity: int) -> np.ndarray:
+    """(256,): share of a cube, or of its lower square for 4 and 8 neighbours."""
+    return cube_euler(connectivity) if connectivity in (6, 18, 26) else square_euler(connectivity)[np.arange(256) & 15]

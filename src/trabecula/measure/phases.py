@@ -6,6 +6,8 @@ solid, with more of them their union. A phase that is given, by name or number, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -39,6 +41,47 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
     if phase is None and default == "solid":
         return image, image.values != phase_index(image, None, default="void")
     return image, image.values == phase_index(image, phase, default=default)
+
+
+def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
+    """Whether the image repeats beyond its faces, for every axis; one bool means all of them."""
+    wraps = (bool(value),) * ndim if isinstance(value, (bool, np.bool_)) else tuple(bool(wrap) for wrap in value)
+    if len(wraps) != ndim:
+        raise InputError(f"periodic has {len(wraps)} values: give one, or one for each of the {ndim} axes")
+    return wraps
+
+
+def as_axis(axis: int, ndim: int) -> int:
+    """An axis counted from 0; negative ones count from the last."""
+    if not -ndim <= axis < ndim:
+        raise InputError(f"axis {axis} does not exist: the image has {ndim}, give 0 .. {ndim - 1}")
+    return axis % ndim
+
+
+def check_mask(mask: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise where a mask is not a boolean array of `shape`, or holds no voxel."""
+    if mask.dtype != bool or mask.shape != shape:
+        raise InputError(f"the mask is {mask.dtype} of shape {mask.shape}: a boolean array of shape {shape} is needed")
+    if not mask.any():
+        raise InputError("the mask holds no voxel: mark with True what counts")
+
+
+def as_mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray | None:
+    """The region that counts as a boolean array of `shape`; `None` stands for the whole image."""
+    if mask is None:
+        return None
+    array = np.asarray(mask)
+    check_mask(array, shape)
+    return array
+
+
+def masked_indicator(
+    image: Image | ArrayLike, phase: str | int | None, mask: ArrayLike | None, *, default: str = "solid"
+) -> tuple[Image, np.ndarray, np.ndarray | None]:
+    """As `indicator`, True only inside the mask; and the mask, checked."""
+    image, inside = indicator(image, phase, default=default)
+    region = as_mask(mask, image.shape)
+    return image, inside if region is None else inside & region, region
 
 
 def as_inside(inside: ArrayLike, *, name: str = "inside") -> np.ndarray:
