@@ -10,7 +10,8 @@ from trabecula.measure import describe, thickness, two_point
 
 WORDS = {
     *("porosity", "specific_surface", "euler", "mean_curvature", "components", "floating", "largest_fraction"),
-    *("percolates", "two_point", "lineal_path", "chord_length", "pore_size", "thickness"),
+    *("percolates", "two_point", "lineal_path", "chord_length", "pore_size", "thickness", "anisotropy"),
+    *("diffusivity", "permeability", "stiffness"),
 }
 POWERS = {"thickness": 1, "pore_size": 1, "chord_length": 1, "specific_surface": -1, "mean_curvature": -2}
 POWERS |= {"euler_density": -3, "porosity": 0, "components": 0}
@@ -50,14 +51,38 @@ def test_one_phase_alone_gives_null_and_never_nan(value):
     assert result["pore_size" if value == 0 else "thickness"] is None
 
 
+def test_levels(foam):
+    quick, usual, full = (describe(foam, r_max=4, level=level) for level in ("quick", "default", "full"))
+    assert set(quick) == set(usual) == set(full)
+    assert quick["thickness"] is quick["two_point_cluster"] is usual["diffusivity"] is None
+    assert quick["porosity"] == usual["porosity"] == full["porosity"]
+    json.dumps(full, allow_nan=False)
+    for name in ("diffusivity", "tortuosity", "conductivity", "permeability"):
+        assert set(full[name]) == {"z", "y", "x"} and all(value > 0 for value in full[name].values())
+    assert full["tortuosity"]["z"] == pytest.approx(full["porosity"] / full["diffusivity"]["z"])
+    assert np.shape(full["stiffness"]["matrix"]) == (6, 6)
+    told = full["physics"]
+    assert told["stiffness"]["all"]["converged"] and all(told["permeability"][axis]["converged"] for axis in "zyx")
+    assert abs(told["diffusivity"]["z"]["halving"]) < 1
+    with pytest.raises(tb.errors.UnknownNameError):
+        describe(foam, level="most")
+
+
+def test_texture_of_what_holds_no_labels():
+    rng = np.random.default_rng(0)
+    result = describe(tb.Image(rng.integers(0, 256, (40, 30)).astype(np.uint8), "grey"))
+    assert result == json.loads(json.dumps(result, allow_nan=False))
+    assert sum(result["ten_bins"]) == pytest.approx(1) and len(result["ten_bins"]) == 10
+    assert result["autocorrelation"]["y"][0] == pytest.approx(1) and abs(result["autocorrelation"]["x"][3]) < 0.2
+    assert abs(result["mean"] - 127.5) < 10 and set(result["autocorrelation"]) == {"y", "x"}
+
+
 def test_two_dimensions():
     result = describe((np.random.default_rng(0).random((40, 40)) < 0.4).astype(np.uint8))
     assert set(result["percolates"]) == {"y", "x"} and result["r_max"] == 20
 
 
 def test_refusals():
-    with pytest.raises(tb.errors.InputError, match="segment"):
-        describe(tb.Image(np.zeros((8, 8, 8)), "grey"))
     with pytest.raises(tb.errors.InputError, match="at least 2 voxels"):
         describe(np.zeros((1, 8, 8), np.uint8))
     with pytest.raises(tb.errors.InputError, match="r_max"):

@@ -4,42 +4,89 @@ docstring."""
 # Imported plainly, not lazily: several functions bear their module's name, and whichever of the two is set last wins.
 from trabecula.measure.amount import porosity, specific_surface, volume_fractions
 from trabecula.measure.components import (
+    component_distance,
+    component_sizes,
     components,
     floating,
     floating_voxels,
     label_components,
     largest_fraction,
-    percolates,
+    size_distribution,
 )
-from trabecula.measure.correlation import covariance_form, lineal_path, two_point
-from trabecula.measure.describe import describe
+from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
+from trabecula.measure.correlation import (
+    correlation_length,
+    covariance_form,
+    cross_correlation,
+    lineal_path,
+    two_point,
+    two_point_cluster,
+)
+from trabecula.measure.describe import describe, describe_physics, describe_texture
 from trabecula.measure.distance import distance_transform, signed_distance
+from trabecula.measure.fabric import anisotropy, fabric
+from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
+from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
+from trabecula.measure.morphometry import connectivity_density, morphometry
+from trabecula.measure.orientation import orientation, structure_tensor
+from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
+from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, tortuosity
 
 __all__ = [
+    "Effective",
     "Minkowski",
+    "Stiffness",
+    "anisotropy",
+    "autocorrelation",
     "chord_length",
+    "coherence",
+    "coherent_patches",
+    "component_distance",
+    "component_sizes",
     "components",
+    "conductivity",
+    "connectivity_density",
+    "correlation_length",
     "covariance_form",
+    "cross_correlation",
     "describe",
+    "describe_physics",
+    "describe_texture",
+    "diffusivity",
     "distance_transform",
+    "diversity",
     "euler",
     "euler_density",
+    "fabric",
     "floating",
     "floating_voxels",
+    "histogram",
+    "kullback_leibler",
     "label_components",
     "largest_fraction",
     "lineal_path",
     "local_thickness",
     "mean_curvature",
     "minkowski",
+    "morphometry",
+    "orientation",
     "percolates",
+    "percolating_fraction",
+    "permeability",
     "pore_size",
     "porosity",
     "signed_distance",
+    "size_distribution",
+    "sources",
     "specific_surface",
+    "stiffness",
+    "structure_tensor",
+    "ten_bins",
     "thickness",
+    "tortuosity",
     "two_point",
+    "two_point_cluster",
     "volume_fractions",
 ]

@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core import progress
+from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.amount import porosity, volume_fractions
-from trabecula.measure.components import AXES, label_components, share_of_largest, spans
-from trabecula.measure.correlation import lineal_path, two_point
+from trabecula.measure.components import share_of_largest
+from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
+from trabecula.measure.fabric import anisotropy
+from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
+from trabecula.measure.labelling import label_components
+from trabecula.measure.mechanics import stiffness
 from trabecula.measure.minkowski import euler, minkowski
+from trabecula.measure.morphometry import morphometry
+from trabecula.measure.orientation import orientation
+from trabecula.measure.percolation import AXES, percolating_fraction, spans
 from trabecula.measure.phases import indicator
 from trabecula.measure.thickness import chord_length, pore_size, thickness
+from trabecula.measure.transport import conductivity, diffusivity, permeability
+
+LEVELS = ("quick", "default", "full")
 
 
-def describe(image: Image | ArrayLike, *, r_max: int = 50) -> dict[str, Any]:
+def describe(
+    image: Image | ArrayLike, *, r_max: int = 50, level: str = "default", box: int | None = None
+) -> dict[str, Any]:
     """Every descriptor of a material, as plain JSON values.
 
     Where one number is needed, it is that of the solid: every phase but "void". Neighbours share a face.
@@ -25,37 +41,54 @@ def describe(image: Image | ArrayLike, *, r_max: int = 50) -> dict[str, Any]:
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
+        A grey or colour image is described by its texture: see `describe_texture`.
     r_max : int
         Largest distance of the curves, in voxels; lowered to half the smallest side.
+    level : {"quick", "default", "full"}
+        "quick" leaves out what needs distances and directions (thickness, pore size, morphometry, anisotropy, the
+        cluster function); "full" adds transport and stiffness, which take minutes.
+    box : int, optional
+        Edge of the centre box, voxels, that transport and stiffness are solved in. Default: the whole image.
 
     Returns
     -------
     descriptors : dict
         `porosity`, `fractions` (of every phase), `specific_surface`, `euler` (of the image as an object),
         `euler_density` and `mean_curvature` (per volume, without what the faces cut), `components`, `floating`,
-        `floating_voxels`, `largest_fraction`, `percolates` (per axis), `two_point` (per axis and radial, r = 0 ..
-        r_max voxels), `lineal_path`, `chord_length`, `pore_size`, `thickness`; and `shape`, `spacing`, `unit`,
-        `r_max`. Lengths are in `unit`; the curves run in voxels. `None` where a value does not exist, such as the
-        thickness of a phase that fills the image.
+        `floating_voxels`, `largest_fraction`, `percolates` and `percolating_fraction` (per axis), `chord_length`,
+        `two_point` (per axis and radial, r = 0 .. r_max voxels), `lineal_path`; from "default" on `pore_size`,
+        `thickness`, `morphometry` (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`; in
+        "full" `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid (each per
+        axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of each whether it converged
+        and what halving the voxel changes. Besides `shape`, `spacing`, `unit`, `r_max`, `level`, and
+        `notes` on what is infinite or has not converged. Lengths
+        are in `unit`; the curves run in voxels. `None` where a value does not exist, such as the thickness of a
+        phase that fills the image, or was not asked for.
 
     Raises
     ------
     InputError
-        Not labels, no phase named "void", a side of one voxel, r_max below 1.
+        No phase named "void", a side of one voxel, r_max below 1, an unknown level.
     """
     image = as_image(image)
+    check_name(level, LEVELS, name="level")
+    if image.kind != "labels":
+        return describe_texture(image, lags=r_max)
     if r_max < 1:
         raise InputError(f"r_max {r_max} must be at least 1 voxel")
-    numbers = describe_numbers(image)
-    return {**numbers, **describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)))}
+    found = describe_numbers(image, level=level)
+    found |= describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)), level=level)
+    found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(_PHYSICS)
+    return found | {"level": level, "notes": physics_notes(found)}
 
 
-def describe_numbers(image: Image) -> dict[str, Any]:
-    """What `describe` tells, less the curves."""
+def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
+    """What `describe` tells, less the curves and the physics."""
     image, solid = indicator(image, None)
     shape = minkowski(image)
     labels, sizes = label_components(solid)
-    return {
+    axes = AXES[3 - image.ndim :]
+    found = {
         "shape": list(image.shape),
         "spacing": list(image.spacing),
         "unit": image.unit,
@@ -70,20 +103,146 @@ def describe_numbers(image: Image) -> dict[str, Any]:
         "floating_voxels": int(sizes.sum() - sizes.max(initial=0)),
         "largest_fraction": share_of_largest(sizes),
         "percolates": spans(labels),
+        "percolating_fraction": {name: percolating_fraction(image, axis=axis) for axis, name in enumerate(axes)},
         "chord_length": _finite(chord_length(image)),
-        "pore_size": pore_size(image) if solid.any() else None,
-        "thickness": None if solid.all() else thickness(image),
+    }
+    slow: dict[str, Any] = dict.fromkeys(("pore_size", "thickness", "morphometry", "anisotropy"))
+    if level != "quick":
+        slow |= _sizes(image, solid)
+    return found | slow
+
+
+def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
+    """What needs distances and directions."""
+    both = bool(solid.any() and not solid.all())
+    bones = morphometry(image) if image.ndim == 3 else None
+    if bones is not None:
+        bones["DA"] = anisotropy(image) if both else None
+        thick, pore = bones["Tb.Th"], bones["Tb.Sp"]
+    else:
+        thick, pore = (None if solid.all() else thickness(image)), (pore_size(image) if solid.any() else None)
+    return {
+        "pore_size": pore,
+        "thickness": thick,
+        "morphometry": bones,
+        "anisotropy": (bones["DA"] if bones else anisotropy(image)) if both else None,
     }
 
 
-def describe_curves(image: Image, *, r_max: int) -> dict[str, Any]:
+def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict[str, Any]:
     """The curves of `describe`, r = 0 .. r_max voxels; r_max has to fit every side."""
     curves = {name: two_point(image, r_max=r_max, axis=axis) for axis, name in enumerate(AXES[3 - image.ndim :])}
     curves["radial"] = two_point(image, r_max=r_max)
+    cluster = None if level == "quick" else two_point_cluster(image, r_max=r_max).tolist()
     return {
         "r_max": r_max,
         "two_point": {name: curve.tolist() for name, curve in curves.items()},
+        "two_point_cluster": cluster,
         "lineal_path": lineal_path(image, r_max=r_max).tolist(),
+    }
+
+
+_PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
+
+
+def describe_physics(image: Image, *, box: int | None = None, halving: bool = False) -> dict[str, Any]:
+    """Transport through the void and the solid along every axis, and the solid's stiffness.
+
+    `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in `stiffness` to the
+    solid's own; `permeability` is in the square of the image's unit. 0 along an axis where nothing spans the image:
+    the tortuosity is infinite there, which is `None` here, and a note says it. 3-D images only; `None` for others.
+
+    Parameters
+    ----------
+    image : Image of labels
+    box : int, optional
+        Edge of the centre box, voxels, that is solved.
+    halving : bool
+        Also solve a small box at half the voxel edge, and tell what changes.
+    """
+    found: dict[str, Any] = dict.fromkeys(_PHYSICS)
+    if image.ndim != 3:
+        return found
+    carrying = {phase: float(phase != "void") for phase in image.phases}
+    solvers: dict[str, Callable[..., Any]] = {
+        "diffusivity": lambda axis: diffusivity(image, axis=axis, box=box, halving=halving),
+        "conductivity": lambda axis: conductivity(image, conductivities=carrying, axis=axis, box=box, halving=halving),
+        "permeability": lambda axis: permeability(image, axis=axis, box=box, halving=halving),
+    }
+    told: dict[str, Any] = {}
+    jobs = [(name, axis) for name in solvers for axis in range(3)]
+    for name, axis in progress.track(jobs, "transport"):
+        told.setdefault(name, {})[AXES[axis]] = solvers[name](axis)
+    for name, axes in told.items():
+        found[name] = {axis: result.value for axis, result in axes.items()}
+    found["tortuosity"] = {
+        axis: result.fraction / result.value if result.value else None for axis, result in told["diffusivity"].items()
+    }
+    solid = stiffness(image, box=box, halving=halving)
+    found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
+    trusted = ("converged", "imbalance", "iterations", "halving")
+    found["physics"] = {
+        name: {axis: {word: getattr(result, word) for word in trusted} for axis, result in axes.items()}
+        for name, axes in {**told, "stiffness": {"all": solid}}.items()
+    }
+    return found
+
+
+def physics_notes(found: Mapping[str, Any]) -> list[str]:
+    """What has to be known of transport and stiffness: what is infinite, and what has not converged."""
+    notes = [
+        f"The void does not span the image along {axis}: nothing flows, its tortuosity is infinite."
+        for axis, value in (found.get("tortuosity") or {}).items()
+        if value is None
+    ]
+    for name, axes in (found.get("physics") or {}).items():
+        notes += [
+            f"The {name} ({axis}) has not converged: its flux differs by {result['imbalance']:.1%} between sections."
+            for axis, result in axes.items()
+            if not result["converged"]
+        ]
+    return notes
+
+
+def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
+    """Grey values or colours as they are: what `describe` gives for an image that holds no labels.
+
+    Parameters
+    ----------
+    image : Image of grey or colour
+    lags : int
+        Largest lag of the autocorrelation along every axis; lowered to half the smallest side.
+
+    Returns
+    -------
+    descriptors : dict
+        `mean` and `standard_deviation` (of a colour's luminance), `histogram` (256 bins; of a colour one a channel),
+        `ten_bins` (None where values are not bytes), `autocorrelation` (per axis, lag 0 first), `orientation` (the
+        histogram of local orientations); and `shape`, `spacing`, `unit`.
+    """
+    values = grey_values(image)
+    bytes_only = image.values.dtype == np.uint8
+    return {
+        "shape": list(image.shape),
+        "spacing": list(image.spacing),
+        "unit": image.unit,
+        "mean": float(values.mean(dtype=np.float64)),
+        "standard_deviation": float(values.std(dtype=np.float64)),
+        "histogram": histogram(image).tolist(),
+        "ten_bins": ten_bins(image).tolist() if bytes_only else None,
+        "autocorrelation": {name: line.tolist() for name, line in autocorrelation_lines(image, lags=lags).items()},
+        "orientation": orientation(image).shares.tolist(),
+        "level": "texture",
+    }
+
+
+def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
+    """The autocorrelation along every axis by its name, lag 0 first."""
+    whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) // 2)))
+    centre = tuple(side // 2 for side in whole.shape)
+    return {
+        name: np.moveaxis(whole, axis, -1)[(*(c for a, c in enumerate(centre) if a != axis), slice(centre[axis], None))]
+        for axis, name in enumerate(AXES[3 - image.ndim :])
     }
 
 

@@ -1,0 +1,73 @@
+"""How much realisations of one material differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image, check_labels
+from trabecula.measure.copying.coherence import coherence
+
+
+@dataclass(frozen=True)
+class Diversity:
+    """How much realisations of one material differ.
+
+    Attributes
+    ----------
+    distance : (N, N) float64
+        Share of voxels that differ, over what it would be for independent images of the same fractions: 0 for equal
+        images, near 1 for independent ones.
+    coherence : (N, N) float64
+        `coherence` of the second image with the first as its exemplar, at the largest k: near 0 for independent images, 1
+        for a shifted copy. NaN on the diagonal.
+    """
+
+    distance: np.ndarray
+    coherence: np.ndarray
+
+
+def diversity(
+    images: Sequence[Image | ArrayLike], *, k: int = 8, size: int | None = None, samples: int = 300, seed: int = 0
+) -> Diversity:
+    """How much realisations differ, by pairs: voxel for voxel, and up to a shift.
+
+    Parameters
+    ----------
+    images : sequence of Image or array of labels
+        Two or more, of one shape.
+    k, size, samples, seed
+        As in `coherence`, which see.
+
+    Raises
+    ------
+    InputError
+        Fewer than two images, different shapes, or images too small for `coherence`.
+    """
+    parts = [as_image(image) for image in images]
+    if len(parts) < 2:
+        raise InputError(f"diversity compares two or more images, got {len(parts)}")
+    distance = np.zeros((len(parts), len(parts)))
+    moved = np.full(distance.shape, np.nan)
+    for a, b in combinations(range(len(parts)), 2):
+        distance[a, b] = distance[b, a] = _difference(parts[a], parts[b])
+        for first, second in ((a, b), (b, a)):
+            share = coherence(parts[first], parts[second], k=(k,), size=size, samples=samples, seed=seed)
+            moved[first, second] = share[k]
+    return Diversity(distance, moved)
+
+
+def _difference(first: Image, second: Image) -> float:
+    check_labels(first)
+    check_labels(second)
+    if first.shape != second.shape:
+        raise InputError(f"realisations have one shape, got {first.shape} and {second.shape}: crop them alike")
+    count = max(len(first.phases), len(second.phases))
+    shares = [np.bincount(part.values.ravel(), minlength=count) / part.values.size for part in (first, second)]
+    expected = 1 - float(shares[0] @ shares[1])
+    return float(np.mean(first.values != second.values)) / expected if expected else 0.0

@@ -1,0 +1,7 @@
+"""Transport along one axis: diffusion, conduction and flow, each with word on how far the figure can be trusted."""
+
+from trabecula.measure.transport.conduction import conductivity, diffusivity, tortuosity
+from trabecula.measure.transport.permeability import permeability
+from trabecula.measure.transport.result import Effective
+
+__all__ = ["Effective", "conductivity", "diffusivity", "permeability", "tortuosity"]

@@ -1,0 +1,31 @@
+"""Settings of `noise`: the only home of its defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trabecula.core.checks import as_number, check_name
+
+KINDS = ("gaussian",)
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Settings of `noise`."""
+
+    kind: str = "gaussian"
+    """What field: "gaussian", a Gaussian random field cut at a threshold."""
+
+    reach: int = 40
+    """Offset up to which the two-point function is followed, voxels, 4 .. 200, and at most half of the exemplar; from half
+    of it on it fades to that of independent points. Farther costs memory and adds the chance of few pairs."""
+
+    corrections: int = 20
+    """Rounds of fitting the spectrum once its negative part is cut off, 0 .. 200."""
+
+    def __post_init__(self) -> None:
+        check_name(self.kind, KINDS, name="kind of noise")
+        object.__setattr__(self, "reach", as_number(self.reach, name="reach", low=4, high=200, whole=True))
+        object.__setattr__(
+            self, "corrections", as_number(self.corrections, name="corrections", low=0, high=200, whole=True)
+        )

@@ -1,0 +1,167 @@
+"""`noise`: its theory against known integrals, and its fields against the two-point functions they were made for."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, norm
+
+import trabecula as tb
+from trabecula.core.seeds import key
+from trabecula.errors import InputError
+from trabecula.measure.correlation import two_point
+from trabecula.synth.noise.config import NoiseConfig
+from trabecula.synth.noise.covariance import counts_by_offset, fitted_filter, joint_probability
+from trabecula.synth.noise.kernels import white_plane
+
+
+def exponential(shape, *, scale, seed, fraction=0.5, cover=40):
+    """A cut Gaussian field with covariance exp(-r / scale), periodic, by the textbook's route: an oracle of its own."""
+    far = [np.minimum(np.arange(side), side - np.arange(side)) for side in shape]
+    r = np.sqrt(sum(part.astype(float) ** 2 for part in np.ix_(*far)))
+    power = np.maximum(np.fft.fftn(np.exp(-r / scale)).real, 0)
+    white = np.fft.fftn(np.random.default_rng(seed).normal(size=shape))
+    field = np.fft.ifftn(white * np.sqrt(power)).real
+    return (field > np.quantile(field, 1 - fraction)).astype(np.uint8)
+
+
+def relative(made, wanted):
+    return np.linalg.norm(made - wanted) / np.linalg.norm(wanted)
+
+
+@given(fraction=st.floats(0.02, 0.98), covariance=st.floats(-0.95, 0.99))
+def test_the_joint_probability_is_the_bivariate_normals(fraction, covariance):
+    """Oracle: SciPy's bivariate normal distribution."""
+    angle, table = joint_probability(fraction)
+    t = norm.isf(fraction)
+    wanted = multivariate_normal.cdf([-t, -t], cov=[[1, covariance], [covariance, 1]])
+    assert np.interp(np.arcsin(covariance), angle, table) == pytest.approx(wanted, abs=2e-6)
+    assert table[-1] == pytest.approx(fraction, abs=1e-6)
+    assert table[0] == pytest.approx(max(0, 2 * fraction - 1), abs=1e-6)
+    assert np.all(np.diff(table) >= 0)
+
+
+def test_half_and_half_is_the_arcsine():
+    angle, table = joint_probability(0.5)
+    assert np.allclose(table, 0.25 + angle / (2 * np.pi), atol=1e-9)
+
+
+def test_pairs_are_counted_at_every_offset():
+    inside = np.random.default_rng(0).random((7, 6, 9)) < 0.4
+    counts = counts_by_offset(inside, (3, 2, 4))
+    for dz, dy, dx in [(0, 0, 0), (3, -2, 4), (-1, 2, -3), (2, 0, 1)]:
+        pairs = sum(
+            inside[z, y, x] and inside[z + dz, y + dy, x + dx]
+            for z, y, x in np.ndindex(inside.shape)
+            if 0 <= z + dz < 7 and 0 <= y + dy < 6 and 0 <= x + dx < 9
+        )
+        assert counts[dz + 3, dy + 2, dx + 4] == pairs
+
+
+def test_the_filter_has_the_covariance_it_was_made_for():
+    """S2 of a field with a Gaussian covariance, which is realisable: nothing to clip, and the filter's autocorrelation is it."""
+    r = np.arange(-20, 21.0)
+    square = r[:, None, None] ** 2 + r[:, None] ** 2 + r**2
+    covariance = np.exp(-square / (2 * 2.5**2))
+    angle, table = joint_probability(0.3)
+    two_points = np.interp(np.arcsin(np.minimum(covariance, 1)), angle, table)
+    made = fitted_filter(two_points, 0.3, corrections=20)
+    assert made.clipped < 0.01
+    found = np.fft.fftshift(np.fft.ifftn(np.abs(np.fft.fftn(made.values)) ** 2).real)
+    assert np.abs(found - covariance).max() < 0.01
+
+
+def test_white_noise_is_standard_normal_and_by_coordinate():
+    plane = np.empty((300, 302), np.float32)
+    white_plane(plane, 5, key(1, "noise/0"))
+    assert abs(plane.mean()) < 0.015 and abs(plane.std() - 1) < 0.01
+    assert abs(np.mean(plane**4) - 3) < 0.15
+    assert abs(np.mean(plane[:, 1:] * plane[:, :-1])) < 0.015 and abs(np.mean(plane[1:] * plane[:-1])) < 0.015
+    part = np.empty((40, 33), np.float32)
+    white_plane(part, 5, key(1, "noise/0"))
+    assert np.array_equal(part, plane[:40, :33])
+    white_plane(part, 6, key(1, "noise/0"))
+    assert abs(np.corrcoef(part.ravel(), plane[:40, :33].ravel())[0, 1]) < 0.1
+
+
+def test_the_fraction_is_exact_and_the_two_point_function_is_kept():
+    """Known truth: an exponential covariance at phi = 1/2, along an axis S2 = 1/4 + arcsin(exp(-r / 2)) / (2 pi)."""
+    exemplar = exponential((64, 64, 64), scale=2, seed=1)
+    material = tb.method("noise").fit(exemplar).generate(80, seed=3)
+    assert np.count_nonzero(material.values) == 80**3 // 2
+    wanted = 0.25 + np.arcsin(np.exp(-np.arange(16) / 2)) / (2 * np.pi)
+    along = np.mean([two_point(material, r_max=15, axis=axis) for axis in range(3)], axis=0)
+    assert relative(along, wanted) < 0.015
+    assert relative(two_point(material, r_max=15), two_point(exemplar, r_max=15)) < 0.015
+
+
+def test_anisotropy_is_kept():
+    exemplar = np.repeat(exponential((24, 64, 64), scale=2.5, seed=2, fraction=0.3), 3, axis=0)[:64]
+    material = tb.method("noise").fit(exemplar).generate(72, seed=0)
+    for axis in range(3):
+        made, wanted = (two_point(image, r_max=15, axis=axis) for image in (material, exemplar))
+        assert relative(made, wanted) < 0.04
+    assert two_point(material, r_max=6, axis=0)[6] > 1.15 * two_point(material, r_max=6, axis=1)[6]
+
+
+def test_three_phases_keep_fractions_and_two_point_functions():
+    first = exponential((60, 60, 60), scale=4, seed=4, fraction=0.5)
+    second = exponential((60, 60, 60), scale=2, seed=5, fraction=0.4)
+    exemplar = np.where(first == 1, 0, 1 + second).astype(np.uint8)
+    material = tb.method("noise").fit(exemplar).generate(72, seed=1)
+    shares = np.bincount(exemplar.ravel()) / exemplar.size
+    made = np.bincount(material.values.ravel())
+    assert np.abs(made - shares * material.values.size).max() <= 1
+    for phase in range(3):
+        wanted = two_point(exemplar, r_max=12, phase=phase)
+        assert relative(two_point(material, r_max=12, phase=phase), wanted) < 0.06
+
+
+def test_periodic_faces_meet():
+    exemplar = exponential((48, 48, 48), scale=5, seed=6)
+    model = tb.method("noise").fit(exemplar)
+    for axis in range(3):
+        periodic = [i == axis for i in range(3)]
+        values = model.generate((40, 45, 50), seed=2, periodic=periodic).values.astype(int)
+        changes = [np.mean(np.abs(np.diff(values, axis=i))) for i in range(3)]
+        seams = [np.mean(np.abs(values.take(0, i) - values.take(-1, i))) for i in range(3)]
+        for i in range(3):
+            if periodic[i]:
+                assert abs(seams[i] - changes[i]) < 0.08
+            else:
+                assert seams[i] > 2 * changes[i]
+
+
+def test_a_box_smaller_than_the_filter_is_still_periodic():
+    exemplar = exponential((48, 48, 48), scale=2, seed=6)
+    values = tb.method("noise").fit(exemplar).generate((20, 16, 18), seed=2, periodic=True).values.astype(int)
+    assert np.count_nonzero(values) == round(values.size * exemplar.mean())
+    change = np.mean(np.abs(np.diff(values, axis=0)))
+    assert abs(np.mean(np.abs(values[0] - values[-1])) - change) < 0.12
+
+
+def test_a_flat_image_makes_flat_images():
+    flat = exponential((1, 128, 128), scale=4, seed=7, fraction=0.4)
+    made = tb.method("noise").fit(flat).generate((1, 160, 160), seed=0)
+    assert made.shape == (1, 160, 160)
+    for axis in (1, 2):
+        assert relative(two_point(made, r_max=15, axis=axis), two_point(flat, r_max=15, axis=axis)) < 0.1
+
+
+def test_bone_has_the_fraction_and_the_two_point_function_and_is_broken(bone):
+    exemplar = tb.crop(bone, 64)
+    made = tb.method("noise").fit(exemplar).generate(64, seed=1)
+    assert relative(two_point(made, r_max=25), two_point(exemplar, r_max=25)) < 0.08
+    assert tb.measure.components(made) > 5 * tb.measure.components(exemplar)
+
+
+def test_settings_out_of_range_are_refused():
+    for name, value in [("kind", "perlin"), ("reach", 3), ("reach", 2.5), ("corrections", -1)]:
+        with pytest.raises(InputError, match=name):
+            NoiseConfig(**{name: value})
+
+
+@pytest.mark.parametrize("shape", [(4, 30, 30), (30, 30, 7)])
+def test_a_thin_exemplar_is_refused(shape):
+    with pytest.raises(InputError, match="8 voxels"):
+        tb.method("noise").fit(np.random.default_rng(0).integers(0, 2, shape))
