@@ -27,7 +27,8 @@ from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.surface import mesh
-from trabecula.report.certificate import Certificate, verify
+from trabecula.report.certificate import verify
+from trabecula.report.metric import Certificate
 from trabecula.report.page import page
 from trabecula.report.page import write_page as page_to_file
 from trabecula.synth.registry import method
@@ -51,8 +52,9 @@ def load(
     source : path or str
     crop : int or sequence of int, optional
         Size of a central box to keep, voxels.
-    threshold : float, pair of float, "otsu", "dual" or "auto", optional
-        Segment a grey image (see `segment`). "auto" is Otsu's, and leaves an image that is not grey as it is.
+    threshold : float, pair of float, "otsu", "dual", "auto" or "none", optional
+        Segment a grey image (see `segment`). "auto" is Otsu's, and leaves an image that is not grey as it is; "none"
+        leaves a grey one grey.
     **reading
         kind, spacing, unit, phases: as in `read`. Where a grey image is segmented, `phases` names the two labels.
     """
@@ -64,12 +66,12 @@ def load(
         image = sample(name.removeprefix(SAMPLE_PREFIX))
     else:
         image = files.read(name, **reading) if phases is None else _read_with_phases(name, phases, reading)
-    if image.kind == "grey" and threshold is not None:
+    if image.kind == "grey" and threshold not in (None, "none"):
         image = segment(image, "otsu" if threshold == "auto" else threshold, phases=phases or ("void", "solid"))
         found = image.recipe.steps[-1]["threshold"]
         if isinstance(threshold, str):
             say(f"{name} is grey: threshold {found} found (--threshold chooses another)")
-    elif threshold not in (None, "auto"):
+    elif threshold not in (None, "auto", "none"):
         raise InputError(
             f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey"
         )
@@ -84,9 +86,10 @@ def _read_with_phases(name: str, phases: Sequence[str], reading: Mapping[str, An
 
 
 def load_like(source: str | os.PathLike[str], exemplar: Image) -> Image:
-    """A result to be compared with an exemplar: a grey one is segmented, and where its file states neither a spacing nor
-    names of phases of its own (an outside program's, a plain array) it takes the exemplar's."""
-    image = load(source, threshold="auto")
+    """A result to be compared with an exemplar: a grey one is segmented where the exemplar has phases, and where its file
+    states neither a spacing nor names of phases of its own (an outside program's, a plain array) it takes the
+    exemplar's."""
+    image = load(source, threshold="auto" if exemplar.kind == "labels" else "none")
     given: dict[str, Any] = {}
     if image.unit == "voxel" and image.ndim == exemplar.ndim:
         given |= {"spacing": exemplar.spacing, "unit": exemplar.unit}
@@ -111,7 +114,7 @@ def write_page(
     names = ["exemplar", *(certificate.name for certificate in certificates)]
     shown = [exemplar, *images]
     pictures = [("Slices through the middle", _png(montage(shown, names)))]
-    if exemplar.ndim == 3:
+    if exemplar.ndim == 3 and exemplar.kind == "labels":
         pictures += [(name, _png(render(image, size=(640, 480)))) for name, image in zip(names, shown, strict=True)]
     page_to_file(page(certificates, pictures=pictures), Path(path))
 

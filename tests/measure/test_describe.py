@@ -68,6 +68,15 @@ def test_levels(foam):
         describe(foam, level="most")
 
 
+def test_void_that_does_not_percolate_is_said_to_be_infinitely_tortuous():
+    slab = np.zeros((12, 12, 12), np.uint8)
+    slab[5] = 1
+    result = describe(slab, r_max=3, level="full", box=10)
+    assert result["diffusivity"]["z"] == result["permeability"]["z"] == 0 and result["tortuosity"]["z"] is None
+    assert result["tortuosity"]["x"] == pytest.approx(1) and result["conductivity"]["x"] == pytest.approx(0.1)
+    assert any("along z" in note and "infinite" in note for note in result["notes"]) and len(result["notes"]) == 1
+
+
 def test_texture_of_what_holds_no_labels():
     rng = np.random.default_rng(0)
     result = describe(tb.Image(rng.integers(0, 256, (40, 30)).astype(np.uint8), "grey"))

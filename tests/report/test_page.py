@@ -9,6 +9,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.report import page, verify
+from trabecula.report.figures import FIGURES, GROUPS, figure_of, in_order
 from trabecula.report.plot import curve_plot, place_plot, ticks
 
 PNG = base64.b64decode(
@@ -42,6 +43,13 @@ def certificate():
     return verify(exemplar, image, names=["<worse & worse>"])
 
 
+@pytest.fixture(scope="module")
+def quick():
+    rng = np.random.default_rng(1)
+    volumes = [(rng.random((50, 50, 50)) < p).astype(np.uint8) for p in (0.5, 0.5, 0.3)]
+    return verify(*volumes, names=["one", "two"], level="quick")
+
+
 def test_page_is_one_self_contained_file(certificate, tmp_path):
     path = tmp_path / "deep" / "certificate.html"
     html = certificate.to_html(path, pictures=[("a slice", PNG), ("of a file", _file(tmp_path))])
@@ -59,11 +67,22 @@ def test_page_says_the_verdict_and_every_figure(certificate):
     assert certificate.passed is False and "FAIL" in html.split("<h2>")[0]
     for name in certificate.metrics:
         assert f"<code>{name}</code>" in html
-    assert html.count('class="FAIL"') == len(certificate.failed)
+    figures = html.split("<h2>Figures</h2>")[1].split("</table>")[0]
+    assert figures.count('class="n FAIL"') == len(certificate.failed)
+    assert all(GROUPS[group] in html.split("<h2>")[0] for group in certificate.groups)
+    assert "Gaussian field" in figures
 
 
-def test_several_certificates_share_a_page(certificate):
-    assert page([certificate, certificate]).count('<p class="verdict') == 2
+def test_several_images_stand_in_one_table_and_one_set_of_curves(quick):
+    html = page(quick)
+    assert html.count('<div class="verdict') == 2 and html.count("<h2>Figures</h2>") == 1
+    assert html.count("Two-point function, radial</text>") == 1
+    svg = html.split("Two-point function, radial</text>")[1].split("</svg>")[0]
+    assert 'class="line1"' in svg and 'class="line2"' in svg and 'class="baseline"' not in svg
+    assert re.search(r'class="mark"[^>]*>2<', html)
+
+
+def test_nothing_of_nothing():
     with pytest.raises(tb.errors.InputError, match="at least one"):
         page([])
 
@@ -85,7 +104,11 @@ def test_nothing_is_left_of_a_page_that_cannot_be_written(certificate, tmp_path)
 def test_table_holds_a_line_for_every_metric(certificate):
     lines = certificate.to_table().splitlines()
     assert lines[0].startswith("<worse & worse>: FAIL")
-    verdicts = {line.split()[0]: line.split()[-1] for line in lines[3 : 3 + len(certificate.metrics)]}
+    verdicts = {
+        line.split()[0]: line.split()[-1]
+        for line in lines
+        if line.split()[:1] and line.split()[0] in certificate.metrics
+    }
     words = {True: "pass", False: "FAIL", None: "-"}
     assert verdicts == {name: words[metric.passed] for name, metric in certificate.metrics.items()}
 
@@ -106,10 +129,20 @@ def test_curves_keep_inside_their_frame():
 
 @pytest.mark.parametrize(("value", "shape"), [(0.5, "circle"), (99.0, "polygon"), (-99.0, "polygon"), (None, None)])
 def test_place_is_a_dot_inside_and_an_arrow_beyond(value, shape):
-    marks = re.findall(r'<(\w+) class="dot"', place_plot(value, (0.0, 1.0), 0.4))
+    marks = re.findall(r'<(\w+) class="dot"', place_plot([value], (0.0, 1.0), 0.4))
     assert marks == ([shape] if shape else [])
 
 
 def _file(folder):
     (folder / "slice.png").write_bytes(PNG)
     return folder / "slice.png"
+
+
+def test_figures_of_axes_and_phases_know_their_own():
+    assert figure_of("diffusivity_z").title.endswith("along z") and figure_of("diffusivity_z").group == "physics"
+    assert figure_of("fraction_binder_2").title == "Fraction, of binder_2"
+    assert in_order(["coherence", "permeability_x", "porosity", "permeability"]) == [
+        *("porosity", "permeability_x", "permeability", "coherence")
+    ]
+    assert {figure.group for figure in FIGURES} == set(GROUPS)
+    assert len({figure.name for figure in FIGURES}) == len(FIGURES)

@@ -1,4 +1,4 @@
-"""`trabecula measure FILE`."""
+"""`trabecula measure FILE [--quick | --full] [--json]`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The file and how it is read."""
     parser.add_argument("file", metavar="FILE", help="volume or 2-D picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON, curves included")
+    shared.add_level(parser)
     shared.add_reading(parser)
 
 
@@ -19,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     """Print every descriptor."""
     from trabecula.measure import describe
 
-    found = describe(shared.load_exemplar(options.file, options))
+    found = describe(shared.load_exemplar(options.file, options), level=options.level, box=options.box)
     if options.json:
         terminal.show_json(found)
     else:

@@ -16,9 +16,23 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
     group.add_argument("--phases", nargs="+", metavar="NAME", help="names of the labels, darkest first")
     group.add_argument(
-        "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, or auto (default)"
+        "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, auto (default), or none"
     )
     group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
+
+
+def add_level(parser: argparse.ArgumentParser) -> None:
+    """How much is measured."""
+    group = parser.add_argument_group("how much is measured")
+    levels = group.add_mutually_exclusive_group()
+    levels.add_argument(
+        "--quick", dest="level", action="store_const", const="quick", help="seconds: counts and correlations only"
+    )
+    levels.add_argument(
+        "--full", dest="level", action="store_const", const="full", help="minutes: transport and stiffness as well"
+    )
+    group.add_argument("--box", type=int, metavar="N", help="with --full: solve in a centre box of N voxels a side")
+    parser.set_defaults(level="default")
 
 
 def load_exemplar(source: str, options: argparse.Namespace) -> Any:

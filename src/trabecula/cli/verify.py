@@ -1,4 +1,4 @@
-"""`trabecula verify EXEMPLAR FILE ... [--json] [--report HTML]`."""
+"""`trabecula verify EXEMPLAR FILE ... [--quick | --full] [--json] [--report HTML]`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)"
     )
+    shared.add_level(parser)
     shared.add_reading(parser)
 
 
@@ -30,7 +31,8 @@ def run(options: argparse.Namespace) -> int:
         check_page(options.report)
     exemplar = shared.load_exemplar(options.exemplar, options)
     images = [load_like(file, exemplar) for file in options.files]
-    found = verify(exemplar, *images, r_max=options.r_max, names=[Path(file).name for file in options.files])
+    names = [Path(file).name for file in options.files]
+    found = verify(exemplar, *images, r_max=options.r_max, names=names, level=options.level, box=options.box)
     certificates = found if isinstance(found, list) else [found]
     if options.report:
         write_page(options.report, exemplar, images, certificates)

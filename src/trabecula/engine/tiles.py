@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -75,5 +75,6 @@ def _run(work: Callable[[int, int], object], length: int, count: int, least: int
     pieces = min(4 * count, max(count, length // least))
     bounds = [length * i // pieces for i in range(pieces + 1)]
     with ThreadPoolExecutor(count) as pool:
-        for future in [pool.submit(work, a, b) for a, b in pairwise(bounds)]:
+        # Each in a copy of the caller's context: threads inside obey the same settings, progress reaches its listener.
+        for future in [pool.submit(copy_context().run, work, a, b) for a, b in pairwise(bounds)]:
             future.result()

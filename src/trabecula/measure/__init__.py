@@ -22,7 +22,7 @@ from trabecula.measure.correlation import (
     two_point,
     two_point_cluster,
 )
-from trabecula.measure.describe import describe, describe_physics, describe_texture
+from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.distance import distance_transform, signed_distance
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
@@ -31,6 +31,7 @@ from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_cu
 from trabecula.measure.morphometry import connectivity_density, morphometry
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
+from trabecula.measure.physics import describe_physics
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
 from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, tortuosity
 

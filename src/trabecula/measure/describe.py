@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core import progress
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
@@ -19,14 +17,13 @@ from trabecula.measure.correlation import lineal_path, two_point, two_point_clus
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
 from trabecula.measure.labelling import label_components
-from trabecula.measure.mechanics import stiffness
 from trabecula.measure.minkowski import euler, minkowski
 from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES, percolating_fraction, spans
 from trabecula.measure.phases import indicator
+from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.thickness import chord_length, pore_size, thickness
-from trabecula.measure.transport import conductivity, diffusivity, permeability
 
 LEVELS = ("quick", "default", "full")
 
@@ -78,7 +75,7 @@ def describe(
         raise InputError(f"r_max {r_max} must be at least 1 voxel")
     found = describe_numbers(image, level=level)
     found |= describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)), level=level)
-    found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(_PHYSICS)
+    found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
     return found | {"level": level, "notes": physics_notes(found)}
 
 
@@ -142,68 +139,6 @@ def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict
     }
 
 
-_PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
-
-
-def describe_physics(image: Image, *, box: int | None = None, halving: bool = False) -> dict[str, Any]:
-    """Transport through the void and the solid along every axis, and the solid's stiffness.
-
-    `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in `stiffness` to the
-    solid's own; `permeability` is in the square of the image's unit. 0 along an axis where nothing spans the image:
-    the tortuosity is infinite there, which is `None` here, and a note says it. 3-D images only; `None` for others.
-
-    Parameters
-    ----------
-    image : Image of labels
-    box : int, optional
-        Edge of the centre box, voxels, that is solved.
-    halving : bool
-        Also solve a small box at half the voxel edge, and tell what changes.
-    """
-    found: dict[str, Any] = dict.fromkeys(_PHYSICS)
-    if image.ndim != 3:
-        return found
-    carrying = {phase: float(phase != "void") for phase in image.phases}
-    solvers: dict[str, Callable[..., Any]] = {
-        "diffusivity": lambda axis: diffusivity(image, axis=axis, box=box, halving=halving),
-        "conductivity": lambda axis: conductivity(image, conductivities=carrying, axis=axis, box=box, halving=halving),
-        "permeability": lambda axis: permeability(image, axis=axis, box=box, halving=halving),
-    }
-    told: dict[str, Any] = {}
-    jobs = [(name, axis) for name in solvers for axis in range(3)]
-    for name, axis in progress.track(jobs, "transport"):
-        told.setdefault(name, {})[AXES[axis]] = solvers[name](axis)
-    for name, axes in told.items():
-        found[name] = {axis: result.value for axis, result in axes.items()}
-    found["tortuosity"] = {
-        axis: result.fraction / result.value if result.value else None for axis, result in told["diffusivity"].items()
-    }
-    solid = stiffness(image, box=box, halving=halving)
-    found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
-    trusted = ("converged", "imbalance", "iterations", "halving")
-    found["physics"] = {
-        name: {axis: {word: getattr(result, word) for word in trusted} for axis, result in axes.items()}
-        for name, axes in {**told, "stiffness": {"all": solid}}.items()
-    }
-    return found
-
-
-def physics_notes(found: Mapping[str, Any]) -> list[str]:
-    """What has to be known of transport and stiffness: what is infinite, and what has not converged."""
-    notes = [
-        f"The void does not span the image along {axis}: nothing flows, its tortuosity is infinite."
-        for axis, value in (found.get("tortuosity") or {}).items()
-        if value is None
-    ]
-    for name, axes in (found.get("physics") or {}).items():
-        notes += [
-            f"The {name} ({axis}) has not converged: its flux differs by {result['imbalance']:.1%} between sections."
-            for axis, result in axes.items()
-            if not result["converged"]
-        ]
-    return notes
-
-
 def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
     """Grey values or colours as they are: what `describe` gives for an image that holds no labels.
 
@@ -211,7 +146,7 @@ def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
     ----------
     image : Image of grey or colour
     lags : int
-        Largest lag of the autocorrelation along every axis; lowered to half the smallest side.
+        Largest lag of the autocorrelation along every axis, voxels; lowered to the smallest side less one.
 
     Returns
     -------
@@ -238,7 +173,7 @@ def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
 
 def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
     """The autocorrelation along every axis by its name, lag 0 first."""
-    whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) // 2)))
+    whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) - 1)))
     centre = tuple(side // 2 for side in whole.shape)
     return {
         name: np.moveaxis(whole, axis, -1)[(*(c for a, c in enumerate(centre) if a != axis), slice(centre[axis], None))]

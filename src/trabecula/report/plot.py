@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 
 _WIDTH, _HEIGHT = 380, 250
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 12, 26, 38
+IMAGE_LINES = 4
+"""Ways to draw the line of an image; more images take them again."""
 
 
 def curve_plot(
@@ -21,8 +23,9 @@ def curve_plot(
     x_label: str,
     band: tuple[ArrayLike, ArrayLike] | None = None,
     step: float = 1.0,
+    baseline: str | None = None,
 ) -> str:
-    """Curves over r = 0, step, 2 step, ...: the first drawn full, the second dashed, more dotted; the band hatched.
+    """Curves over r = 0, step, 2 step, ...: the first drawn full, the others dashed each in its way; the band hatched.
 
     Parameters
     ----------
@@ -31,6 +34,8 @@ def curve_plot(
     band : (low, high), arrays (n,), optional
     step : float
         Distance between points, in the unit of `x_label`.
+    baseline : str, optional
+        The curve of that name is drawn as the baseline: thin and grey.
 
     Returns
     -------
@@ -62,14 +67,24 @@ def curve_plot(
     )
     if band:
         body.append(f'<polygon class="band" points="{" ".join(points(low) + points(high)[::-1])}"/>')
-    for kind, line in enumerate(lines.values()):
-        body.append(f'<polyline class="line{min(kind, 2)}" points="{" ".join(points(line))}"/>')
+    for style, line in zip(_styles(list(lines), baseline), lines.values(), strict=True):
+        body.append(f'<polyline class="{style}" points="{" ".join(points(line))}"/>')
     return _svg(_WIDTH, _HEIGHT, title, body)
 
 
-def place_plot(value: float | None, band: tuple[float, float], own: float | None) -> str:
-    """Where a number (dot) lies: the band as a hatched bar, the exemplar's own number as a tick. An arrow: beyond
-    the figure."""
+def _styles(names: Sequence[str], baseline: str | None) -> list[str]:
+    """Classes of lines: the exemplar's, then one for each image in turn, and the baseline's."""
+    images = 0
+    styles = ["line0"]
+    for name in names[1:]:
+        images += name != baseline
+        styles.append("baseline" if name == baseline else f"line{1 + (images - 1) % IMAGE_LINES}")
+    return styles
+
+
+def place_plot(values: Sequence[float | None], band: tuple[float, float], own: float | None) -> str:
+    """Where numbers (dots, numbered where they are several) lie: the band as a hatched bar, the exemplar's own number as
+    a tick. An arrow: beyond the figure."""
     width, height = 150, 18
     spread = max(band[1] - band[0], 1e-9 * abs(band[1]), 1e-12)
     start, end = band[0] - spread, band[1] + spread
@@ -83,13 +98,21 @@ def place_plot(value: float | None, band: tuple[float, float], own: float | None
     ]
     if own is not None:
         body.append(f'<line class="own" x1="{x(own):.1f}" x2="{x(own):.1f}" y1="1" y2="17"/>')
-    if value is not None and value < start:
-        body.append('<polygon class="dot" points="0,9 9,4 9,14"/>')
-    elif value is not None and value > end:
-        body.append(f'<polygon class="dot" points="{width},9 {width - 9},4 {width - 9},14"/>')
-    elif value is not None:
-        body.append(f'<circle class="dot" cx="{x(value):.1f}" cy="9" r="4"/>')
+    for place, value in enumerate(values, start=1):
+        if value is not None:
+            body.append(_dot(min(max(x(value), 0.0), width), value < start, value > end, width))
+            if len(values) > 1:
+                at = min(max(x(value), 6.0), width - 6.0)
+                body.append(f'<text class="mark" x="{at:.1f}" y="12.3" text-anchor="middle">{place}</text>')
     return _svg(width, height, "place in the band", body)
+
+
+def _dot(at: float, below: bool, above: bool, width: int) -> str:
+    if below:
+        return '<polygon class="dot" points="0,9 11,3 11,15"/>'
+    if above:
+        return f'<polygon class="dot" points="{width},9 {width - 11},3 {width - 11},15"/>'
+    return f'<circle class="dot" cx="{at:.1f}" cy="9" r="5"/>'
 
 
 def hatching() -> str:
@@ -101,11 +124,11 @@ def hatching() -> str:
     )
 
 
-def key(names: Sequence[str], *, band: str | None) -> str:
+def key(names: Sequence[str], *, band: str | None, baseline: str | None = None) -> str:
     """Which line is which, once for all figures of a page."""
     parts = []
-    for kind, name in enumerate(names):
-        line = f'<line class="line{min(kind, 2)}" x1="0" x2="36" y1="7" y2="7"/>'
+    for style, name in zip(_styles(names, baseline), names, strict=True):
+        line = f'<line class="{style}" x1="0" x2="36" y1="7" y2="7"/>'
         parts.append(f"<span>{_svg(36, 14, name, [line], fixed=True)} {escape(name)}</span>")
     if band:
         swatch = '<rect class="band" x="0" y="1" width="36" height="12"/>'

@@ -1,0 +1,122 @@
+"""Transport and stiffness at once, along every axis, with word on how far the figures can be trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from trabecula.core import progress
+from trabecula.core.image import Image
+from trabecula.engine.plan import Plan, available_memory, check_budget
+from trabecula.engine.tiles import for_slabs, thread_count, threads
+from trabecula.measure.amount import porosity
+from trabecula.measure.mechanics import Stiffness, stiffness
+from trabecula.measure.percolation import AXES
+from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability
+
+PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
+"""What `describe_physics` finds, by name."""
+
+# Measured on bone, sandstone and electrodes; per voxel of the phase that is solved.
+_FLOW_BYTES = 1000
+_STIFFNESS_BYTES = 2200
+
+
+def describe_physics(image: Image, *, box: int | None = None, halving: bool = False) -> dict[str, Any]:
+    """Transport through the void and the solid along every axis, and the solid's stiffness.
+
+    `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in `stiffness` to the
+    solid's own; `permeability` is in the square of the image's unit. 0 along an axis where nothing spans the image:
+    the tortuosity is infinite there, which is `None` here. 3-D images only; `None` for others.
+
+    Parameters
+    ----------
+    image : Image of labels
+    box : int, optional
+        Edge of the centre box, voxels, that is solved.
+    halving : bool
+        Also solve a small box at half the voxel edge, and tell what changes.
+
+    Raises
+    ------
+    MemoryBudgetError
+        The solvers would take more memory than there is.
+    """
+    if image.ndim != 3:
+        return dict.fromkeys(PHYSICS)
+    count = min(thread_count(), _fitting(image, box))
+    carrying = {phase: float(phase != "void") for phase in image.phases}
+    # The longest first, so that threads end together.
+    solvers: dict[str, Callable[[int], Effective]] = {
+        "permeability": lambda axis: permeability(image, axis=axis, box=box, halving=halving),
+        "diffusivity": lambda axis: diffusivity(image, axis=axis, box=box, halving=halving),
+        "conductivity": lambda axis: conductivity(image, conductivities=carrying, axis=axis, box=box, halving=halving),
+    }
+    told: dict[str, dict[str, Any]] = {name: {} for name in solvers}
+    jobs = [(name, axis) for name in solvers for axis in range(3)]
+
+    def solve(start: int, stop: int) -> None:
+        for name, axis in jobs[start:stop]:
+            told[name][AXES[axis]] = solvers[name](axis)
+
+    with threads(count):
+        for first in progress.track(range(0, len(jobs), count), "transport", total=-(-len(jobs) // count)):
+            last = min(first + count, len(jobs))
+            for_slabs(lambda a, b, at=first: solve(at + a, at + b), last - first, least=1)  # type: ignore[misc]
+    for _ in progress.track([None], "stiffness"):
+        solid = stiffness(image, box=box, halving=halving)
+    return _plain(told, solid)
+
+
+def physics_notes(found: Mapping[str, Any]) -> list[str]:
+    """What has to be known of transport and stiffness: what is infinite, and what has not converged."""
+    notes = [
+        f"The void does not span the image along {axis}: nothing flows, its tortuosity is infinite."
+        for axis, value in (found.get("tortuosity") or {}).items()
+        if value is None
+    ]
+    for name, axes in (found.get("physics") or {}).items():
+        notes += [
+            f"The {name} ({axis}) has not converged: its flux differs by {result['imbalance']:.1%} between sections."
+            for axis, result in axes.items()
+            if not result["converged"]
+        ]
+    return notes
+
+
+def _plain(told: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        name: {axis: _finite(told[name][axis].value) for axis in AXES}
+        for name in ("diffusivity", "conductivity", "permeability")
+    }
+    found["tortuosity"] = {
+        axis: result.fraction / result.value if result.value else None for axis, result in told["diffusivity"].items()
+    }
+    found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
+    found["physics"] = {name: {axis: _trust(told[name][axis]) for axis in AXES} for name in told}
+    found["physics"]["stiffness"] = {"all": _trust(solid)}
+    return found
+
+
+def _trust(result: Effective | Stiffness) -> dict[str, Any]:
+    return {
+        "converged": result.converged,
+        "imbalance": _finite(result.imbalance),
+        "iterations": result.iterations,
+        "halving": result.halving,
+    }
+
+
+def _fitting(image: Image, box: int | None) -> int:
+    """How many solves of transport fit into memory at once, one at least."""
+    voxels = math.prod(min(side, box or side) for side in image.shape)
+    void = porosity(image)
+    one = int(voxels * void * _FLOW_BYTES)
+    most = max(one, int(voxels * (1 - void) * _STIFFNESS_BYTES))
+    check_budget(Plan({"solvers": most}), advice="solve a smaller centre box (--box)")
+    return max(1, available_memory() // max(one, 1))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

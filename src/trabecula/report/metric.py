@@ -1,0 +1,115 @@
+"""What a certificate holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trabecula.report.figures import GROUPS, figure_of
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of the certificate."""
+
+    value: Any
+    """Number; for `percolates` one truth value per axis; `None` where it does not exist."""
+    real_band: tuple[float, float] | None = None
+    """The figure's spread between parts of the exemplar; `None` where the exemplar is too small, or no band makes
+    sense."""
+    passed: bool | None = None
+    """Inside the band; `None` where there is nothing to judge by."""
+    exemplar: Any = None
+    """The exemplar's own value (0 for a distance to it; a count is scaled to the image's volume)."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Value, band and verdict by the names that scripts rely on."""
+        return {"value": self.value, "real_band": list(self.real_band) if self.real_band else None, "pass": self.passed}
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What `verify` found about one image."""
+
+    metrics: Mapping[str, Metric]
+    """By name, in the order of the table of figures."""
+    notes: tuple[str, ...] = ()
+    """What to know before believing the figures."""
+    name: str = "image"
+    curves: Mapping[str, Any] = field(default_factory=dict)
+    """By "exemplar", "image", "baseline" and "parts" (a list): the curves that were compared, by name."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """Shape, spacing, unit, phases and recipe of "exemplar" and "image"; "level"; "physics" of both at level "full"."""
+    baseline: Mapping[str, Metric] | None = None
+    """The same figures of a thresholded Gaussian field with the exemplar's fraction and two-point function: what a
+    method has to beat. `None` where none was made."""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether no metric failed; `None` where none could be judged."""
+        return _all_passed(self.metrics.values())
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the metrics that failed."""
+        return tuple(name for name, metric in self.metrics.items() if metric.passed is False)
+
+    @property
+    def groups(self) -> dict[str, bool | None]:
+        """The verdict of every group of figures that was measured: "two-point", "connectivity", ..."""
+        return group_verdicts(self.metrics)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON: metrics with value, real_band and pass; the verdict, whole and by group; the baseline's metrics;
+        notes."""
+        return {
+            "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
+            "passed": self.passed,
+            "groups": self.groups,
+            "baseline": None if self.baseline is None else {n: m.to_json() for n, m in self.baseline.items()},
+            "level": self.about.get("level"),
+            "notes": list(self.notes),
+        }
+
+    def to_table(self) -> str:
+        """A table for a terminal."""
+        from trabecula.report.table import table
+
+        return table(self)
+
+    def to_html(
+        self, path: str | Path | None = None, *, pictures: Iterable[tuple[str, str | Path | bytes]] = ()
+    ) -> str:
+        """One self-contained page; written to `path` where one is given.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+        pictures : iterable of (caption, PNG file or its bytes), optional
+            Shown side by side, and kept in the page.
+
+        Returns
+        -------
+        html : str
+        """
+        from trabecula.report.page import page, write_page
+
+        html = page([self], pictures=pictures)
+        if path is not None:
+            write_page(html, path)
+        return html
+
+
+def group_verdicts(metrics: Mapping[str, Metric]) -> dict[str, bool | None]:
+    """The verdict of every group that has a figure, in the order of the groups."""
+    members: dict[str, list[Metric]] = {}
+    for name, metric in metrics.items():
+        members.setdefault(figure_of(name).group, []).append(metric)
+    return {group: _all_passed(members[group]) for group in GROUPS if group in members}
+
+
+def _all_passed(metrics: Iterable[Metric]) -> bool | None:
+    verdicts = [metric.passed for metric in metrics if metric.passed is not None]
+    return all(verdicts) if verdicts else None

@@ -1,0 +1,110 @@
+"""The exemplar and its parts, measured once; every image is judged against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trabecula.core import progress
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.measure.copying import coherence
+from trabecula.report.band import parts, prediction_band
+from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, TOLD, figure_of, in_order
+from trabecula.report.metric import Metric
+from trabecula.report.sticks import Measured, Stick
+
+LAG = 4
+"""Coherence is told over this many voxels: beyond chance, and shorter than the pieces that patch methods copy."""
+
+SAMPLES = 500
+"""Voxels whose sources are looked up: the share is known to 0.022 at worst, to 0.01 near the independent 0.05."""
+
+
+class Reference:
+    """What images are compared with.
+
+    Parameters
+    ----------
+    exemplar : Image
+    stick : Stick
+        How it is measured.
+    copying : bool
+        Also search where every image was taken from.
+    """
+
+    def __init__(self, exemplar: Image, stick: Stick, *, copying: bool) -> None:
+        self.exemplar, self.stick, self.copying = exemplar, stick, copying
+        pieces = list(parts(exemplar))
+        self.own = stick.measure(exemplar)
+        self.parts = [
+            stick.measure(piece, part=True) for piece in progress.track(pieces, "measuring the exemplar's parts")
+        ]
+        distances = [stick.distances(part, self.own) for part in self.parts]
+        first = distances[0] if distances else {}
+        self.spread: dict[str, list[float | None]] = {name: [found[name] for found in distances] for name in first}
+        if copying:
+            self.spread["coherence"] = independent_coherence(pieces)
+
+    def measure(self, image: Image) -> Measured:
+        """An image by the same stick."""
+        return self.stick.measure(image)
+
+    def judge(self, image: Image, measured: Measured, *, copying: bool | None = None) -> dict[str, Metric]:
+        """Every figure of an image with its band and verdict, in the order of the table; whether it is a copy only where
+        that is asked for."""
+        found = {
+            name: self._judged(name, value, self.spread.get(name, []), 0.0)
+            for name, value in self.stick.distances(measured, self.own).items()
+        }
+        for name, own in self.own.numbers.items():
+            value = measured.numbers.get(name)
+            spread = [part.numbers.get(name) for part in self.parts]
+            if figure_of(name).rule == COUNT:
+                size = image.values.size
+                spread = [
+                    None if n is None else n * size / np.prod(part.shape)
+                    for n, part in zip(spread, self.parts, strict=True)
+                ]
+                own = None if own is None else own * size / self.exemplar.values.size
+            found[name] = self._judged(name, value, spread, own)
+        if self.copying if copying is None else copying:
+            share = coherence_of(self.exemplar, image)
+            found["coherence"] = self._judged("coherence", share, self.spread["coherence"], None)
+        return {name: found[name] for name in in_order(found)}
+
+    def _judged(self, name: str, value: Any, spread: Sequence[float | None], own: Any) -> Metric:
+        rule = figure_of(name).rule
+        if rule == AXES:
+            holds = all(value[axis] for axis, through in own.items() if through)
+            return Metric(value, None, holds if self.parts else None, own)
+        known = [number for number in spread if number is not None]
+        if rule == TOLD or len(known) < 2:
+            return Metric(value, None, None, own)
+        low, high = prediction_band(known, one_sided=rule == DISTANCE)
+        if own is not None:  # the parts may all lie on one side of the whole: what faces cut makes them smaller
+            low, high = min(low, float(own)), max(high, float(own))
+        if rule == AT_LEAST:  # of shares
+            high = min(high, 1.0)
+        if value is None:
+            return Metric(None, (low, high), None if name == "coherence" else False, own)
+        enough = rule in (AT_MOST, COUNT, DISTANCE) or value >= low
+        within = rule == AT_LEAST or value <= high
+        return Metric(value, (low, high), bool(enough and within), own)
+
+
+def independent_coherence(pieces: Sequence[Image]) -> list[float | None]:
+    """The coherence of real material that was not copied: parts of the exemplar searched in the part farthest away."""
+    count = len(pieces)
+    pairs = [(pieces[n], pieces[count - 1 - n]) for n in range(max(count // 2, min(count, 2)))]
+    return [coherence_of(there, here) for here, there in progress.track(pairs, "searching the exemplar's parts")]
+
+
+def coherence_of(exemplar: Image, image: Image) -> float | None:
+    """Coherence over `LAG` voxels, or None where the images are too small or too plain for it."""
+    try:
+        return coherence(exemplar, image, k=(LAG,), samples=SAMPLES)[LAG]
+    except InputError:
+        return None

@@ -1,0 +1,69 @@
+"""The verdict in words: what matches, what does not, by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trabecula.report.figures import AT_LEAST, AT_MOST, COUNT, DISTANCE, GROUPS, figure_of
+from trabecula.report.metric import Certificate, Metric
+
+VERDICTS = {True: "pass", False: "FAIL", None: "-"}
+
+_BROKEN = {"floating", "floating_voxels", "components", "largest_fraction", "percolates", "percolating_fraction"}
+
+
+def headline(certificate: Certificate) -> str:
+    """The verdict in one sentence."""
+    judged = sum(metric.passed is not None for metric in certificate.metrics.values())
+    if certificate.passed is None:
+        return f"{certificate.name}: not judged, the exemplar is too small to say what real material differs by"
+    if certificate.passed:
+        return f"{certificate.name}: PASS, all {judged} figures lie within what parts of the exemplar differ by"
+    return f"{certificate.name}: FAIL in {len(certificate.failed)} of {judged} figures"
+
+
+def sentences(certificate: Certificate) -> list[str]:
+    """What matches, and of every group that fails what is wrong and by how much; nothing where nothing was judged."""
+    verdicts = certificate.groups
+    matching = [GROUPS[group].lower() for group, passed in verdicts.items() if passed]
+    found = [f"Matches real material in: {', '.join(matching)}."] if matching else []
+    for group, passed in verdicts.items():
+        if passed is False:
+            wrong = [name for name in certificate.failed if figure_of(name).group == group]
+            lead = GROUPS[group]
+            if _BROKEN & set(wrong):
+                lead += ": BROKEN"
+            elif group == "copying":
+                lead += ": COPIED from the exemplar"
+            found.append(f"{lead}: {'; '.join(_wrong(name, certificate.metrics[name]) for name in wrong)}.")
+    return found
+
+
+def _wrong(name: str, metric: Metric) -> str:
+    figure = figure_of(name)
+    title = figure.title[0].lower() + figure.title[1:]
+    if metric.real_band is None:
+        return f"{title} {number(metric.value)} (exemplar: {number(metric.exemplar)})"
+    low, high = (number(edge) for edge in metric.real_band)
+    if figure.rule in (DISTANCE, AT_MOST, COUNT):
+        real = f"up to {high}"
+    else:
+        real = f"from {low}" if figure.rule == AT_LEAST else f"{low} to {high}"
+    return f"{title} {number(metric.value)} (real: {real})"
+
+
+def band(metric: Metric) -> str:
+    """The band of a figure, or nothing where it has none."""
+    return "" if metric.real_band is None else " .. ".join(number(edge) for edge in metric.real_band)
+
+
+def number(value: Any) -> str:
+    """A figure with four digits; axes by name; nothing where there is nothing."""
+    if value is None:
+        return "none"
+    if isinstance(value, Mapping):
+        return " ".join(name for name, holds in value.items() if holds) or "no axis"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
