@@ -9,28 +9,12 @@ from __future__ import annotations
 
 import resource
 import sys
-import time
 from collections.abc import Callable
-from pathlib import Path
-
-import numpy as np
 
 import trabecula as tb
+from common import SCANS, tell, timed, unit
+from descriptors import certificate, descriptors, large
 from trabecula.measure.distance import distance_transform
-
-SCANS = Path(__file__).resolve().parents[1].parent / "shared" / "data"
-
-
-def unit() -> float:
-    """Seconds of a fixed job: the real FFT of 128^3 in float32, best of five."""
-    volume = np.random.default_rng(0).random((128, 128, 128), np.float32)
-    return min(timed(lambda: np.fft.rfftn(volume))[0] for _ in range(5))
-
-
-def timed(job: Callable[[], object]) -> tuple[float, object]:
-    start = time.perf_counter()
-    result = job()
-    return time.perf_counter() - start, result
 
 
 def exemplars() -> dict[str, tb.Image]:
@@ -59,6 +43,7 @@ def texture() -> None:
         "S2 rel",
         "band",
         "S2 raw",
+        "coherence(4)",
         "largest",
         "parts",
         "expected",
@@ -70,7 +55,8 @@ def texture() -> None:
         for seed in (0, 1, 2):
             fit, model = timed(lambda e=exemplar: tb.method("texture").fit(e))
             make, material = timed(lambda m=model, s=seed: m.generate(120, seed=s))
-            metrics = tb.verify(exemplar, material).metrics
+            metrics = tb.verify(exemplar, material, level="quick").metrics
+            copied = tb.measure.coherence(exemplar, material, k=(4,), samples=500)[4]
             band = metrics["two_point_relative"].real_band
             tell(
                 name,
@@ -81,6 +67,7 @@ def texture() -> None:
                 f"{metrics['two_point_relative'].value:.4f}",
                 f"{band[1]:.3f}" if band else "-",
                 f"{metrics['two_point_distance'].value:.4f}",
+                f"{copied:.2f}",
                 f"{metrics['largest_fraction'].value:.4f}",
                 metrics["components"].value,
                 f"{metrics['components'].exemplar:.0f}",
@@ -131,11 +118,14 @@ def measures() -> None:
         tell(name, f"{seconds:.3f}", f"{seconds / base:.1f}")
 
 
-CASES = {"texture": texture, "sizes": sizes, "measures": measures}
-
-
-def tell(*cells: object) -> None:
-    print(" | ".join(f"{cell!s:>8}" for cell in cells), flush=True)
+CASES = {
+    "texture": texture,
+    "sizes": sizes,
+    "measures": measures,
+    "large": large,
+    "descriptors": descriptors,
+    "certificate": certificate,
+}
 
 
 def main(names: list[str]) -> int:

@@ -285,7 +285,8 @@ def test_measure_prints_every_descriptor(place):
     values = np.load("scan.npy")
     assert {
         *("porosity", "specific_surface", "euler", "mean_curvature", "components", "floating", "largest_fraction"),
-        *("percolates", "two_point", "lineal_path", "chord_length", "pore_size", "thickness"),
+        *("percolates", "two_point", "lineal_path", "chord_length", "pore_size", "thickness", "anisotropy"),
+        *("diffusivity", "permeability", "stiffness"),
     } <= set(found)
     assert found["porosity"] == pytest.approx((values == 0).mean())
     assert found["unit"] == "um" and found["spacing"] == [40, 40, 40]
@@ -293,6 +294,37 @@ def test_measure_prints_every_descriptor(place):
         assert curve[0] == pytest.approx(values.mean())
     table = trabecula("measure", "scan.npy").out
     assert "porosity" in table and "values (--json prints them)" in table
+
+
+def test_how_much_is_measured_is_chosen(place):
+    quick, full = (
+        json.loads(trabecula("measure", "sample:bone", "--crop", 28, "--json", *words).out)
+        for words in (("--quick",), ("--full", "--box", 20))
+    )
+    assert set(quick) == set(full) and quick["level"] == "quick" and quick["thickness"] is None
+    assert set(full["permeability"]) == {"z", "y", "x"} and np.shape(full["stiffness"]["matrix"]) == (6, 6)
+    assert (
+        full["physics"]["permeability"]["z"]["converged"] and full["physics"]["stiffness"]["all"]["halving"] is not None
+    )
+    verdict = json.loads(trabecula("verify", "sample:bone", "sample:bone", "--quick", "--json").out)
+    assert verdict["passed"] and verdict["level"] == "quick" and verdict["baseline"] is None
+    assert "not allowed with" in refused("measure", "scan.npy", "--quick", "--full")
+
+
+def test_grey_values_are_compared_as_they_are_where_asked(place):
+    noise = np.random.default_rng(0).integers(0, 200, (2, 64, 64)).astype(np.uint8)
+    for name, values in zip(("one.png", "two.png"), noise, strict=True):
+        tb.write(tb.Image(values, "grey"), name)
+    tb.write(tb.Image(noise[0] // 2, "grey"), "dark.png")
+    found = json.loads(trabecula("measure", "one.png", "--threshold", "none", "--json").out)
+    assert found["level"] == "texture" and len(found["ten_bins"]) == 10
+    verdicts = json.loads(
+        trabecula(
+            *("verify", "one.png", "two.png", "dark.png", "--threshold", "none"), *("--json", "--report", "page.html")
+        ).out
+    )
+    assert verdicts[0]["passed"] and verdicts[1]["metrics"]["histogram_divergence"]["pass"] is False
+    assert "Autocorrelation along x" in (place / "page.html").read_text(encoding="utf-8")
 
 
 def test_several_files_are_judged_and_a_page_is_written(place):

@@ -79,14 +79,26 @@ def show_rows(rows: Sequence[Sequence[Any]]) -> None:
 
 
 def show_mapping(values: Mapping[str, Any]) -> None:
-    """A name and a value per line; curves are named by their length."""
-    show_rows([(name, _brief(value)) for name, value in values.items()])
+    """A name and a value per line; tables in a table one a line, curves by their length alone."""
+    show_rows([(name, _brief(value)) for name, value in _opened(values)])
+
+
+def _opened(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values()):
+            yield from _opened(value, inside=f"{inside}{name}.")
+        else:
+            yield f"{inside}{name}", value
 
 
 def _brief(value: Any) -> str:
+    if value is None or value == []:
+        return "-"
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, list) and len(value) > 4:
+    if isinstance(value, list) and (len(value) > 4 or isinstance(value[0], str)):
+        if isinstance(value[0], str):
+            return " ".join(value)
         return f"{len(value)} values (--json prints them)"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_brief(part)}" for key, part in value.items())

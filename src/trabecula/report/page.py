@@ -54,7 +54,7 @@ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nu
 th { text-align: left; font-weight: 600; border-bottom: 2px solid #1c1b19; }
 th, td { padding: .28rem .7rem .28rem 0; vertical-align: middle; } td { border-bottom: 1px solid #dedbd3; }
 .n { text-align: right; white-space: nowrap; } td.FAIL { font-weight: 700; background: #faf1ee; }
-td.FAIL::before { content: "\2717\00a0"; } tr.group th { border-bottom: 1px solid #1c1b19; padding-top: .9rem; }
+td.FAIL::before { content: "✗ "; } tr.group th { border-bottom: 1px solid #1c1b19; padding-top: .9rem; }
 .groups { width: auto; } .groups td, .groups th { padding-right: 2rem; } .soft { color: #6d695f; }
 .verdict ul { margin: .4rem 0 0; padding-left: 1.2rem; font-size: .95rem; }
 code { font-size: .82rem; color: #6d695f; font-weight: 400; } .unit { color: #6d695f; font-weight: 400; }

@@ -33,7 +33,7 @@ def sentences(certificate: Certificate) -> list[str]:
             wrong = [name for name in certificate.failed if figure_of(name).group == group]
             lead = GROUPS[group]
             if _BROKEN & set(wrong):
-                lead += ": BROKEN"
+                lead += ": BROKEN, though its two-point function matches" if verdicts.get("two-point") else ": BROKEN"
             elif group == "copying":
                 lead += ": COPIED from the exemplar"
             found.append(f"{lead}: {'; '.join(_wrong(name, certificate.metrics[name]) for name in wrong)}.")
