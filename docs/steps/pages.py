@@ -11,6 +11,7 @@ import inspect
 import os
 import re
 import shutil
+import typing
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -36,13 +37,26 @@ _ROOMS = {
 # What public functions return or take, and is no name of `trabecula` itself.
 _ALSO = {
     "synth.base": ("Method", "Model", "Spec"),
-    "report.certificate": ("Certificate", "Metric"),
+    "report.metric": ("Certificate", "Metric"),
     "mesh.surface": ("mesh",),
     "mesh.base": ("Mesh",),
     "mesh.check": ("check", "MeshCheck"),
     "mesh.files": ("write_mesh",),
     "view.slices": ("slices", "montage"),
     "engine.plan": ("Plan",),
+}
+# Sections of the measures page and the modules and packages of each; one that is not named here comes last.
+_MEASURES = {
+    "Everything at once": ("describe", "physics"),
+    "Amount and surface": ("amount", "minkowski"),
+    "Sizes": ("thickness", "morphometry", "distance"),
+    "Correlation": ("correlation",),
+    "Connectivity": ("components", "labelling", "percolation"),
+    "Directions": ("fabric", "orientation"),
+    "Grey values and texture": ("grey",),
+    "Transport": ("transport",),
+    "Stiffness": ("mechanics",),
+    "Copying": ("copying",),
 }
 
 
@@ -180,30 +194,57 @@ def command_line_page() -> str:
 
 
 def measures_page() -> str:
-    """Every public measure, room by room."""
-    from trabecula import measure
-
-    homes: dict[str, list[str]] = {}
-    for name in measure.__all__:
-        homes.setdefault(getattr(measure, name).__module__, []).append(name)
-    overview = table(
-        ("measure", "what it is"),
-        [
-            (f"{{py:obj}}`{name} <trabecula.measure.{name}>`", _summary(getattr(measure, name)))
-            for name in measure.__all__
-        ],
-    )
+    """Every public measure by section, with what it returns."""
+    sections = _measures_by_section()
+    rows = [
+        (f"[{title}](#{title.lower().replace(' ', '-')})", f"{{py:obj}}`{name} <trabecula.measure.{name}>`", what)
+        for title, homes in sections.items()
+        for names in homes.values()
+        for name, what in names.items()
+    ]
     parts = [
         "# Measures\n\nEvery measure is a function of `trabecula.measure` (`tb.measure`) that takes an Image or an array of "
-        "labels. "
-        "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths and phases mean: "
-        f"[conventions](../guide/conventions.md).\n\n{overview}\n"
+        "labels; those of grey values take a grey or colour Image. "
+        "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths, phases, masks and axes "
+        "mean: [conventions](../guide/conventions.md). How to use them: [transport and stiffness]"
+        "(../howto/transport.md), [copying](../howto/copying.md), [the certificate](../howto/certificate.md).\n\n"
+        f"{table(('section', 'measure', 'what it is'), rows)}\n"
     ]
-    for home, names in sorted(homes.items()):
-        about = inspect.getdoc(importlib.import_module(home)).partition("\n\n")[0].replace("\n", " ")
-        title = home.rpartition(".")[2].capitalize()
-        parts.append(f"## {title}\n\n{about}\n\n{directives(f'trabecula.measure.{name}' for name in names)}")
+    for title, homes in sections.items():
+        parts.append(f"## {title}\n")
+        for home, names in homes.items():
+            about = _summary(importlib.import_module(f"trabecula.measure.{home}"))
+            shown = [f"trabecula.measure.{name}" for name in names]
+            parts.append(f"{about}\n\n{directives(shown + _returned(names))}")
     return "\n".join(parts)
+
+
+def _measures_by_section() -> dict[str, dict[str, dict[str, str]]]:
+    """Section -> module or package -> name of a measure -> its summary."""
+    from trabecula import measure
+
+    homes: dict[str, dict[str, str]] = {}
+    for name in sorted(measure.__all__, key=lambda name: inspect.isclass(getattr(measure, name))):  # classes last
+        thing = getattr(measure, name)
+        homes.setdefault(thing.__module__.split(".")[2], {})[name] = _summary(thing)
+    sections = {title: {home: homes.pop(home) for home in own if home in homes} for title, own in _MEASURES.items()}
+    sections |= {home.capitalize(): {home: names} for home, names in sorted(homes.items())}
+    return {title: own for title, own in sections.items() if own}
+
+
+def _returned(names: Iterable[str]) -> list[str]:
+    """Classes that these measures return and that are no public measures themselves."""
+    from trabecula import measure
+
+    functions = [thing for thing in (getattr(measure, name) for name in names) if inspect.isfunction(thing)]
+    found = dict.fromkeys(typing.get_type_hints(function).get("return") for function in functions)
+    return [
+        f"{kind.__module__}.{kind.__qualname__}"
+        for kind in found
+        if inspect.isclass(kind)
+        and kind.__module__.startswith("trabecula.measure.")
+        and kind.__name__ not in measure.__all__
+    ]
 
 
 def api_page() -> str:

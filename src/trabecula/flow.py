@@ -113,7 +113,7 @@ def write_page(
     """The certificates as one page, with slices and stills of the exemplar and of what was judged."""
     names = ["exemplar", *(certificate.name for certificate in certificates)]
     shown = [exemplar, *images]
-    pictures = [("Slices through the middle", _png(montage(shown, names)))]
+    pictures = [("Slices through the middle" if exemplar.ndim == 3 else "Images", _png(montage(shown, names)))]
     if exemplar.ndim == 3 and exemplar.kind == "labels":
         pictures += [(name, _png(render(image, size=(640, 480)))) for name, image in zip(names, shown, strict=True)]
     page_to_file(page(certificates, pictures=pictures), Path(path))

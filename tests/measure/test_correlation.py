@@ -220,7 +220,7 @@ def test_a_distance_without_a_pair_is_told():
     mask[:3] = mask[-3:] = True
     with pytest.raises(tb.errors.InputError, match="lower r_max to 10"):
         two_point(np.ones(mask.shape, bool), r_max=20, mask=mask)
-    with pytest.raises(tb.errors.InputError, match="some voxels"):
+    with pytest.raises(tb.errors.InputError, match="mark with True"):
         two_point(np.ones(mask.shape, bool), r_max=20, mask=np.zeros_like(mask))
 
 

@@ -109,6 +109,7 @@ def test_one_more_part_lies_in_the_band_nineteen_times_in_twenty_or_nearly():
         beyond += abs(further) > prediction_band(np.abs(known), one_sided=True)[1]
     # Eight parts cannot know the tails: 95 in 100 is the aim, the range of the parts alone would hold 78.
     assert 0.83 < inside / 400 < 0.97 and beyond / 400 < 0.15
+    assert prediction_band([-1e-12, 0.0, 0.3])[0] == 0.0
     assert prediction_band([3.0, 3.0]) == (3.0, 3.0) and prediction_band([0.0, 1.0])[0] == 0.0
 
 
@@ -140,6 +141,9 @@ def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
     assert certificate.metrics["floating"].value == 0 and certificate.metrics["floating"].passed
     assert certificate.metrics["largest_fraction"].passed
     assert any("floating parts" in note for note in certificate.notes)
+    # One piece is far from many specks by the distance of sizes, and no fault: it is shown without a verdict.
+    far = certificate.metrics["component_distance"]
+    assert far.value > far.real_band[1] and far.passed is None
 
 
 def test_a_small_exemplar_judges_nothing_and_says_so():
@@ -223,6 +227,8 @@ def test_the_full_level_adds_physics_with_its_own_bands():
     assert all(certificate.metrics[name].real_band is not None for name in names)
     assert 0 < certificate.metrics["diffusivity"].value < 0.6
     assert certificate.groups["physics"] is True
+    assert all(certificate.metrics[name].real_band[1] <= 1 for name in ("diffusivity", "conductivity", "stiffness"))
+    assert any("boxes" in note for note in certificate.notes)
     json.dumps(certificate.to_json(), allow_nan=False)
     assert "converged" in certificate.to_html()
 

@@ -96,10 +96,12 @@ def _brief(value: Any) -> str:
         return "-"
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, list) and (len(value) > 4 or isinstance(value[0], str)):
+    if isinstance(value, list):
         if isinstance(value[0], str):
             return " ".join(value)
-        return f"{len(value)} values (--json prints them)"
+        if isinstance(value[0], list):
+            return f"{len(value)} x {len(value[0])} values (--json prints them)"
+        return f"{len(value)} values (--json prints them)" if len(value) > 4 else str(value)
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_brief(part)}" for key, part in value.items())
     return str(value)

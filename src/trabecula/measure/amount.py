@@ -23,6 +23,15 @@ def porosity(image: Image | ArrayLike, *, phase: str | int | None = None, mask: 
     mask : bool array, the image's shape, optional
         Of the voxels in the mask only.
 
+    Returns
+    -------
+    porosity : float
+
+    Raises
+    ------
+    InputError
+        No such phase; a mask of another shape, not boolean or empty.
+
     Examples
     --------
     >>> porosity(np.array([[0, 1], [0, 0]]))
@@ -33,7 +42,24 @@ def porosity(image: Image | ArrayLike, *, phase: str | int | None = None, mask: 
 
 
 def volume_fractions(image: Image | ArrayLike, *, mask: ArrayLike | None = None) -> dict[str, float]:
-    """Fraction of every phase by its name, 0..1, of the image or of a mask; they sum to 1."""
+    """Fraction of the voxels in every phase.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    mask : bool array, the image's shape, optional
+        Of the voxels in the mask only.
+
+    Returns
+    -------
+    fractions : dict
+        Name of the phase -> 0..1; they sum to 1.
+
+    Raises
+    ------
+    InputError
+        Not labels; a mask of another shape, not boolean or empty.
+    """
     image = as_image(image)
     check_labels(image)
     region = as_mask(mask, image.shape)
@@ -63,5 +89,15 @@ def specific_surface(
         Only configurations wholly inside it count.
     periodic : bool or one per axis
         Configurations wrap around the faces.
+
+    Returns
+    -------
+    surface : float
+        1 / length, 0 where the phase is empty or alone.
+
+    Raises
+    ------
+    InputError
+        As `minkowski`.
     """
     return minkowski(image, phase=phase, mask=mask, periodic=periodic).surface

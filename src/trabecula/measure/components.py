@@ -14,11 +14,9 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.image import Image
 from trabecula.measure.labelling import label_components
-from trabecula.measure.percolation import AXES, percolates, percolating_fraction, spans
 from trabecula.measure.phases import masked_indicator
 
 __all__ = [
-    "AXES",
     "component_distance",
     "component_sizes",
     "components",
@@ -26,12 +24,9 @@ __all__ = [
     "floating_voxels",
     "label_components",
     "largest_fraction",
-    "percolates",
-    "percolating_fraction",
     "share_of_largest",
     "size_distribution",
     "sizes_distance",
-    "spans",
 ]
 
 
@@ -61,6 +56,11 @@ def component_sizes(
     -------
     sizes : int64 array, (components,)
 
+    Raises
+    ------
+    InputError
+        A mask of another shape, not boolean or empty, another connectivity, or no such phase.
+
     Examples
     --------
     >>> component_sizes(np.array([[1, 0, 1, 1], [1, 0, 0, 1]])).tolist()
@@ -80,7 +80,12 @@ def size_distribution(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The distribution of component sizes: each size that occurs, and the share of components up to it.
 
-    Every component counts alike, whatever its size; parameters as for `component_sizes`.
+    Every component counts alike, whatever its size.
+
+    Parameters
+    ----------
+    image, phase, connectivity, mask, periodic
+        As for `component_sizes`.
 
     Returns
     -------
@@ -88,6 +93,11 @@ def size_distribution(
         Distinct sizes in voxels, rising.
     share : float64 array, (n,)
         Share of the components that have at most this many voxels; the last is 1.
+
+    Raises
+    ------
+    InputError
+        As `component_sizes`.
 
     Examples
     --------
@@ -129,6 +139,16 @@ def component_distance(
     periodic : bool or one per axis
         Voxels at opposite faces of these axes are neighbours.
 
+    Returns
+    -------
+    distance : float
+        0..1, no unit.
+
+    Raises
+    ------
+    InputError
+        No such phase, another connectivity, or `relative_to` neither of the two.
+
     Notes
     -----
     A material without any component counts as one component of size 0.
@@ -156,7 +176,23 @@ def components(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Number of connected components of a phase (default "solid": every phase but "void"); see `component_sizes`."""
+    """Number of connected components of a phase (default "solid": every phase but "void").
+
+    Parameters
+    ----------
+    image, phase, connectivity, mask, periodic
+        As for `component_sizes`.
+
+    Returns
+    -------
+    components : int
+        0 where the phase is empty.
+
+    Raises
+    ------
+    InputError
+        As `component_sizes`.
+    """
     return len(component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic))
 
 
@@ -168,7 +204,23 @@ def largest_fraction(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Share of the phase's voxels that lie in its largest component, 0..1; 0 where the phase is empty."""
+    """Share of the phase's voxels that lie in its largest component.
+
+    Parameters
+    ----------
+    image, phase, connectivity, mask, periodic
+        As for `component_sizes`.
+
+    Returns
+    -------
+    fraction : float
+        0..1; 0 where the phase is empty.
+
+    Raises
+    ------
+    InputError
+        As `component_sizes`.
+    """
     return share_of_largest(
         component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
     )
@@ -194,6 +246,15 @@ def floating(
     smaller_than : int, optional
         A part floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take 10. Default: every
         component but the largest floats.
+
+    Returns
+    -------
+    floating : int
+
+    Raises
+    ------
+    InputError
+        As `component_sizes`, and `smaller_than` below 1.
     """
     sizes = component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
     return len(_floating_sizes(sizes, smaller_than))
@@ -208,7 +269,22 @@ def floating_voxels(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Voxels of the floating parts (see `floating`)."""
+    """Voxels of the floating parts.
+
+    Parameters
+    ----------
+    image, phase, connectivity, smaller_than, mask, periodic
+        As for `floating`.
+
+    Returns
+    -------
+    voxels : int
+
+    Raises
+    ------
+    InputError
+        As `floating`.
+    """
     sizes = component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
     return int(_floating_sizes(sizes, smaller_than).sum())
 

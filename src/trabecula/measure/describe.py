@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.amount import porosity, volume_fractions
@@ -22,7 +21,7 @@ from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES, percolating_fraction, spans
 from trabecula.measure.phases import indicator
-from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
+from trabecula.measure.physics import PHYSICS, describe_physics, finite, physics_notes
 from trabecula.measure.thickness import chord_length, pore_size, thickness
 
 LEVELS = ("quick", "default", "full")
@@ -66,13 +65,14 @@ def describe(
     ------
     InputError
         No phase named "void", a side of one voxel, r_max below 1, an unknown level.
+    MemoryBudgetError
+        At level "full", transport or stiffness would take more memory than there is: give a smaller `box`.
     """
     image = as_image(image)
     check_name(level, LEVELS, name="level")
     if image.kind != "labels":
         return describe_texture(image, lags=r_max)
-    if r_max < 1:
-        raise InputError(f"r_max {r_max} must be at least 1 voxel")
+    r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     found = describe_numbers(image, level=level)
     found |= describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)), level=level)
     found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
@@ -101,7 +101,7 @@ def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
         "largest_fraction": share_of_largest(sizes),
         "percolates": spans(labels),
         "percolating_fraction": {name: percolating_fraction(image, axis=axis) for axis, name in enumerate(axes)},
-        "chord_length": _finite(chord_length(image)),
+        "chord_length": finite(chord_length(image)),
     }
     slow: dict[str, Any] = dict.fromkeys(("pore_size", "thickness", "morphometry", "anisotropy"))
     if level != "quick":
@@ -139,12 +139,12 @@ def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict
     }
 
 
-def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
+def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, Any]:
     """Grey values or colours as they are: what `describe` gives for an image that holds no labels.
 
     Parameters
     ----------
-    image : Image of grey or colour
+    image : Image of grey or colour, (Z, Y, X) or (Y, X)
     lags : int
         Largest lag of the autocorrelation along every axis, voxels; lowered to the smallest side less one.
 
@@ -153,8 +153,16 @@ def describe_texture(image: Image, *, lags: int = 32) -> dict[str, Any]:
     descriptors : dict
         `mean` and `standard_deviation` (of a colour's luminance), `histogram` (256 bins; of a colour one a channel),
         `ten_bins` (None where values are not bytes), `autocorrelation` (per axis, lag 0 first), `orientation` (the
-        histogram of local orientations); and `shape`, `spacing`, `unit`.
+        histogram of local orientations); and `shape`, `spacing`, `unit`, `level`.
+
+    Raises
+    ------
+    InputError
+        Labels, lags below 1, or a side of one voxel.
     """
+    image = as_image(image)
+    if image.kind == "labels":
+        raise InputError("the image is labels, which have no texture of grey levels: use describe")
     values = grey_values(image)
     bytes_only = image.values.dtype == np.uint8
     return {
@@ -179,7 +187,3 @@ def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
         name: np.moveaxis(whole, axis, -1)[(*(c for a, c in enumerate(centre) if a != axis), slice(centre[axis], None))]
         for axis, name in enumerate(AXES[3 - image.ndim :])
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -18,7 +18,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.engine.tiles import for_slabs
-from trabecula.measure.phases import indicator
+from trabecula.measure.phases import check_sides, indicator
 from trabecula.measure.smooth import gaussian
 
 _BINS = 32  # along both sides of the square that the octahedron of directions unfolds to
@@ -54,6 +54,11 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
 
+    Returns
+    -------
+    fabric : Fabric
+        Lengths in the image's unit.
+
     Raises
     ------
     InputError
@@ -67,10 +72,7 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
     1.0
     """
     image, inside = indicator(image, phase)
-    if min(image.shape) < 4:
-        raise InputError(
-            f"an image of shape {image.shape} is too thin for a fabric: at least 4 voxels a side are needed"
-        )
+    check_sides(image.shape, least=4, what="is too thin for a fabric")
     lifted = inside.reshape((1,) * (3 - image.ndim) + image.shape)
     edges = (max(image.spacing),) * (3 - image.ndim) + image.spacing
     pieces, volume = _normals(lifted, edges)
@@ -85,8 +87,24 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
 def anisotropy(image: Image | ArrayLike, *, phase: str | int | None = None) -> float:
     """Degree of anisotropy (DA), 0 isotropic .. 1: 1 - smallest / largest eigenvalue of the MIL tensor (see `fabric`).
 
-    Eigenvalues are of 1 / MIL^2, as in BoneJ: 1 - (shortest / longest principal MIL)^2. Few structures in a small
-    image raise it: some tenths are noise where it holds only a handful.
+    Eigenvalues are of 1 / MIL^2, as in BoneJ: 1 - (shortest / longest principal MIL)^2 (Harrigan and Mann 1984,
+    doi:10.1007/BF00540446). Few structures in a small image raise it: some tenths are noise where it holds only a
+    handful.
+
+    Parameters
+    ----------
+    image, phase
+        As for `fabric`.
+
+    Returns
+    -------
+    anisotropy : float
+        0..1, no unit.
+
+    Raises
+    ------
+    InputError
+        As `fabric`.
     """
     return fabric(image, phase=phase).anisotropy
 

@@ -12,8 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.measure.fft import sums_by_offset
+from trabecula.measure.phases import as_mask
 
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # of red, green, blue: ITU-R BT.601
 _TEN = (*range(0, 226, 25), 256)
@@ -46,7 +49,8 @@ def histogram(
         A mask that does not fit or is empty, bins that are not rising.
     """
     image = as_image(image)
-    values = image.values if mask is None else image.values[_checked_mask(mask, image.shape)]
+    region = as_mask(mask, image.shape)
+    values = image.values if region is None else image.values[region]
     if image.kind == "labels":
         if bins is not None:
             raise InputError(
@@ -61,6 +65,11 @@ def histogram(
 
 def ten_bins(image: Image | ArrayLike) -> np.ndarray:
     """Histogram of the 2017 paper (section 5.3.2): bins of 25 levels of 0..255, the tenth from 225 to 255.
+
+    Parameters
+    ----------
+    image : Image
+        Grey of 0..255, or colour, (Z, Y, X) or (Y, X).
 
     Returns
     -------
@@ -113,8 +122,8 @@ def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> floa
     if not floor >= 0:
         raise InputError(f"floor {floor} must be 0 or more")
     for values in (first, second):
-        if not (values >= 0).all() or not (values.sum(axis=1) > 0).all():
-            raise InputError("a histogram has no negative bins, and is not empty: give shares or counts")
+        if not (values >= 0).all() or not np.isfinite(values).all() or not (values.sum(axis=1) > 0).all():
+            raise InputError("a histogram has finite bins, none negative, and is not empty: give shares or counts")
     first, second = (_normalised(_normalised(values) + floor) for values in (first, second))
     with np.errstate(divide="ignore", invalid="ignore"):  # bins empty in p count nothing, in q alone infinity
         terms = np.where(first > 0, first * np.log(first / second), 0.0)
@@ -142,26 +151,22 @@ def autocorrelation(image: Image | ArrayLike, *, lags: int = 32) -> np.ndarray:
     Raises
     ------
     InputError
-        Lags below 1, or labels of more than two phases.
+        Lags that are no whole number from 1 on, or labels of more than two phases.
     """
     image = as_image(image)
-    if lags < 1:
-        raise InputError(f"lags {lags} must be at least 1")
+    lags = int(as_number(lags, name="lags", low=1, high=2**62, whole=True))
     values = grey_values(image)
     reach = [min(lags, side - 1) for side in values.shape]
     rho = np.zeros([2 * far + 1 for far in reach])
     middle = tuple(reach)
+    values = near_one(values)
     values = values - np.float32(values.mean(dtype=np.float64))
     variance = float(np.mean(np.square(values, dtype=np.float64)))
     if variance > 0:
-        sides = [_smooth_side(side + far) for side, far in zip(values.shape, reach, strict=True)]
-        axes = tuple(range(values.ndim))
-        spectrum = np.fft.rfftn(values, sides, axes=axes)
-        sums = np.fft.irfftn(spectrum.real**2 + spectrum.imag**2, sides, axes=axes)
-        near = [np.arange(-far, far + 1) for far in reach]
-        rho = sums[np.ix_(*near)].astype(np.float64)
-        for axis, (offset, side) in enumerate(zip(near, values.shape, strict=True)):
-            rho /= (side - np.abs(offset)).reshape([-1 if a == axis else 1 for a in axes])
+        rho = sums_by_offset(values, middle).astype(np.float64)
+        for axis, (far, side) in enumerate(zip(reach, values.shape, strict=True)):
+            pairs = side - np.abs(np.arange(-far, far + 1))
+            rho /= pairs.reshape([-1 if a == axis else 1 for a in range(values.ndim)])
         rho = (rho + np.flip(rho)) / (2 * variance)
     rho[middle] = 1.0
     return rho
@@ -179,17 +184,28 @@ def grey_values(image: Image) -> np.ndarray:
     return image.values.astype(np.float32)
 
 
+def near_one(values: np.ndarray) -> np.ndarray:
+    """Values times the power of two that makes the largest less than 1: exact, and their squares fit into float32."""
+    return np.ldexp(values, -int(np.frexp(np.abs(values).max())[1]))
+
+
 def _edges(values: np.ndarray, bins: int | Sequence[float]) -> np.ndarray:
-    if isinstance(bins, (int, np.integer)):
+    if isinstance(bins, (int, np.integer)) and not isinstance(bins, bool):
         if bins < 1:
             raise InputError(f"bins {bins} must be at least 1")
         if values.dtype == np.uint8:
             return np.linspace(0, 256, bins + 1)
         low, high = float(values.min()), float(values.max())
         return np.linspace(low, high if high > low else low + 1, bins + 1)
-    edges = np.asarray(bins, np.float64)
+    try:
+        edges = np.asarray(bins, np.float64)
+    except (TypeError, ValueError):
+        edges = np.zeros(0)
     if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0).all():
-        raise InputError("the edges of bins must rise: give at least two numbers, each larger than the one before")
+        raise InputError(
+            f"bins {bins!r} are neither a whole number nor rising edges: give at least two numbers, each larger than the "
+            "one before"
+        )
     return edges
 
 
@@ -205,26 +221,3 @@ def _shares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 def _normalised(values: np.ndarray) -> np.ndarray:
     return values / values.sum(axis=1, keepdims=True)
-
-
-def _checked_mask(mask: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.asarray(mask)
-    if array.dtype != bool or array.shape != shape:
-        raise InputError(
-            f"the mask is {array.dtype} of shape {array.shape}: a boolean array of shape {shape} is needed"
-        )
-    if not array.any():
-        raise InputError("the mask is empty: it holds no voxel")
-    return array
-
-
-def _smooth_side(side: int) -> int:
-    """The smallest number from `side` up whose only prime factors are 2, 3 and 5: fast to transform."""
-    while True:
-        rest = side
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return side
-        side += 1

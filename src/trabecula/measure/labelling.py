@@ -13,9 +13,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.errors import InputError
-from trabecula.engine.compile import inline, kernel
-from trabecula.measure.phases import as_inside, as_periodic
+from trabecula.engine.compile import kernel
+from trabecula.measure.phases import as_connectivity, as_inside, as_periodic
+from trabecula.measure.union import join, root_of
 
 # Rows before the present one that can hold neighbours, as (dz, dy, how far x may differ).
 _ROWS = {
@@ -57,7 +57,7 @@ def label_components(
     >>> labels.tolist(), sizes.tolist()
     ([[1, 0, 2], [1, 0, 0]], [2, 1])
     """
-    neighbours = checked_connectivity(connectivity, np.ndim(inside))
+    neighbours = as_connectivity(connectivity, np.ndim(inside))
     solid = as_inside(inside)
     wraps = as_periodic(periodic, np.ndim(inside))
     first = _count_runs(solid)
@@ -95,15 +95,6 @@ def _meeting(labels: np.ndarray, connectivity: int, wraps: tuple[bool, ...], axi
             both = (far > 0) & (beside > 0)
             found.append(np.unique(np.stack([far[both], beside[both]], axis=1), axis=0))
     return np.concatenate(found)
-
-
-def checked_connectivity(connectivity: int | None, ndim: int) -> int:
-    allowed = (4, 8) if ndim == 2 else (6, 18, 26)
-    if connectivity is None:
-        return allowed[0]
-    if connectivity not in allowed:
-        raise InputError(f"connectivity {connectivity} does not exist in {ndim}-D: give {', '.join(map(str, allowed))}")
-    return connectivity
 
 
 @kernel
@@ -146,14 +137,6 @@ def _find_runs(inside, first):
     return begin, end
 
 
-@inline
-def _root(parent, k):
-    while parent[k] != k:
-        parent[k] = parent[parent[k]]
-        k = parent[k]
-    return k
-
-
 @kernel
 def _join(begin, end, first, rows, height):
     """Union of the runs that touch a run in one of the `rows` before theirs; the root is the smallest run."""
@@ -172,8 +155,7 @@ def _join(begin, end, first, rows, height):
                 elif end[b] + slack <= begin[a]:
                     b += 1
                 else:
-                    i, j = _root(parent, a), _root(parent, b)
-                    parent[max(i, j)] = min(i, j)
+                    join(parent, a, b)
                     if end[a] < end[b]:
                         a += 1
                     else:
@@ -185,8 +167,7 @@ def _join(begin, end, first, rows, height):
 def _join_pairs(count, pairs):
     parent = np.arange(count)
     for n in range(len(pairs)):
-        i, j = _root(parent, pairs[n, 0]), _root(parent, pairs[n, 1])
-        parent[max(i, j)] = min(i, j)
+        join(parent, pairs[n, 0], pairs[n, 1])
     return parent
 
 
@@ -197,7 +178,7 @@ def _number(begin, end, parent):
     sizes = np.zeros(len(parent), np.int64)
     count = 0
     for k in range(len(parent)):
-        root = _root(parent, k)
+        root = root_of(parent, k)
         if root == k:
             count += 1
             label[k] = count

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.cubes import bits, count_cubes, cube_euler, curvature_table, square_euler, surface_table
-from trabecula.measure.phases import as_periodic, masked_indicator
+from trabecula.measure.phases import as_connectivity, as_periodic, check_sides, masked_indicator
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,10 @@ def minkowski(
     periodic : bool or one per axis
         Configurations wrap around the faces.
 
+    Returns
+    -------
+    functionals : Minkowski
+
     Raises
     ------
     InputError
@@ -81,9 +85,9 @@ def minkowski(
     along an axis comes out 8 % low (13 directions). Mean curvature is unbiased for isotropic structures.
     """
     image, inside, region = masked_indicator(image, phase, mask)
-    neighbours = _checked_connectivity(connectivity, image.ndim)
+    neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
-    _check_sides(image.shape)
+    check_sides(image.shape, what="has no surface inside")
     counts = count_cubes(_extended(inside, wraps), None if region is None else _extended(region, wraps))
     if not counts.any():
         raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
@@ -106,7 +110,25 @@ def mean_curvature(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Integral of the mean curvature over the interface per volume, 1 / length^2; see `minkowski`."""
+    """Integral of the mean curvature over the interface per volume, from plane sections (see the note on `minkowski`).
+
+    Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92).
+
+    Parameters
+    ----------
+    image, phase, connectivity, mask, periodic
+        As for `minkowski`.
+
+    Returns
+    -------
+    curvature : float
+        1 / length^2; positive for a convex phase. In 2-D the integral of the boundary's curvature per area.
+
+    Raises
+    ------
+    InputError
+        As `minkowski`.
+    """
     return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).mean_curvature
 
 
@@ -132,6 +154,15 @@ def euler(
     periodic : bool or one per axis
         Along these axes the last voxel is followed by the first, and no face is cut.
 
+    Returns
+    -------
+    euler : int
+
+    Raises
+    ------
+    InputError
+        A mask of another shape, not boolean or empty, another connectivity, or no such phase.
+
     Examples
     --------
     >>> ring = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
@@ -139,7 +170,7 @@ def euler(
     0
     """
     image, inside, _ = masked_indicator(image, phase, mask)
-    table = _euler_table(_checked_connectivity(connectivity, image.ndim))
+    table = _euler_table(as_connectivity(connectivity, image.ndim))
     wraps = as_periodic(periodic, image.ndim)
     margin = [(0, 0) if wrap else (1, 1) for wrap in wraps]
     counts = count_cubes(_extended(np.pad(inside, margin), wraps), None)
@@ -155,7 +186,25 @@ def euler_density(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Euler number per volume, 1 / length^3, free of what the faces cut; see `minkowski`."""
+    """Euler number of a phase per volume, free of what the faces cut (`euler` is of the image as an object).
+
+    Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92), from 2x2x2 configurations wholly inside the image.
+
+    Parameters
+    ----------
+    image, phase, connectivity, mask, periodic
+        As for `minkowski`.
+
+    Returns
+    -------
+    density : float
+        1 / length^3 (2-D: 1 / length^2).
+
+    Raises
+    ------
+    InputError
+        As `minkowski`.
+    """
     return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).euler_density
 
 
@@ -164,22 +213,6 @@ def _extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
     if not any(wraps):
         return values
     return np.pad(values, [(0, int(wrap)) for wrap in wraps], mode="wrap")
-
-
-def _check_sides(shape: tuple[int, ...]) -> None:
-    if min(shape) < 2:
-        raise InputError(
-            f"an image of shape {shape} has no surface inside: at least 2 voxels along every axis are needed"
-        )
-
-
-def _checked_connectivity(connectivity: int | None, ndim: int) -> int:
-    allowed = (4, 8) if ndim == 2 else (6, 18, 26)
-    if connectivity not in (None, *allowed):
-        raise InputError(
-            f"connectivity {connectivity} has no Euler number in {ndim}-D: give {', '.join(map(str, allowed))}"
-        )
-    return connectivity or allowed[0]
 
 
 def _euler_table(connectivity: int) -> np.ndarray:

@@ -111,6 +111,16 @@ def connectivity_density(
     periodic : bool or one per axis
         Configurations wrap around the faces.
 
+    Returns
+    -------
+    density : float
+        1 / length^3.
+
+    Raises
+    ------
+    InputError
+        A 2-D image, and as `minkowski`.
+
     Notes
     -----
     It counts struts only where the phase is one component without closed pores: every further component and every

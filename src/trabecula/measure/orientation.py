@@ -19,7 +19,8 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.tiles import for_slabs
-from trabecula.measure.grey import grey_values
+from trabecula.measure.grey import grey_values, near_one
+from trabecula.measure.phases import check_sides
 from trabecula.measure.smooth import gaussian
 
 
@@ -55,18 +56,16 @@ def structure_tensor(image: Image | ArrayLike, *, sigma: float = 1.0, window: fl
     InputError
         Sigma or window out of 0.3 .. 100, or an axis of one voxel.
     """
-    image = as_image(image)
-    as_number(sigma, name="sigma", low=0.3, high=100)
-    as_number(window, name="window", low=0.3, high=100)
-    if min(image.shape) < 2:
-        raise InputError(
-            f"an image of shape {image.shape} has no gradient: at least 2 voxels along every axis are needed"
-        )
-    per_axis = max(image.spacing) / np.array(image.spacing)
-    smooth = gaussian(grey_values(image), sigma * per_axis)
-    slopes = [np.gradient(smooth, edge, axis=axis) for axis, edge in enumerate(image.spacing)]
-    tensor = np.empty((image.ndim, image.ndim, *image.shape), np.float32)
-    for i in range(image.ndim):
+    image = _checked(image, sigma, window)
+    return _tensor(grey_values(image), np.array(image.spacing), sigma, window)
+
+
+def _tensor(values: np.ndarray, edges: np.ndarray, sigma: float, window: float) -> np.ndarray:
+    per_axis = edges.max() / edges
+    smooth = gaussian(values, sigma * per_axis)
+    slopes = [np.gradient(smooth, edge, axis=axis) for axis, edge in enumerate(edges.tolist())]
+    tensor = np.empty((values.ndim, values.ndim, *values.shape), np.float32)
+    for i in range(values.ndim):
         for j in range(i + 1):
             tensor[i, j] = gaussian(slopes[i] * slopes[j], window * per_axis)
             tensor[j, i] = tensor[i, j]
@@ -103,9 +102,10 @@ def orientation(
     InputError
         As for `structure_tensor`; bins below 1.
     """
-    image = as_image(image)
+    image = _checked(image, sigma, window)
     counts = _checked_bins(bins, image.ndim)
-    tensor = structure_tensor(image, sigma=sigma, window=window)
+    # Orientations know neither unit: with both near 1, squares of slopes fit into float32.
+    tensor = _tensor(near_one(grey_values(image)), near_one(np.array(image.spacing)), sigma, window)
     sums = np.zeros((tensor.shape[2], *counts))
     if image.ndim == 2:
         for y in range(len(sums)):
@@ -120,6 +120,14 @@ def orientation(
     if image.ndim == 2:
         shares, directions = shares[0], directions[0]
     return Orientation(shares, directions, weight / math.prod(image.shape))
+
+
+def _checked(image: Image | ArrayLike, sigma: float, window: float) -> Image:
+    image = as_image(image)
+    as_number(sigma, name="sigma", low=0.3, high=100)
+    as_number(window, name="window", low=0.3, high=100)
+    check_sides(image.shape, what="has no gradient")
+    return image
 
 
 def _checked_bins(bins: int | tuple[int, int] | None, ndim: int) -> tuple[int, int]:

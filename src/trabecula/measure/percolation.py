@@ -41,6 +41,11 @@ def percolates(
     -------
     percolates : dict
         `{"z": ..., "y": ..., "x": ...}`; without z in 2-D.
+
+    Raises
+    ------
+    InputError
+        A mask of another shape, not boolean or empty, another connectivity, or no such phase.
     """
     image, inside, region = masked_indicator(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)
@@ -78,6 +83,11 @@ def percolating_fraction(
     fraction : float
         0 where the phase is empty.
 
+    Raises
+    ------
+    InputError
+        As `percolates`, and no such axis.
+
     Examples
     --------
     >>> percolating_fraction(np.array([[1, 1, 1], [0, 0, 0], [1, 0, 0]]), axis=1)
@@ -86,15 +96,20 @@ def percolating_fraction(
     image, inside, region = masked_indicator(image, phase, mask)
     along = as_axis(axis, image.ndim)
     labels = _labels_along(inside, connectivity, as_periodic(periodic, image.ndim), along)
-    through = np.zeros(int(labels.max()) + 1, bool)
-    through[_spanning(labels, along, region)] = True
     total = int(np.count_nonzero(inside))
-    return int(np.count_nonzero(through[labels])) / total if total else 0.0
+    return int(np.count_nonzero(spanning_voxels(labels, along, region))) / total if total else 0.0
 
 
 def spans(labels: np.ndarray) -> dict[str, bool]:
     """For every axis, whether a label other than 0 occurs in both end faces."""
     return {name: len(_spanning(labels, axis, None)) > 0 for axis, name in enumerate(AXES[3 - labels.ndim :])}
+
+
+def spanning_voxels(labels: np.ndarray, axis: int, region: np.ndarray | None = None) -> np.ndarray:
+    """The voxels, True, of the components that touch both ends of an axis."""
+    through = np.zeros(int(labels.max()) + 1, bool)
+    through[_spanning(labels, axis, region)] = True
+    return through[labels]
 
 
 def _labels_along(inside: np.ndarray, connectivity: int | None, wraps: tuple[bool, ...], axis: int) -> np.ndarray:

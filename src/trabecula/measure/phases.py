@@ -45,17 +45,39 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
 
 def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     """Whether the image repeats beyond its faces, for every axis; one bool means all of them."""
-    wraps = (bool(value),) * ndim if isinstance(value, (bool, np.bool_)) else tuple(bool(wrap) for wrap in value)
+    wraps = (value,) * ndim if isinstance(value, (bool, np.bool_)) else value
+    if not isinstance(wraps, (Sequence, np.ndarray)) or not all(wrap in (False, True) for wrap in wraps):
+        raise InputError(f"periodic is {value!r}: give True or False, or one of them for each of the {ndim} axes")
     if len(wraps) != ndim:
         raise InputError(f"periodic has {len(wraps)} values: give one, or one for each of the {ndim} axes")
-    return wraps
+    return tuple(bool(wrap) for wrap in wraps)
 
 
 def as_axis(axis: int, ndim: int) -> int:
     """An axis counted from 0; negative ones count from the last."""
-    if not -ndim <= axis < ndim:
-        raise InputError(f"axis {axis} does not exist: the image has {ndim}, give 0 .. {ndim - 1}")
-    return axis % ndim
+    if isinstance(axis, bool) or not isinstance(axis, (int, np.integer)) or not -ndim <= axis < ndim:
+        names = "0 (y) or 1 (x)" if ndim == 2 else "0 (z), 1 (y) or 2 (x)"
+        raise InputError(f"axis {axis!r} does not exist: the image has {ndim} axes, give {names}")
+    return int(axis) % ndim
+
+
+def as_connectivity(connectivity: int | None, ndim: int) -> int:
+    """A number of neighbours that voxels can have; by default those that share a face."""
+    allowed = (4, 8) if ndim == 2 else (6, 18, 26)
+    if connectivity is None:
+        return allowed[0]
+    if connectivity not in allowed:
+        raise InputError(f"connectivity {connectivity} does not exist in {ndim}-D: give {', '.join(map(str, allowed))}")
+    return connectivity
+
+
+def check_sides(shape: tuple[int, ...], *, least: int = 2, what: str) -> None:
+    """Raise where a side is shorter than `what` needs."""
+    if min(shape) < least:
+        slice_of = "; give a single slice as a 2-D image (values[0])" if len(shape) == 3 and min(shape) == 1 else ""
+        raise InputError(
+            f"an image of shape {shape} {what}: at least {least} voxels along every axis are needed{slice_of}"
+        )
 
 
 def check_mask(mask: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -6,24 +6,25 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from trabecula.core import progress
-from trabecula.core.image import Image
-from trabecula.engine.plan import Plan, available_memory, check_budget
+from trabecula.core.image import Image, as_image, check_labels
+from trabecula.engine.plan import available_memory
 from trabecula.engine.tiles import for_slabs, thread_count, threads
-from trabecula.measure.amount import porosity
-from trabecula.measure.mechanics import Stiffness, stiffness
+from trabecula.measure.box import box_sides, centre, check_memory
+from trabecula.measure.mechanics import Stiffness, homogenise, stiffness
 from trabecula.measure.percolation import AXES
-from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability
+from trabecula.measure.phases import indicator
+from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, section
+from trabecula.measure.transport.conduction import CONDUCTION_BYTES
+from trabecula.measure.transport.permeability import FLOW_BYTES
 
 PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
 """What `describe_physics` finds, by name."""
 
-# Measured on bone, sandstone and electrodes; per voxel of the phase that is solved.
-_FLOW_BYTES = 1000
-_STIFFNESS_BYTES = 2200
 
-
-def describe_physics(image: Image, *, box: int | None = None, halving: bool = False) -> dict[str, Any]:
+def describe_physics(image: Image | ArrayLike, *, box: int | None = None, halving: bool = False) -> dict[str, Any]:
     """Transport through the void and the solid along every axis, and the solid's stiffness.
 
     `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in `stiffness` to the
@@ -32,20 +33,31 @@ def describe_physics(image: Image, *, box: int | None = None, halving: bool = Fa
 
     Parameters
     ----------
-    image : Image of labels
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
     box : int, optional
-        Edge of the centre box, voxels, that is solved.
+        Edge of the centre box, voxels, that is solved. Default: the whole image.
     halving : bool
         Also solve a small box at half the voxel edge, and tell what changes.
 
+    Returns
+    -------
+    found : dict
+        `diffusivity`, `tortuosity`, `conductivity` and `permeability` by axis; `stiffness` with its `matrix` (6, 6) and
+        `moduli`; and `physics`, which tells of each `converged`, `imbalance`, `iterations` and `halving`. Definitions
+        and sources are those of the functions of these names.
+
     Raises
     ------
+    InputError
+        Not labels, no phase named "void", or a box that is none.
     MemoryBudgetError
-        The solvers would take more memory than there is.
+        The solvers would take more memory than there is: give a smaller `box`.
     """
+    image = as_image(image)
+    check_labels(image)
     if image.ndim != 3:
         return dict.fromkeys(PHYSICS)
-    count = min(thread_count(), _fitting(image, box))
+    count = min(thread_count(), _fitting(image, box, halving))
     carrying = {phase: float(phase != "void") for phase in image.phases}
     # The longest first, so that threads end together.
     solvers: dict[str, Callable[[int], Effective]] = {
@@ -78,20 +90,27 @@ def physics_notes(found: Mapping[str, Any]) -> list[str]:
     ]
     for name, axes in (found.get("physics") or {}).items():
         notes += [
-            f"The {name} ({axis}) has not converged: its flux differs by {result['imbalance']:.1%} between sections."
+            f"The {name} ({axis}) has not converged: {_unsettled(name, result['imbalance'])}."
             for axis, result in axes.items()
             if not result["converged"]
         ]
     return notes
 
 
+def _unsettled(name: str, imbalance: float | None) -> str:
+    if imbalance is None:
+        return "no steady flux was found"
+    return f"its {'stress' if name == 'stiffness' else 'flux'} differs by {imbalance:.1%} between sections"
+
+
 def _plain(told: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dict[str, Any]:
     found: dict[str, Any] = {
-        name: {axis: _finite(told[name][axis].value) for axis in AXES}
+        name: {axis: finite(told[name][axis].value) for axis in AXES}
         for name in ("diffusivity", "conductivity", "permeability")
     }
     found["tortuosity"] = {
-        axis: result.fraction / result.value if result.value else None for axis, result in told["diffusivity"].items()
+        axis: result.fraction / result.value if result.value else None
+        for axis, result in ((axis, told["diffusivity"][axis]) for axis in AXES)
     }
     found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
     found["physics"] = {name: {axis: _trust(told[name][axis]) for axis in AXES} for name in told}
@@ -102,21 +121,22 @@ def _plain(told: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dic
 def _trust(result: Effective | Stiffness) -> dict[str, Any]:
     return {
         "converged": result.converged,
-        "imbalance": _finite(result.imbalance),
+        "imbalance": finite(result.imbalance),
         "iterations": result.iterations,
         "halving": result.halving,
     }
 
 
-def _fitting(image: Image, box: int | None) -> int:
-    """How many solves of transport fit into memory at once, one at least."""
-    voxels = math.prod(min(side, box or side) for side in image.shape)
-    void = porosity(image)
-    one = int(voxels * void * _FLOW_BYTES)
-    most = max(one, int(voxels * (1 - void) * _STIFFNESS_BYTES))
-    check_budget(Plan({"solvers": most}), advice="solve a smaller centre box (--box)")
-    return max(1, available_memory() // max(one, 1))
+def _fitting(image: Image, box: int | None, halving: bool) -> int:
+    """How many solves of transport fit into memory at once, one at least; all are forecast before the first begins."""
+    void = indicator(image, None, default="void")[1]
+    void = centre(void, box_sides(box, image.shape))
+    split = 3 if halving else 0
+    flow = max(section.needed(void, FLOW_BYTES, split=split), section.needed(~void, CONDUCTION_BYTES, split=split))
+    check_memory(max(flow, homogenise.needed(~void, halving=halving)))
+    return max(1, available_memory() // flow)
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """A number as JSON knows it: `None` where it is infinite."""
     return float(value) if math.isfinite(value) else None

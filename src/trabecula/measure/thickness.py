@@ -72,8 +72,22 @@ def thickness(
     """Mean local thickness over the voxels of a phase (default "solid"), in the image's unit; 0 where the phase is
     empty.
 
-    See `local_thickness` for the definition (Hildebrand and Ruegsegger 1997), its error of half a voxel, and what
-    `mask` and `periodic` mean. The mean is over the phase's voxels in the mask.
+    See `local_thickness` for the definition (Hildebrand and Ruegsegger 1997,
+    doi:10.1046/j.1365-2818.1997.1340694.x) and its error of half a voxel.
+
+    Parameters
+    ----------
+    image, phase, mask, periodic
+        As for `local_thickness`; the mean is over the phase's voxels in the mask.
+
+    Returns
+    -------
+    thickness : float
+
+    Raises
+    ------
+    InputError
+        As `local_thickness`.
     """
     return _mean_diameter(image, phase, "solid", mask, periodic)
 
@@ -85,8 +99,22 @@ def pore_size(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean local thickness over the voxels of the void (or of the phase given), in the image's unit; see
-    `thickness`."""
+    """Mean local thickness over the voxels of the void (or of the phase given), in the image's unit; 0 where it is empty.
+
+    Parameters
+    ----------
+    image, phase, mask, periodic
+        As for `thickness`, but the phase is by default "void".
+
+    Returns
+    -------
+    size : float
+
+    Raises
+    ------
+    InputError
+        As `local_thickness`.
+    """
     return _mean_diameter(image, phase, "void", mask, periodic)
 
 
@@ -119,6 +147,11 @@ def chord_length(
     -------
     length : float
         Infinite where no line crosses the interface; 0 where the phase is empty.
+
+    Raises
+    ------
+    InputError
+        No such phase or axis; a mask of another shape, not boolean or empty.
     """
     image, inside, region = masked_indicator(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)

@@ -66,5 +66,6 @@ def prediction_band(values: Sequence[float], *, one_sided: bool = False) -> tupl
         return 0.0, float(max(np.quantile(draws, CONFIDENCE), known.max()))
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     low, high = min(low, known.min()), max(high, known.max())
-    # Quantities that cannot be negative stay so.
-    return float(max(low, 0.0) if known.min() >= 0 else low), float(high)
+    # Quantities that cannot be negative stay so; a solver may leave a hair below 0 where nothing bears.
+    positive = known.min() >= -1e-6 * np.abs(known).max()
+    return float(max(low, 0.0) if positive else low), float(high)

@@ -217,6 +217,11 @@ def _notes(reference: Reference) -> Iterable[str]:
         yield f"The band comes from {count} parts of the exemplar only: it is narrower than the material's own spread."
     if exemplar.kind == "labels":
         yield from _range_note(exemplar, reference.own)
+    if reference.own.details and reference.parts:
+        yield (
+            f"Transport and stiffness of the parts are those of boxes of at most {_size(reference.parts[0])} voxels: cut "
+            "struts bear nothing, so the band of stiffness lies low."
+        )
     bare = [
         f"{end} {axis}"
         for n, axis in enumerate("zyx"[3 - exemplar.ndim :])
@@ -259,7 +264,7 @@ def _image_notes(exemplar: Image, image: Image, metrics: Mapping[str, Metric], m
     yield from physics_notes(measured.details)
 
 
-def _size(image: Image) -> str:
+def _size(image: Image | Measured) -> str:
     return " x ".join(map(str, image.shape))
 
 

@@ -12,7 +12,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
 from trabecula.report.band import parts, prediction_band
-from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, TOLD, figure_of, in_order
+from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order
 from trabecula.report.metric import Metric
 from trabecula.report.sticks import Measured, Stick
 
@@ -76,23 +76,26 @@ class Reference:
         return {name: found[name] for name in in_order(found)}
 
     def _judged(self, name: str, value: Any, spread: Sequence[float | None], own: Any) -> Metric:
-        rule = figure_of(name).rule
+        figure = figure_of(name)
+        rule = figure.rule
         if rule == AXES:
             holds = all(value[axis] for axis, through in own.items() if through)
             return Metric(value, None, holds if self.parts else None, own)
         known = [number for number in spread if number is not None]
         if rule == TOLD or len(known) < 2:
             return Metric(value, None, None, own)
-        low, high = prediction_band(known, one_sided=rule == DISTANCE)
+        low, high = prediction_band(known, one_sided=rule in (DISTANCE, SHOWN))
         if own is not None:  # the parts may all lie on one side of the whole: what faces cut makes them smaller
             low, high = min(low, float(own)), max(high, float(own))
-        if rule == AT_LEAST:  # of shares
-            high = min(high, 1.0)
-        if value is None:
-            return Metric(None, (low, high), None if name == "coherence" else False, own)
-        enough = rule in (AT_MOST, COUNT, DISTANCE) or value >= low
-        within = rule == AT_LEAST or value <= high
-        return Metric(value, (low, high), bool(enough and within), own)
+        band = (low, min(high, 1.0) if figure.share else high)
+        if rule == SHOWN or (value is None and rule == AT_MOST):
+            return Metric(value, band, None, own)
+        return Metric(value, band, value is not None and _passes(value, band, rule), own)
+
+
+def _passes(value: float, band: tuple[float, float], rule: str) -> bool:
+    enough = rule in (AT_MOST, COUNT, DISTANCE) or value >= band[0]
+    return bool(enough and (rule == AT_LEAST or value <= band[1]))
 
 
 def independent_coherence(pieces: Sequence[Image]) -> list[float | None]:

@@ -20,7 +20,7 @@ def coherence(
     exemplar: Image | ArrayLike,
     image: Image | ArrayLike,
     *,
-    k: Sequence[int] = (1, 4, 8),
+    k: int | Sequence[int] = (1, 4, 8),
     size: int | None = None,
     mirrors: bool = False,
     half: bool = False,
@@ -38,7 +38,7 @@ def coherence(
     ----------
     exemplar, image : Image or array of labels, (Z, Y, X) or (Y, X)
         Labels mean the same in both.
-    k : sequence of int
+    k : int or sequence of int
         Distances in voxels (of the coarse grid, where `half`), 1 and more.
     size : int, optional
         Width of a neighbourhood, odd, 3..15. Default: 9 in 3-D, 15 in 2-D.
@@ -49,6 +49,12 @@ def coherence(
     samples : int
         Voxels looked at, 1 and more; fewer where fewer lie near an interface.
     seed : int
+        Of the sample of voxels and of the directions of their moves.
+
+    Returns
+    -------
+    shares : dict
+        k -> share, 0..1.
 
     Raises
     ------
@@ -67,7 +73,7 @@ def coherence(
     {1: 1.0, 4: 1.0}
     """
     pair = checked_pair(exemplar, image, size=size, half=half)
-    steps = [int(as_number(step, name="k", low=1, high=1 << 20, whole=True)) for step in k]
+    steps = [int(as_number(step, name="k", low=1, high=1 << 20, whole=True)) for step in np.ravel(k).tolist()]
     samples = int(as_number(samples, name="samples", low=1, high=1 << 30, whole=True))
     tree, cubes = grown(pair), cut(pair.image, pair.geometry)
     sites, moves, fits = _sampled(cubes, pair, steps, samples, as_seed(seed))

@@ -24,7 +24,7 @@ class Diversity:
         Share of voxels that differ, over what it would be for independent images of the same fractions: 0 for equal
         images, near 1 for independent ones.
     coherence : (N, N) float64
-        `coherence` of the second image with the first as its exemplar, at the largest k: near 0 for independent images, 1
+        `coherence` of the second image with the first as its exemplar, at k: near 0 for independent images, 1
         for a shifted copy. NaN on the diagonal.
     """
 
@@ -42,7 +42,11 @@ def diversity(
     images : sequence of Image or array of labels
         Two or more, of one shape.
     k, size, samples, seed
-        As in `coherence`, which see.
+        As in `coherence`, which see; one k.
+
+    Returns
+    -------
+    diversity : Diversity
 
     Raises
     ------

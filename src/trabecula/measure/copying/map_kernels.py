@@ -6,6 +6,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.measure.copying.kernels import FAR, differing, least_between, row_of, scan
+from trabecula.measure.union import join, root_of
 
 _SIDES = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
@@ -96,14 +97,6 @@ def pass_sources(image, exemplar, shape, old, far, depth, step, bits, source, di
                 source[z, y, x], distance[z, y, x] = own, best
 
 
-@inline
-def _root(parent, n):
-    while parent[n] != n:
-        parent[n] = parent[parent[n]]
-        n = parent[n]
-    return n
-
-
 @kernel
 def join_equal(keys, parent):
     """Union of 6-neighbours with the same key, none of it negative; parent (Z * Y * X,) int64 holds 0, 1, 2, ... at first."""
@@ -117,7 +110,6 @@ def join_equal(keys, parent):
                 for axis in range(3):
                     i, j, k = z - (axis == 0), y - (axis == 1), x - (axis == 2)
                     if i >= 0 and j >= 0 and k >= 0 and keys[i, j, k] == keys[z, y, x]:
-                        a, b = _root(parent, n), _root(parent, (i * Y + j) * X + k)
-                        parent[max(a, b)] = min(a, b)
+                        join(parent, n, (i * Y + j) * X + k)
     for n in range(len(parent)):
-        parent[n] = _root(parent, n)
+        parent[n] = root_of(parent, n)

@@ -76,6 +76,10 @@ def sources(
     sweeps : int
         How far, in voxels, a source may be passed on, 0..100.
 
+    Returns
+    -------
+    taken : Sources
+
     Raises
     ------
     InputError
@@ -104,7 +108,17 @@ def coherent_patches(taken: Sources) -> Patches:
     """Connected regions (by faces) whose source less position is constant: the pieces that were copied as they are.
 
     Independent material falls into crumbs; copied material into pieces as wide as what was copied, less about half a
-    neighbourhood at every cut.
+    neighbourhood at every cut (Ashikhmin 2001, doi:10.1145/364338.364405, shows such pieces).
+
+    Parameters
+    ----------
+    taken : Sources
+        What `sources` returns.
+
+    Returns
+    -------
+    patches : Patches
+        Sizes in voxels.
 
     Raises
     ------

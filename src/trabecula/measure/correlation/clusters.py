@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
-from trabecula.measure.components import label_components
-from trabecula.measure.correlation.fourier import mirrored_counts, smooth
+from trabecula.measure.correlation.fourier import mirrored_counts
 from trabecula.measure.correlation.separations import Radial, checked_fits, probability, separations
 from trabecula.measure.correlation.window import Window, as_window
+from trabecula.measure.fft import fast_side
+from trabecula.measure.labelling import label_components
 from trabecula.measure.phases import indicator
 
 # Seconds, on one core of 2024, only to choose between two ways to the same counts.
@@ -72,25 +73,12 @@ def two_point_cluster(
     window = as_window(image.shape, periodic, mask)
     pairs = separations(image, window, r_max=r_max, axis=axis, direction=direction)
     solid = window.within(inside)
-    labels, sizes = _clusters(solid.reshape(image.shape), connectivity, window.wraps[3 - image.ndim :])
+    wraps = window.wraps[3 - image.ndim :]
+    labels, sizes = label_components(solid.reshape(image.shape), connectivity=connectivity, periodic=wraps)
     fits = checked_fits(pairs)
     labels = labels.reshape(window.shape)
     hits = _radial(labels, sizes, pairs) if isinstance(pairs, Radial) else pairs.count_same(labels)
     return probability(hits, fits)
-
-
-def _clusters(inside: np.ndarray, connectivity: int | None, wraps: tuple[bool, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Labels and sizes as `label_components`, joined around the faces that wrap."""
-    if not any(wraps):
-        return label_components(inside, connectivity=connectivity)
-    # One more layer, a copy of the first, lies beyond the last one: a voxel and its copy are one.
-    padded = np.pad(inside, [(0, int(wrap)) for wrap in wraps], mode="wrap")
-    labels, sizes = label_components(padded, connectivity=connectivity)
-    copies = [labels.take(side, axis=axis).ravel() for axis, side in enumerate(inside.shape) if wraps[axis]]
-    origins = [labels.take(0, axis=axis).ravel() for axis in range(inside.ndim) if wraps[axis]]
-    joined = _join(np.concatenate(copies), np.concatenate(origins), len(sizes))
-    labels = joined[labels[tuple(slice(side) for side in inside.shape)]]
-    return labels, np.bincount(labels.ravel(), minlength=int(joined.max()) + 1)[1:]
 
 
 def _radial(labels: np.ndarray, sizes: np.ndarray, pairs: Radial) -> np.ndarray:
@@ -125,7 +113,7 @@ def _transform_is_faster(sizes: np.ndarray, lows: np.ndarray, highs: np.ndarray,
     if one_by_one < 40 * _TRANSFORMED_PLANE:
         return False
     _, window, reach = _box(lows[label], highs[label], pairs)
-    sides = [smooth(side + far) for side, far in zip(window.shape, reach, strict=True)]
+    sides = [fast_side(side + far) for side, far in zip(window.shape, reach, strict=True)]
     planes = window.shape[0] + sides[2] // 2
     return bool(one_by_one > _TRANSFORMED_VOXEL * math.prod(sides) + _TRANSFORMED_PLANE * planes)
 
@@ -192,27 +180,3 @@ def _pairs_one_by_one(voxels, first, lengths, sides, wraps, r_max):
                     if length <= r_max:
                         counts[length] += 2
     return counts
-
-
-@kernel
-def _join(ours, theirs, count):
-    """New label of every old one, where ours[k] and theirs[k] are one; numbered in the old order, 0 stays 0."""
-    parent = np.arange(count + 1)
-    for k in range(len(ours)):
-        a, b = ours[k], theirs[k]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        parent[max(a, b)] = min(a, b)
-    joined = np.zeros(count + 1, np.int32)
-    new = 0
-    for label in range(1, count + 1):
-        if parent[label] == label:
-            new += 1
-            joined[label] = new
-        else:
-            joined[label] = joined[parent[label]]
-    return joined

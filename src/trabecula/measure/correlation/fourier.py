@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.tiles import for_slabs
+from trabecula.measure.fft import fast_side
 
 
 def mirrored_counts(
@@ -47,7 +48,7 @@ def mirrored_counts(
         reach, wraps = (reach[1], reach[0], reach[2]), (wraps[1], wraps[0], wraps[2])
         return mirrored_counts(first.swapaxes(0, 1), across, reach, wraps, exact=exact).swapaxes(0, 1)
     sides = tuple(
-        side if wrap else smooth(side + far) for side, far, wrap in zip(first.shape, reach, wraps, strict=True)
+        side if wrap else fast_side(side + far) for side, far, wrap in zip(first.shape, reach, wraps, strict=True)
     )
     ours = _transformed(first, sides, exact)
     theirs = ours if second is None else _transformed(second, sides, exact)
@@ -106,16 +107,3 @@ def _cosines(side: int, reach: int) -> np.ndarray:
     weights = np.where((frequency == 0) | (2 * frequency == side), 1.0, 2.0) / side
     turns = np.outer(np.arange(reach + 1), frequency) % side
     return np.asarray(weights * np.cos(2 * np.pi / side * turns))
-
-
-def smooth(side: int) -> int:
-    """The smallest number from `side` up whose only prime factors are 2, 3 and 5: 7 and 11 cost NumPy's real transform
-    twice the time."""
-    while True:
-        rest = side
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return side
-        side += 1

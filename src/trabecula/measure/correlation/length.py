@@ -8,10 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.correlation.points import two_point
 from trabecula.measure.correlation.separations import radial_limit
-from trabecula.measure.correlation.window import as_window, checked_axis
+from trabecula.measure.correlation.window import as_window
+from trabecula.measure.phases import as_axis
 
 
 def covariance_form(s2: ArrayLike) -> np.ndarray:
@@ -31,12 +33,17 @@ def covariance_form(s2: ArrayLike) -> np.ndarray:
         1 at r = 0, and 0 where the ends of a pair are independent; negative where the phase avoids itself. All 0 but the
         first where the phase is empty or alone.
 
+    Raises
+    ------
+    InputError
+        Not one curve of finite numbers.
+
     Examples
     --------
     >>> covariance_form([0.5, 0.375, 0.25, 0.0]).tolist()
     [1.0, 0.5, 0.0, -1.0]
     """
-    values = np.asarray(s2, np.float64)
+    values = _as_curve(s2)
     phi = values[0]
     if not 0 < phi < 1:
         return (np.arange(len(values)) == 0).astype(np.float64)
@@ -88,7 +95,7 @@ def correlation_length(
     5.2
     """
     image = as_image(image)
-    along = None if axis is None else checked_axis(axis, image.ndim) - 3 + image.ndim
+    along = None if axis is None else as_axis(axis, image.ndim)
     edge = min(image.spacing) if along is None else image.spacing[along]
     if r_max is None:
         r_max = _half(image, along, radial_limit(image, as_window(image.shape, periodic, None)))
@@ -98,10 +105,20 @@ def correlation_length(
 
 def decay_length(s2: ArrayLike) -> float:
     """`correlation_length` of a curve that is there already, in steps of the curve."""
-    curve = np.asarray(s2, np.float64)
+    curve = _as_curve(s2)
     if not 0 < curve[0] < 1:
         return 0.0
     return _last_crossing(np.abs(covariance_form(curve)), math.exp(-1))
+
+
+def _as_curve(s2: ArrayLike) -> np.ndarray:
+    try:
+        values = np.asarray(s2, np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        raise InputError("a two-point function is one row of finite numbers, S2(0) first: give what two_point returns")
+    return values
 
 
 def _half(image: Image, axis: int | None, limit: int) -> int:

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.measure.correlation.shifts import packed
-from trabecula.measure.correlation.window import as_window, check_pairs, check_range, checked_axis
-from trabecula.measure.phases import indicator
+from trabecula.measure.correlation.window import as_window, check_pairs, check_range
+from trabecula.measure.phases import as_axis, indicator
 
 
 def lineal_path(
@@ -59,7 +59,7 @@ def lineal_path(
     image, inside = indicator(image, phase)
     window = as_window(image.shape, periodic, mask)
     solid = window.within(inside)
-    axes = range(3 - image.ndim, 3) if axis is None else (checked_axis(axis, image.ndim),)
+    axes = range(3 - image.ndim, 3) if axis is None else (as_axis(axis, image.ndim) + 3 - image.ndim,)
     for along in axes:
         side = window.shape[along]
         check_range(r_max, side - 1, why=f"a side of {side} voxels (below it)")

@@ -13,7 +13,8 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.correlation.fourier import mirrored_counts
 from trabecula.measure.correlation.shifts import alike, both, count_along, count_offset
-from trabecula.measure.correlation.window import Window, check_pairs, check_range, checked_axis
+from trabecula.measure.correlation.window import Window, check_pairs, check_range
+from trabecula.measure.phases import as_axis
 
 _SPARSE = 0.05
 """Of the voxels: where fewer pairs fit at an offset, the errors of float32 would be more than 1e-6 of them."""
@@ -143,7 +144,7 @@ def separations(
     if axis is not None:
         if direction is not None:
             raise InputError(f"axis {axis} and direction {direction} were both given: give one of them")
-        along = checked_axis(axis, image.ndim)
+        along = as_axis(axis, image.ndim) + 3 - image.ndim
         vector: tuple[float, ...] = tuple(float(at == along) for at in range(3))
     else:
         vector = _as_direction(direction, image.ndim)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
-from trabecula.measure.phases import as_inside
+from trabecula.measure.phases import as_inside, as_mask, as_periodic
 
 
 @dataclass(frozen=True)
@@ -38,32 +38,12 @@ def as_window(shape: tuple[int, ...], periodic: bool | Sequence[bool], mask: Arr
     Raises
     ------
     InputError
-        `periodic` of another length, or a mask that is not boolean or of another shape.
+        `periodic` of another length, or a mask that is not boolean, of another shape or empty.
     """
-    ndim = len(shape)
-    one = isinstance(periodic, (bool, np.bool_))
-    wraps = (bool(periodic),) * ndim if one else tuple(bool(wrap) for wrap in periodic)  # type: ignore[union-attr]
-    if len(wraps) != ndim:
-        raise InputError(f"periodic has {len(wraps)} values: give one, or one for each of the {ndim} axes")
-    flat = 3 - ndim
-    where = None if mask is None else as_inside(_checked_mask(mask, shape))
-    return Window((1,) * flat + tuple(shape), (False,) * flat + wraps, where)
-
-
-def _checked_mask(mask: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.asarray(mask)
-    if array.dtype != bool or array.shape != shape:
-        raise InputError(
-            f"the mask is {array.dtype} of shape {array.shape}: a boolean array of shape {shape} is needed"
-        )
-    return array
-
-
-def checked_axis(axis: int, ndim: int) -> int:
-    """`axis` of an image, counted in (Z, Y, X)."""
-    if not -ndim <= axis < ndim:
-        raise InputError(f"axis {axis} does not exist: the image has {ndim}")
-    return int(axis) % ndim + 3 - ndim
+    flat = 3 - len(shape)
+    wraps = as_periodic(periodic, len(shape))
+    region = as_mask(mask, shape)
+    return Window((1,) * flat + tuple(shape), (False,) * flat + wraps, None if region is None else as_inside(region))
 
 
 def check_range(r_max: int, limit: float, *, why: str) -> None:
@@ -79,5 +59,4 @@ def check_pairs(fits: np.ndarray, *, masked: bool, what: str = "pair of voxels")
     if not fits.all():
         r = int(np.flatnonzero(fits == 0)[0])
         where_to = "the image and its mask" if masked else "the image"
-        advice = f"lower r_max to {r - 1}" if r else "give a mask that holds some voxels"
-        raise InputError(f"no {what} {r} apart fits into {where_to}: {advice}")
+        raise InputError(f"no {what} {r} apart fits into {where_to}: lower r_max to {r - 1}")

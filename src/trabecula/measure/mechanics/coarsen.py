@@ -16,6 +16,7 @@ import numpy as np
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.tiles import for_slabs
 from trabecula.measure.mechanics.lattice import LEAST, Cells
+from trabecula.measure.union import join, root_of
 
 
 @dataclass(frozen=True)
@@ -92,26 +93,12 @@ def _kinds(cells: Cells, parent: np.ndarray, pieces: int) -> tuple[np.ndarray, n
 
 
 @inline
-def _root(tree, k):
-    while tree[k] != k:
-        tree[k] = tree[tree[k]]
-        k = tree[k]
-    return k
-
-
-@inline
-def _join(tree, i, j):
-    i, j = _root(tree, i), _root(tree, j)
-    tree[max(i, j)] = min(i, j)
-
-
-@inline
 def _number(tree):
     """Trees numbered by their first member."""
     number = np.empty(len(tree), np.int64)
     count = 0
     for k in range(len(tree)):
-        root = _root(tree, k)
+        root = root_of(tree, k)
         if root == k:
             number[k] = count
             count += 1
@@ -128,7 +115,7 @@ def _pieces(block, first, entry):
         for i in range(first[n], first[n + 1]):
             for j in range(first[n], i):
                 if block[entry[i] // 8] == block[entry[j] // 8]:
-                    _join(tree, entry[i] // 8, entry[j] // 8)
+                    join(tree, entry[i] // 8, entry[j] // 8)
     return _number(tree)
 
 
@@ -159,7 +146,7 @@ def _corners(parent, pieces, weights, first, entry):
                     if i == first[n]:
                         support[count] = parent[cell] * 8 + s
                     else:
-                        _join(tree, support[count], parent[cell] * 8 + s)
+                        join(tree, support[count], parent[cell] * 8 + s)
                     count += 1
     number, count = _number(tree)
     return number.reshape(pieces, 8), count

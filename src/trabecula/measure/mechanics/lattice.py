@@ -60,13 +60,18 @@ class Operator:
         return len(self.row)
 
 
+def touched(solid: np.ndarray) -> np.ndarray:
+    """The nodes of a periodic grid, at the first corner of every voxel, that some voxel of the solid touches."""
+    nodes = np.zeros(solid.shape, bool)
+    for corner in CORNERS:
+        nodes |= np.roll(solid, corner, axis=(0, 1, 2))
+    return nodes
+
+
 def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]) -> Cells:
     """Cells of the voxels with `kind` >= 0 on a periodic grid; nodes that touch none of them do not exist."""
     position = np.argwhere(kind >= 0).astype(np.int32)
-    touched = np.zeros(kind.shape, bool)
-    for corner in CORNERS:
-        touched |= np.roll(kind >= 0, corner, axis=(0, 1, 2))
-    number = np.cumsum(touched.ravel(), dtype=np.int64) - 1
+    number = np.cumsum(touched(kind >= 0).ravel(), dtype=np.int64) - 1
     nodes = np.empty((len(position), 8), np.uint32)
     for c, corner in enumerate(CORNERS):
         z, y, x = ((position + corner) % kind.shape).T

@@ -19,10 +19,14 @@ from trabecula.measure.transport.graph import Graph
 from trabecula.measure.transport.krylov import conjugate_gradients
 from trabecula.measure.transport.multigrid import multigrid
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
-from trabecula.measure.transport.section import checked_tolerance, effective, percolating
+from trabecula.measure.transport.section import Solver, checked_tolerance, effective, percolating
 from trabecula.measure.transport.vectors import dot
 
 _MOST_STEPS = 300
+_MOST_CONTRAST = 1e12
+
+CONDUCTION_BYTES = 200
+"""Memory per voxel that conducts, at the peak: resident memory, from 40 and 64 voxels an edge."""
 
 
 def diffusivity(
@@ -68,6 +72,8 @@ def diffusivity(
     ------
     InputError
         No such axis or phase, a tolerance or box out of range, an image too large to solve at once.
+    MemoryBudgetError
+        More memory would be needed than there is, 200 bytes a voxel of the phase: give a smaller `box`.
 
     Examples
     --------
@@ -80,7 +86,7 @@ def diffusivity(
     """
     image, inside = indicator(image, phase, default="void")
     values = as_inside(inside).view(np.uint8).reshape(image.shape)
-    solver = partial(_conduct, sigma=np.array([0.0, 1.0]), tolerance=checked_tolerance(tolerance))
+    solver = _solver(np.array([0.0, 1.0]), tolerance)
     return effective(image, values, solver, axis=axis, box=box, halving=halving)
 
 
@@ -96,12 +102,21 @@ def tortuosity(
     """Tortuosity factor of a phase along one axis: its volume fraction over D_eff / D_0, 1 or more.
 
     Cooper et al. 2016, doi:10.1016/j.softx.2016.09.002, equation 1. All of the phase counts, also what does not percolate.
-    Parameters as of `diffusivity`.
+
+    Parameters
+    ----------
+    image, axis, phase, tolerance, box, halving
+        As of `diffusivity`.
 
     Returns
     -------
     effective : Effective
-        `value` is infinite where the phase does not percolate along the axis.
+        `value` is infinite where the phase does not percolate along the axis; `halving` is of the tortuosity.
+
+    Raises
+    ------
+    InputError, MemoryBudgetError
+        As `diffusivity`.
 
     Examples
     --------
@@ -133,7 +148,7 @@ def conductivity(
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     conductivities : mapping
         Phase name -> conductivity, 0 or more, for every phase that occurs. Contrasts beyond a million may not converge
-        (the result says so).
+        (the result says so), beyond 1e12 they are refused.
     axis, tolerance, box, halving
         As of `diffusivity`.
 
@@ -146,6 +161,8 @@ def conductivity(
     ------
     InputError
         A phase that is missing or does not exist, a conductivity that is negative or not finite; and as `diffusivity`.
+    MemoryBudgetError
+        As `diffusivity`.
 
     Examples
     --------
@@ -158,13 +175,22 @@ def conductivity(
     check_labels(image)
     sigma = _checked_conductivities(image, conductivities)
     largest = float(sigma.max(initial=0.0)) or 1.0
-    solver = partial(_conduct, sigma=sigma / largest, tolerance=checked_tolerance(tolerance))
+    solver = _solver(sigma / largest, tolerance)
     found = effective(image, image.values, solver, axis=axis, box=box, halving=halving)
     return replace(found, value=found.value * largest)
 
 
+def _solver(sigma: np.ndarray, tolerance: float) -> Solver:
+    solve = partial(_conduct, sigma=sigma, tolerance=checked_tolerance(tolerance))
+    return Solver(solve, sigma > 0.0, CONDUCTION_BYTES)
+
+
 def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -> np.ndarray:
     """One conductivity a label."""
+    if not isinstance(conductivities, Mapping):
+        raise InputError(
+            f"conductivities is {conductivities!r}: give a mapping from the name of every phase to a number"
+        )
     sigma = np.zeros(len(image.phases))
     for name, value in conductivities.items():
         check_name(name, image.phases, name="phase")
@@ -175,6 +201,12 @@ def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -
     missing = [n for n, count in zip(image.phases, found, strict=True) if count and n not in conductivities]
     if missing:
         raise InputError(f"no conductivity is given for {', '.join(missing)}: give one for every phase, 0 to insulate")
+    conducting = sigma[sigma > 0.0]
+    if len(conducting) and conducting.max() > _MOST_CONTRAST * conducting.min():
+        raise InputError(
+            f"the conductivities differ by more than {_MOST_CONTRAST:g} times, which float64 cannot resolve: give 0 for "
+            "phases that insulate"
+        )
     return sigma
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.core.checks import as_number, as_shape
+from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.components import label_components
+from trabecula.measure.box import box_sides, centre, check_memory, clipped
+from trabecula.measure.labelling import label_components
+from trabecula.measure.percolation import spanning_voxels
+from trabecula.measure.phases import as_axis
 from trabecula.measure.transport.result import Effective
 
 HALVED = 48
@@ -20,8 +23,19 @@ HALVED = 48
 _LONGEST = 2**15 - 1  # places are kept as int16
 _MOST = 2**29  # voxels: three velocities each are numbered by int32
 
-Solver = Callable[[np.ndarray, np.ndarray], Effective]
-"""From an array (Z, Y, X), transport along its first axis, and its voxel edges."""
+_GRID_BYTES = 40  # per voxel, of the phase or not: labels, components, numbers
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How a coefficient is found, and what that takes."""
+
+    solve: Callable[[np.ndarray, np.ndarray], Effective]
+    """From an array (Z, Y, X), transport along its first axis, and its voxel edges."""
+    carries: np.ndarray
+    """bool: whether each value of the array carries anything."""
+    voxel_bytes: int
+    """Memory per voxel that carries, at the peak."""
 
 
 def effective(
@@ -34,53 +48,48 @@ def effective(
     halving: bool,
 ) -> Effective:
     """Cut the box, turn the axis to the front, solve; where asked, solve a centre box twice more."""
-    own, front = image.ndim, checked_axis(axis, image.ndim)
-    sides = image.shape if box is None else as_shape(box, ndim=own, name="box")
-    cut = np.moveaxis(centre(values, sides), front, 0)
+    own, front = image.ndim, as_axis(axis, image.ndim)
+    cut = np.moveaxis(centre(values, box_sides(box, image.shape)), front, 0)
     edges = np.roll(image.spacing[: front + 1], 1).tolist() + list(image.spacing[front + 1 :])
     if own == 2:  # one slice between two mirrors
         cut, edges = cut[:, None, :], [edges[0], min(edges), edges[1]]
     _check_size(cut.shape)
-    result = solver(np.ascontiguousarray(cut), np.array(edges))
+    check_memory(needed(solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0))
+    result = solver.solve(np.ascontiguousarray(cut), np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
-    small = centre(cut, [HALVED] * 3)
-    whole = solver(np.ascontiguousarray(small), np.array(edges))
+    small = centre(cut, clipped([HALVED] * 3, cut.shape))
+    whole = solver.solve(np.ascontiguousarray(small), np.array(edges))
     if not 0.0 < whole.value < math.inf:
         return result
     for d in range(3):
         if own == 3 or d != 1:
             small = np.repeat(small, 2, axis=d)
             edges[d] /= 2
-    split = solver(np.ascontiguousarray(small), np.array(edges))
+    split = solver.solve(np.ascontiguousarray(small), np.array(edges))
     return replace(result, halving=split.value / whole.value - 1.0)
 
 
-def centre(values: np.ndarray, sides: Sequence[int]) -> np.ndarray:
-    """The centred box of the given sides, or as much of it as there is."""
-    cuts = []
-    for length, side in zip(values.shape, sides, strict=True):
-        first = max(0, (length - side) // 2)
-        cuts.append(slice(first, min(length, first + side)))
-    return values[tuple(cuts)]
+def needed(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
+    """Bytes that a solve takes beyond its input; with `split` axes halved in a centre box, those of the larger solve.
+
+    What does not percolate is left out of the solve, but is found too late to count here.
+    """
+
+    def one(inside: np.ndarray) -> int:
+        return int(np.count_nonzero(inside)) * voxel_bytes + inside.size * _GRID_BYTES
+
+    if not split:
+        return one(carrying)
+    return max(one(carrying), 2**split * one(centre(carrying, clipped([HALVED] * carrying.ndim, carrying.shape))))
 
 
 def percolating(inside: np.ndarray) -> np.ndarray | None:
     """The voxels of the components (of shared faces) that touch both ends of the first axis; None without any."""
     if not (inside[0].any() and inside[-1].any()):
         return None
-    labels, _ = label_components(inside)
-    both = np.intersect1d(labels[0], labels[-1])
-    both = both[both > 0]
-    return np.isin(labels, both) if len(both) else None
-
-
-def checked_axis(axis: int, ndim: int) -> int:
-    """An axis counted from the front."""
-    if isinstance(axis, bool) or not isinstance(axis, (int, np.integer)) or not -ndim <= axis < ndim:
-        names = "0 (y) or 1 (x)" if ndim == 2 else "0 (z), 1 (y) or 2 (x)"
-        raise InputError(f"axis {axis!r} does not exist: the image has {ndim} axes, give {names}")
-    return int(axis) % ndim
+    voxels = spanning_voxels(label_components(inside)[0], 0)
+    return voxels if voxels.any() else None
 
 
 def checked_tolerance(tolerance: float) -> float:

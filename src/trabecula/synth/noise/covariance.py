@@ -15,6 +15,8 @@ from statistics import NormalDist
 
 import numpy as np
 
+from trabecula.measure.fft import sums_by_offset
+
 _ANGLES = 1 << 13
 _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less and less
 
@@ -47,13 +49,7 @@ def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
 
 def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
     """Pairs of True voxels for every offset, -reach .. reach along every axis, by Fourier transform."""
-    sides = [smooth(side + far) for side, far in zip(inside.shape, reach, strict=True)]
-    axes = (0, 1, 2)
-    spectrum = np.fft.rfftn(inside.astype(np.float32), sides, axes)
-    spectrum *= spectrum.conj()
-    pairs = np.fft.irfftn(spectrum, sides, axes)
-    near = [np.arange(-far, far + 1) % side for far, side in zip(reach, sides, strict=True)]
-    return np.rint(pairs[np.ix_(*near)])
+    return np.rint(sums_by_offset(inside, reach))
 
 
 def fitted_filter(two_point: np.ndarray, fraction: float, *, corrections: int) -> Filter:
@@ -83,18 +79,6 @@ def fitted_filter(two_point: np.ndarray, fraction: float, *, corrections: int) -
         latest, speed = better, faster
     values = np.fft.fftshift(np.fft.irfftn(np.sqrt(power / latest[0, 0, 0]), wanted.shape, axes))
     return Filter(values.astype(np.float32), clipped)
-
-
-def smooth(side: int) -> int:
-    """The smallest number from `side` up whose only prime factors are 2, 3 and 5: fast to transform."""
-    while True:
-        rest = side
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return side
-        side += 1
 
 
 def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:

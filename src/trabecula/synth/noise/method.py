@@ -16,10 +16,11 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.measure.fft import fast_side
 from trabecula.synth.base import Method, Model
 from trabecula.synth.noise import SPEC
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance import Filter, counts_by_offset, fitted_filter, smooth
+from trabecula.synth.noise.covariance import Filter, counts_by_offset, fitted_filter
 from trabecula.synth.noise.kernels import white_plane
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -45,7 +46,9 @@ class Noise(Method):
     def plan_fit(self, exemplar: Image) -> Plan:
         """The transforms of an indicator, and of the covariance."""
         reach = _reach(exemplar.shape, self.config)
-        padded = np.prod([smooth(side + far) for side, far in zip(exemplar.shape, reach, strict=True)], dtype=np.int64)
+        padded = np.prod(
+            [fast_side(side + far) for side, far in zip(exemplar.shape, reach, strict=True)], dtype=np.int64
+        )
         offsets = int(np.prod([2 * far + 1 for far in reach], dtype=np.int64))
         left = 3 * exemplar.values.size
         return Plan(
@@ -110,7 +113,7 @@ class NoiseModel(Model):
 
     def _box(self, request: Request) -> tuple[int, ...]:
         return tuple(
-            side if wraps else smooth(side + 2 * far)
+            side if wraps else fast_side(side + 2 * far)
             for side, far, wraps in zip(request.shape, self.reach, request.periodic, strict=True)
         )
 
