@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
-from trabecula.synth.shared.histogram import brightest, match_histogram
+from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram
 from trabecula.synth.shared.neighbourhoods import SCALE, covered_shape, grid_shape, principal_basis, project
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
@@ -83,7 +83,7 @@ def test_a_matched_histogram_is_the_targets():
     rng = np.random.default_rng(1)
     field = (rng.normal(size=(20, 20, 20)) * 8000).astype(np.int16)
     target = np.sort(rng.integers(-100, 100, 8000)).astype(np.int8)
-    matched = match_histogram(field, target)
+    matched = match_histogram(field, Histogram.of(target))
     assert np.abs(np.sort(matched.ravel()).astype(int) - target).max() <= 1
     order = np.argsort(mixed_values(field).ravel(), kind="stable")
     assert np.all(np.diff(matched.ravel()[order].astype(int)) >= 0), "the order of values is kept"

@@ -19,14 +19,22 @@ def test_the_search_finds_what_numpy_finds():
     penalty = (1 + rng.random(len(exemplar))).astype(np.float32)
     old = rng.integers(0, len(exemplar), grid).astype(np.int32)
     match, distance = np.empty_like(old), np.empty_like(old)
-    search(features, exemplar, penalty, old, match, distance, shape, ratio, key(0, "test"), 1, 0, 0, grid[0])
+    active = np.ones(grid, bool)
+    active[1, 1, 1] = False
+    wraps = (False, True, False)
+    search(
+        features, exemplar, penalty, active, old, match, distance, shape, ratio, wraps, key(0, "test"), 1, 0, 0, grid[0]
+    )
 
-    for site in np.ndindex(grid):
+    assert match[1, 1, 1] == old[1, 1, 1]
+    for site in zip(*np.nonzero(active), strict=True):
         candidates = [int(old[site])]
         for axis in range(3):
             for side in (-1, 1):
                 near = list(site)
                 near[axis] += side
+                if wraps[axis]:
+                    near[axis] %= grid[axis]
                 if 0 <= near[axis] < grid[axis]:
                     place = list(np.unravel_index(old[tuple(near)], shape))
                     place[axis] -= side * ratio
@@ -49,34 +57,43 @@ def test_random_candidates_reach_the_best_in_the_end():
     for sweep in range(40):
         old, match = match, np.empty_like(match)
         penalty = np.ones(64, np.float32)
-        search(features, exemplar, penalty, old, match, distance, shape, 1, key(3, "s"), sweep, 8, 0, 2)
+        active, wraps = np.ones(grid, bool), (False,) * 3
+        search(features, exemplar, penalty, active, old, match, distance, shape, 1, wraps, key(3, "s"), sweep, 8, 0, 2)
     assert distance.max() == 0
 
 
 @pytest.mark.parametrize(("step", "stride", "trim"), [(1, 1, 0), (2, 1, 1), (2, 2, 1), (3, 1, 1)])
-def test_the_vote_is_the_weighted_mean(step, stride, trim):
+@pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True), (False, True, False)])
+def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
     rng = np.random.default_rng(2)
-    width, grid, channels = 6, (3, 4, 2), 2
+    width, grid, channels = 6, (4, 5, 4), 2
     field = rng.integers(-127, 128, (channels, 13, 12, 11)).astype(np.int8)
     shape = tuple((side - width) // stride + 1 for side in field.shape[1:])
     match = rng.integers(0, np.prod(shape), grid).astype(np.int32)
-    weight = rng.integers(1, 1000, grid).astype(np.int32)
-    domain = tuple((count - 1) * step + width for count in grid)
-    total = np.empty((channels + 1, *domain), np.int32)
+    weight = rng.integers(0, 1000, grid).astype(np.int32)
+    reach = tuple((count - 1) * step + width for count in grid)
+    # An axis that wraps has a site every step, the last perhaps less than a step before the end.
+    around = tuple(max(width, count * step - (step > 1)) for count in grid)
+    domain = tuple(a if wrap else r for a, r, wrap in zip(around, reach, wraps, strict=True))
+    plane = np.empty((channels + 1, *reach[1:]), np.int32)
     result = np.empty((channels, *domain), np.int16)
-    vote(field, match, weight, shape, stride, step, width, trim, total, result, 0, domain[0])
+    vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, result, 0, domain[0])
 
     above, below = np.zeros((channels, *domain), np.int64), np.zeros(domain, np.int64)
     for site in np.ndindex(grid):
-        first = [0 if s == 0 else trim for s in site]
-        last = [width if s == n - 1 else width - trim for s, n in zip(site, grid, strict=True)]
+        first = [0 if s == 0 and not wrap else trim for s, wrap in zip(site, wraps, strict=True)]
+        last = [
+            width if s == n - 1 and not wrap else width - trim for s, n, wrap in zip(site, grid, wraps, strict=True)
+        ]
         corner = np.array(np.unravel_index(match[site], shape)) * stride
-        here = tuple(slice(s * step + a, s * step + b) for s, a, b in zip(site, first, last, strict=True))
+        here = np.ix_(
+            *(np.arange(s * step + a, s * step + b) % d for s, a, b, d in zip(site, first, last, domain, strict=True))
+        )
         there = tuple(slice(c + a, c + b) for c, a, b in zip(corner, first, last, strict=True))
-        above[(slice(None), *here)] += int(weight[site]) * field[(slice(None), *there)].astype(np.int64)
+        for c in range(channels):
+            above[c][here] += int(weight[site]) * field[(c, *there)].astype(np.int64)
         below[here] += int(weight[site])
-    assert below.min() > 0
-    assert np.array_equal(result, above * 256 // below)
+    assert np.array_equal(result, np.where(below > 0, above * 256 // np.maximum(below, 1), 0))
 
 
 def test_layers_stay_layers_of_the_same_period():

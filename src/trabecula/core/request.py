@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_seed, as_shape
-from trabecula.core.errors import InputError
+from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
+from trabecula.core.recipe import Recipe
+
+_AXES = "zyx"
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +23,42 @@ class Request:
 
     Parameters
     ----------
-    shape : int or sequence of int
-        Voxels along z, y, x; one number means a cube.
+    shape : int or sequence of int, optional
+        Voxels along z, y, x; one number means a cube. None takes the mask's.
     seed : int
         0 .. 2**63 - 1. The same request gives the same voxels.
     periodic : bool or sequence of bool
         Axes along which the result repeats without a seam.
-    mask : (Z, Y, X) bool array, optional
-        The form to fill; outside it the result is void.
+    mask : (Z, Y, X) bool array or Image of labels, optional
+        The form to fill; outside it the result is void. Of an Image, everything but the phase "void" (label 0 where none
+        has that name) is filled. Kept as a bool array.
     target : mapping of str to (Z, Y, X) float array
         Descriptor fields to follow, by the descriptor's name.
-    fixed : Image, optional
-        Measured voxels that must come out unchanged.
+    fixed : Image, (Z, Y, X), optional
+        Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere does not matter.
+    known : (Z, Y, X) bool array or Image of labels, optional
+        Where `fixed` holds measured voxels: some, but not all. Needed with `fixed`. Kept as a bool array.
+
+    Attributes
+    ----------
+    origins : mapping of str to Recipe
+        How mask, fixed and known came to be, for the recipe of the result.
+
+    Raises
+    ------
+    InputError
+        A mask, a fixed image or known voxels of another shape or type; a mask without a voxel; nothing known, or nothing
+        left to make.
+    RequestError
+        Parts that contradict each other: known voxels at both ends of a periodic axis.
+
+    Examples
+    --------
+    >>> import numpy as np, trabecula as tb
+    >>> ball = np.hypot.outer(np.arange(-9, 10), np.hypot.outer(np.arange(-9, 10), np.arange(-9, 10))) < 9
+    >>> request = tb.Request(None, mask=ball, seed=7)
+    >>> request.shape, sorted(request.asks_for())
+    ((19, 19, 19), ['mask'])
     """
 
     shape: tuple[int, ...]
@@ -38,17 +67,130 @@ class Request:
     mask: np.ndarray | None = None
     target: Mapping[str, np.ndarray] = field(default_factory=dict)
     fixed: Image | None = None
+    known: np.ndarray | None = None
+    origins: Mapping[str, Recipe] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
+        origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}
+        object.__setattr__(self, "origins", {name: recipe for name, recipe in origins.items() if recipe is not None})
+        object.__setattr__(self, "mask", _as_region(self.mask, name="mask"))
+        object.__setattr__(self, "known", _as_region(self.known, name="known"))
+        if self.shape is None:
+            if self.mask is None:
+                raise InputError("the request has no shape: give voxels along z, y, x, or a mask whose shape is taken")
+            object.__setattr__(self, "shape", self.mask.shape)
         object.__setattr__(self, "shape", as_shape(self.shape))
         object.__setattr__(self, "seed", as_seed(self.seed))
         object.__setattr__(self, "periodic", _as_periodic(self.periodic))
+        _check_mask(self.mask, self.shape)
+        _check_fixed(self)
 
     def asks_for(self) -> frozenset[str]:
         """The optional parts of the request that are in use."""
         used = {"periodic": any(self.periodic), "mask": self.mask is not None}
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
         return frozenset(name for name, asked in used.items() if asked)
+
+    def to_json(self) -> dict[str, Any]:
+        """What a result's recipe holds of the request: plain values, and of its arrays how they came to be."""
+        plain = {"shape": list(self.shape), "seed": self.seed, "periodic": list(self.periodic)}
+        return {**plain, **{name: recipe.to_json() for name, recipe in self.origins.items()}}
+
+
+def check_exemplar(request: Request, exemplar: Image) -> None:
+    """Raise where the fixed voxels of a request are not of the exemplar's material.
+
+    Raises
+    ------
+    RequestError
+        Another kind, other phases or other voxels than the exemplar's.
+    """
+    fixed = request.fixed
+    if fixed is None or request.known is None:
+        return
+    if fixed.kind != exemplar.kind:
+        raise RequestError(
+            f"the fixed voxels are {fixed.kind}, the exemplar is {exemplar.kind}: segment both alike, or neither"
+        )
+    if exemplar.ndim == 3 and (fixed.spacing, fixed.unit) != (exemplar.spacing, exemplar.unit):
+        raise RequestError(
+            f"the fixed voxels are {fixed.spacing} {fixed.unit}, the exemplar's {exemplar.spacing} {exemplar.unit}: "
+            "give the spacing of both, or resample one"
+        )
+    if fixed.kind != "labels":
+        return
+    if fixed.phases[: len(exemplar.phases)] != exemplar.phases[: len(fixed.phases)]:
+        raise RequestError(
+            f"the fixed voxels are of {', '.join(fixed.phases)}, the exemplar of {', '.join(exemplar.phases)}: "
+            "name the phases of both alike, in the same order (--phases)"
+        )
+    present = np.bincount(exemplar.values.ravel(), minlength=len(fixed.phases)) > 0
+    held = np.bincount(fixed.values[request.known]) > 0
+    strange = [label for label in np.flatnonzero(held) if not present[label]]
+    if strange:
+        names = ", ".join(fixed.phases[label] for label in strange)
+        raise RequestError(
+            f"the fixed voxels hold the phase {names}, which the exemplar lacks: give an exemplar with it"
+        )
+
+
+def _origin(part: Image | ArrayLike | None) -> Recipe | None:
+    """How a part came to be; an array in memory is known by its digest."""
+    if part is None or isinstance(part, Image):
+        return None if part is None else part.recipe or Recipe().then("array", part.values)
+    array = np.asarray(part)
+    return Recipe().then("array", array.view(np.uint8) if array.dtype == bool else array)
+
+
+def _as_region(region: Image | ArrayLike | None, *, name: str) -> np.ndarray | None:
+    if region is None:
+        return None
+    if isinstance(region, Image):
+        if region.kind != "labels":
+            raise InputError(f"the {name} is {region.kind}: give labels (segment it first), or a boolean array")
+        return region.values != (region.phases.index("void") if "void" in region.phases else 0)
+    array = np.asarray(region)
+    if array.dtype != bool or array.ndim != 3:
+        raise InputError(
+            f"the {name} is {array.dtype} of shape {array.shape}: give a boolean array (z, y, x), such as volume > 0"
+        )
+    return array
+
+
+def _check_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> None:
+    if mask is None:
+        return
+    if mask.shape != shape:
+        raise InputError(f"the mask has shape {mask.shape}, the request {shape}: give one of them, or make them equal")
+    if not mask.any():
+        raise InputError("the mask holds no voxel: mark with True what is to be filled")
+
+
+def _check_fixed(request: Request) -> None:
+    fixed, known, shape = request.fixed, request.known, request.shape
+    if fixed is None and known is None:
+        return
+    if fixed is None:
+        raise RequestError("known voxels without an image of them: give fixed as well")
+    if known is None:
+        raise RequestError("fixed voxels need known, a boolean array that is True where they were measured (--known)")
+    if not isinstance(fixed, Image):
+        raise InputError(f"fixed is a plain {type(fixed).__name__}: give an Image (tb.Image(array, kind='labels'))")
+    for name, have in (("fixed", fixed.shape), ("known", known.shape)):
+        if have != shape:
+            raise InputError(f"{name} has shape {have}, the request {shape}: place it in the larger one first (--at)")
+    asked = known if request.mask is None else known[request.mask]
+    if not asked.any():
+        where = "" if request.mask is None else " inside the mask"
+        raise InputError(f"no voxel{where} is known: mark with True what was measured, or leave fixed out")
+    if asked.all():
+        raise InputError("every voxel is known, nothing is left to make: mark with False what is to be made")
+    for axis, wraps in enumerate(request.periodic):
+        if wraps and known.take(0, axis).any() and known.take(-1, axis).any():
+            raise RequestError(
+                f"periodic with a fixed border: known voxels lie at both ends of {_AXES[axis]}, where the result would "
+                "have to go on from one to the other; leave that axis out of periodic, or one end unknown"
+            )
 
 
 def _as_periodic(value: bool | Sequence[bool]) -> tuple[bool, ...]:

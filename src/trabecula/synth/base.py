@@ -15,9 +15,9 @@ import numpy as np
 
 from trabecula.core.checks import as_seed, check_name
 from trabecula.core.errors import InputError, RequestError
-from trabecula.core.image import Image, as_image
+from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.recipe import Recipe
-from trabecula.core.request import Request
+from trabecula.core.request import Request, check_exemplar
 from trabecula.engine.plan import Plan, check_budget
 
 
@@ -42,6 +42,8 @@ class Spec:
         Extras of the package that it needs.
     presets : tuple of str
         Names of ready settings.
+    several : bool
+        Whether it learns from more than one exemplar at once.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Spec:
     honours: frozenset[str] = frozenset()
     extras: tuple[str, ...] = ()
     presets: tuple[str, ...] = ()
+    several: bool = False
 
 
 class Model(ABC):
@@ -103,6 +106,8 @@ class Model(ABC):
         if refused:
             can = ", ".join(sorted(self.spec.honours)) or "shape and seed alone"
             raise RequestError(f"method {self.spec.name!r} cannot honour {', '.join(refused)}: it honours {can}")
+        if self.exemplars:
+            check_exemplar(request, self.exemplars[0])
 
     def _result_fields(self) -> dict[str, Any]:
         first = self.exemplars[0]
@@ -114,7 +119,7 @@ class Model(ABC):
             values,
             method=self.spec.name,
             settings=asdict(self.config),
-            request={"shape": request.shape, "seed": request.seed, "periodic": request.periodic},
+            request=request.to_json(),
             exemplars=[exemplar.recipe.to_json() for exemplar in self.exemplars],
         )
 
@@ -151,30 +156,45 @@ class Method(ABC):
             check_name(name, known, name=f"setting of {cls.spec.name}")
         return cls(cls.config_type(**settings))
 
-    def fit(self, exemplar: Image | np.ndarray, *, memory: int | None = None) -> Model:
-        """Learn from an exemplar.
+    def fit(self, exemplar: Image | np.ndarray | Sequence[Image], *, memory: int | None = None) -> Model:
+        """Learn from an exemplar, or from several of one material.
 
         Parameters
         ----------
-        exemplar : Image or array of labels
+        exemplar : Image or array of labels, or a list or tuple of them
+            Several need one kind, one spacing and the same phases.
         memory : int, optional
             Budget in bytes. Default: what the machine has available.
 
         Raises
         ------
         InputError
-            The exemplar has the wrong dimensions or kind, one phase only, or is too small.
+            An exemplar has the wrong dimensions or kind, one phase only, or is too small; several that differ.
         MemoryBudgetError
             Learning would take more memory than the budget.
         """
-        image = as_image(exemplar, name="the exemplar")
-        self._check_exemplar(image)
-        check_budget(self.plan_fit(image), budget=memory, advice="learn from a smaller crop (--crop)")
-        if not image.recipe:
-            image = Image(
-                image.values, image.kind, image.spacing, image.unit, image.phases, Recipe().then("array", image.values)
-            )
-        return self._fit(image)
+        images = as_exemplars(exemplar)
+        self._check_exemplars(images)
+        check_budget(self.plan_fit(images), budget=memory, advice="learn from a smaller crop (--crop)")
+        named = [
+            image if image.recipe else with_values(image, image.values, recipe=Recipe().then("array", image.values))
+            for image in images
+        ]
+        return self._fit(named)
+
+    def _check_exemplars(self, images: Sequence[Image]) -> None:
+        if len(images) > 1 and not self.spec.several:
+            raise InputError(f"method {self.spec.name!r} learns from one exemplar, got {len(images)}")
+        for image in images:
+            self._check_exemplar(image)
+        first = images[0]
+        for image in images[1:]:
+            for name in ("kind", "phases", "spacing", "unit"):
+                if getattr(image, name) != getattr(first, name):
+                    raise InputError(
+                        f"exemplars of one material agree in {name}: got {getattr(first, name)} and "
+                        f"{getattr(image, name)}; resample or rename them first"
+                    )
 
     def _check_exemplar(self, image: Image) -> None:
         spec = self.spec
@@ -195,12 +215,23 @@ class Method(ABC):
                 "give a crop with both, or another threshold"
             )
 
-    def plan_fit(self, exemplar: Image) -> Plan:
-        """Forecast the memory that learning takes, the exemplar itself left out."""
-        return Plan()
+    def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image]) -> Plan:
+        """Forecast the memory that learning takes, the exemplars themselves left out."""
+        return self._plan_fit(as_exemplars(exemplar))
 
     @abstractmethod
-    def _fit(self, exemplar: Image) -> Model: ...
+    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan: ...
+
+    @abstractmethod
+    def _fit(self, exemplars: Sequence[Image]) -> Model: ...
+
+
+def as_exemplars(given: Any) -> list[Image]:
+    """One or several exemplars as a list of images."""
+    images = list(given) if isinstance(given, (list, tuple)) else [given]
+    if not images:
+        raise InputError("no exemplar was given: give one, or several of one material")
+    return [as_image(image, name="the exemplar") for image in images]
 
 
 def _as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:

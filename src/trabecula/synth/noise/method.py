@@ -6,7 +6,7 @@ others', so that the conditional S2 (pairs in the phase over pairs in what was l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -35,16 +35,18 @@ class Noise(Method):
     spec = SPEC
     config_type = NoiseConfig
 
-    def _fit(self, exemplar: Image) -> NoiseModel:
+    def _fit(self, exemplars: Sequence[Image]) -> NoiseModel:
+        exemplar = exemplars[0]
         if any(1 < side < _LEAST for side in exemplar.shape):
             raise InputError(
                 f"the exemplar is {exemplar.shape}, the two-point function needs {_LEAST} voxels along an axis (or 1, for a "
                 "flat image): give a larger exemplar"
             )
-        return NoiseModel(self.config, [exemplar])
+        return NoiseModel(self.config, exemplars)
 
-    def plan_fit(self, exemplar: Image) -> Plan:
+    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         """The transforms of an indicator, and of the covariance."""
+        exemplar = exemplars[0]
         reach = _reach(exemplar.shape, self.config)
         padded = np.prod(
             [fast_side(side + far) for side, far in zip(exemplar.shape, reach, strict=True)], dtype=np.int64
@@ -72,7 +74,7 @@ class NoiseModel(Model):
     spec = SPEC
     config: NoiseConfig
 
-    def __init__(self, config: NoiseConfig, exemplars: list[Image]) -> None:
+    def __init__(self, config: NoiseConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
         values = exemplars[0].values
         self.present = [int(label) for label in np.unique(values)]

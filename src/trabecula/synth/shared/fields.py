@@ -1,32 +1,51 @@
-"""Labels as fields that can be averaged: one clipped signed distance per phase, in int8, and back.
+"""Images as fields that can be averaged, in int8, and back: labels as clipped signed distances, grey and colour as they are.
 
 A mean of labels blurs; a mean of signed distances moves the interface. Two phases need one channel (positive inside the
-second), more need one each, and the largest wins.
+second), more need one each, and the largest wins. Grey values and the three of a colour are stretched over the bytes.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.histogram import brightest
+from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram
 
 FULL = 127
-"""The int8 value of a voxel `clip` voxels or more inside its phase."""
+"""The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
 
 
-def phase_fields(image: Image) -> tuple[np.ndarray, tuple[int, ...]]:
+def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
+    """The labels that occur in any of the images, rising."""
+    return tuple(int(label) for label in np.unique(np.concatenate([np.unique(image.values) for image in images])))
+
+
+def phase_fields(image: Image, present: tuple[int, ...] | None = None) -> tuple[np.ndarray, tuple[int, ...]]:
     """Signed distances in voxels, (C, Z, Y, X) float32, and the labels that they stand for.
 
     With two labels present the one channel stands for the second. Distances follow the image's spacing, scaled so that
-    the geometric mean of a voxel's edges is 1.
+    the geometric mean of a voxel's edges is 1. A label of `present` that does not occur lies infinitely far.
     """
-    present = tuple(int(label) for label in np.unique(image.values))
-    scale = np.asarray(image.spacing) / np.exp(np.mean(np.log(image.spacing)))
+    present = phases_present([image]) if present is None else present
+    spacing = isotropic_scale(image.spacing)
     channels = present[1:] if len(present) == 2 else present
-    fields = [signed_distance(image.values == label, spacing=tuple(scale)) for label in channels]
+    fields = [_distance_of(image.values == label, spacing) for label in channels]
     return np.stack(fields).astype(np.float32, copy=False), present
+
+
+def isotropic_scale(spacing: Sequence[float]) -> tuple[float, ...]:
+    """Edges of a voxel over their geometric mean."""
+    edges = np.asarray(spacing)
+    return tuple((edges / np.exp(np.mean(np.log(edges)))).tolist())
+
+
+def _distance_of(inside: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
+    if inside.all() or not inside.any():
+        return np.full(inside.shape, 1e6 if inside.any() else -1e6, np.float32)
+    return signed_distance(inside, spacing=spacing)
 
 
 def quantise(field: np.ndarray, *, clip: float) -> np.ndarray:
@@ -34,24 +53,41 @@ def quantise(field: np.ndarray, *, clip: float) -> np.ndarray:
     return np.rint(np.clip(field * np.float32(FULL / clip), -FULL, FULL)).astype(np.int8)
 
 
-def labels_of(fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray) -> np.ndarray:
+def value_fields(image: Image, *, low: float, high: float) -> np.ndarray:
+    """Grey or colour as (C, Z, Y, X) float32, -127 at `low` and 127 at `high`."""
+    channels = np.moveaxis(image.values, -1, 0) if image.kind == "colour" else image.values[None]
+    return (channels.astype(np.float32) - np.float32(low)) * np.float32(2 * FULL / (high - low)) - np.float32(FULL)
+
+
+def labels_of(
+    fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray, inside: np.ndarray | None = None
+) -> np.ndarray:
     """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume `fractions`.
 
     Two phases are split where the fraction is met to the voxel. More go to the largest field, each shifted by a constant so
     that the fractions come out as nearly as forty steps bring them: zeros alone need not agree where three phases meet.
+    Where `inside` (Z, Y, X) bool is given, fractions are those of the voxels inside.
     """
+    size = fields[0].size if inside is None else int(np.count_nonzero(inside))
     if len(present) == 2:
-        upper = brightest(fields[0], round(fields[0].size * float(fractions[1])))
+        upper = brightest(fields[0], round(size * float(fractions[1])), inside)
         return np.where(upper, np.uint8(present[1]), np.uint8(present[0]))
+    counted = slice(None) if inside is None else inside
     shift = np.zeros(len(present), np.float32)
     rate = 100.0 * 256
     kept, least = fields.argmax(0), np.inf
     for _ in range(40):
         winner = np.argmax([field + s for field, s in zip(fields, shift, strict=True)], axis=0)
-        excess = np.bincount(winner.ravel(), minlength=len(present)) / winner.size - fractions
+        excess = np.bincount(winner[counted].ravel(), minlength=len(present)) / max(1, size) - fractions
         if np.abs(excess).max() < least:
             kept, least = winner, np.abs(excess).max()
         else:
             rate /= 2  # overshot
         shift = (shift - rate * excess).astype(np.float32)
     return np.asarray(present, np.uint8)[kept]
+
+
+def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None) -> np.ndarray:
+    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms of the channels."""
+    channels = [match_histogram(field, target, inside) for field, target in zip(fields, targets, strict=True)]
+    return channels[0] if len(channels) == 1 else np.stack(channels, axis=-1)

@@ -7,6 +7,8 @@ their six neighbours' mixed in.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
@@ -16,32 +18,67 @@ _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
 _BINS = 1 << 16
 
 
-def match_histogram(field: np.ndarray, sorted_target: np.ndarray) -> np.ndarray:
-    """Map (Z, Y, X) int16 so that its histogram is that of `sorted_target` (int8, rising); order is kept up to ties.
+@dataclass(frozen=True)
+class Histogram:
+    """The values that occur, rising, and how many of all occurrences lie at or below each (the last is all of them)."""
+
+    values: np.ndarray
+    up_to: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> Histogram:
+        """Of an array of any type and shape."""
+        present, counts = np.unique(values, return_counts=True)
+        return cls(present, np.cumsum(counts))
+
+    def ranked(self, middle: np.ndarray, size: int) -> np.ndarray:
+        """The values at these places of a ranking of `size`."""
+        place = middle * int(self.up_to[-1]) // max(1, size)
+        return self.values[np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)]
+
+
+def match_histogram(field: np.ndarray, target: Histogram, inside: np.ndarray | None = None) -> np.ndarray:
+    """Map (Z, Y, X) int16 so that its histogram is the target's; order is kept up to ties.
+
+    Parameters
+    ----------
+    field : (Z, Y, X) int16
+    target : Histogram
+    inside : (Z, Y, X) bool, optional
+        Only these voxels count; the others are mapped alike.
 
     Returns
     -------
-    (Z, Y, X) int8
+    (Z, Y, X) of the target's type
     """
-    ranks, total = _ranked(field)
-    middle = np.cumsum(total) - total // 2
-    place = middle * len(sorted_target) // field.size
-    table = sorted_target[np.minimum(place, len(sorted_target) - 1)].astype(np.int8)
-    return table[ranks]
+    ranks, total = _ranked(field, inside)
+    table = target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
+    matched = np.empty(field.shape, table.dtype)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):  # one plane at a time: an index is widened to 8 bytes
+            matched[z] = table[ranks[z]]
+
+    for_slabs(work, len(field))
+    return matched
 
 
-def brightest(field: np.ndarray, count: int) -> np.ndarray:
-    """The `count` brightest voxels of (Z, Y, X) int16 as a mask, to the voxel.
+def brightest(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
+    """The `count` brightest voxels of (Z, Y, X) int16 (of those `inside`) as a mask, to the voxel.
 
     Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by raster order.
     """
-    ranks, total = _ranked(field)
+    ranks, total = _ranked(field, inside)
     above = np.cumsum(total[::-1])[::-1]  # voxels in this bin and all brighter ones
     straddling = int(np.searchsorted(-above, -count, side="right")) - 1
-    if straddling < 0:
-        return np.ones(field.shape, bool)
     chosen = ranks > straddling
-    tied = np.flatnonzero(ranks.ravel() == straddling)
+    if straddling < 0:
+        chosen[:] = True
+    if inside is not None:
+        chosen &= inside
+    if straddling < 0:
+        return chosen
+    tied = np.flatnonzero((ranks == straddling) if inside is None else (ranks == straddling) & inside)
     places = np.unravel_index(tied, field.shape)
     around = np.zeros(len(tied), np.int32)
     for offset in np.ndindex(3, 3, 3):
@@ -52,14 +89,19 @@ def brightest(field: np.ndarray, count: int) -> np.ndarray:
     return chosen
 
 
-def _ranked(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every voxel's mixed value as a bin number (uint16), and how many voxels each bin holds."""
+def _ranked(field: np.ndarray, inside: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Every voxel's mixed value as a bin number (uint16), and how many of the voxels inside each bin holds."""
     ranks = np.empty(field.shape, np.uint16)
-    for_slabs(lambda a, b: _rank_values(field, ranks, a, b), len(field))
-    total = np.zeros(_BINS, np.int64)
-    for plane in ranks:  # one at a time, since bincount widens what it is given to 8 bytes a voxel
-        total += np.bincount(plane.ravel(), minlength=_BINS)
-    return ranks, total
+    where = np.empty((0, 0, 0), bool) if inside is None else inside
+    counted: list[np.ndarray] = []
+
+    def work(start: int, stop: int) -> None:
+        counts = np.zeros(_BINS, np.int64)
+        _rank_values(field, where, ranks, counts, start, stop)
+        counted.append(counts)
+
+    for_slabs(work, len(field))
+    return ranks, np.sum(counted, axis=0)
 
 
 @inline
@@ -69,11 +111,15 @@ def _at(field, z, y, x):
 
 
 @kernel
-def _rank_values(field, ranks, start, stop):
+def _rank_values(field, inside, ranks, counts, start, stop):
+    """An empty `inside` means everywhere."""
     for z in range(start, stop):
         for y in range(field.shape[1]):
             for x in range(field.shape[2]):
                 around = _at(field, z - 1, y, x) + _at(field, z + 1, y, x) + _at(field, z, y - 1, x)
                 around += _at(field, z, y + 1, x) + _at(field, z, y, x - 1) + _at(field, z, y, x + 1)
                 mixed = (np.int32(field[z, y, x]) * _OWN + around) // (_OWN + 6)
-                ranks[z, y, x] = np.uint16(mixed + 32768)
+                rank = np.uint16(mixed + 32768)
+                ranks[z, y, x] = rank
+                if inside.size == 0 or inside[z, y, x]:
+                    counts[rank] += 1

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trabecula.engine.compile import kernel
 from trabecula.engine.tiles import for_slabs, one_blas_thread
+from trabecula.synth.shared.eigen import leading_vectors
 
 SCALE = 8
 """A feature is SCALE times the projection, so a squared distance is SCALE**2 times the neighbourhood's (at most 2^31)."""
@@ -35,53 +37,86 @@ class Basis:
     explained: float
 
 
-def principal_basis(field: np.ndarray, *, width: int, variance: float, most: int) -> Basis:
+def principal_basis(
+    field: np.ndarray, allowed: np.ndarray | None = None, *, width: int, variance: float, most: int
+) -> Basis:
     """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain `variance`, up to `most`.
 
-    The covariance comes from up to 8192 neighbourhoods spread evenly over the exemplar, summed exactly.
+    The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed` ((gz, gy, gx) bool, by
+    their first corner; default all), summed exactly.
     """
     windows = _windows(field, width, 1)
-    corners = np.unravel_index(_spread(int(np.prod(windows.shape[1:4]))), windows.shape[1:4])
-    sample = _rows(windows, corners).astype(np.float64)
-    total = sample.sum(0)
+    grid = windows.shape[1:4]
+    ones = np.arange(np.prod(grid)) if allowed is None else np.flatnonzero(allowed)
+    chosen = ones[_spread(len(ones))]
+    sample = _rows(windows, np.unravel_index(chosen, grid)).astype(np.float32)
+    total = sample.sum(0, dtype=np.float64)
     with one_blas_thread():
-        covariance = sample.T @ sample - np.outer(total, total) / len(sample)
-        eigenvalues, vectors = np.linalg.eigh(covariance)
-    eigenvalues, vectors = np.maximum(eigenvalues[::-1], 0), vectors[:, ::-1]
-    share = np.cumsum(eigenvalues) / max(eigenvalues.sum(), 1e-30)
-    count = min(most, int(np.searchsorted(share, variance)) + 1, len(share))
+        covariance = _gram(sample) - np.outer(total, total) / len(sample)
+    count = min(most, len(covariance))
+    eigenvalues, vectors = leading_vectors(covariance, count)
+    share = np.cumsum(np.maximum(eigenvalues, 0)) / max(np.trace(covariance), 1e-30)
+    count = min(count, int(np.searchsorted(share, variance)) + 1)
     kept = vectors[:, :count]
-    # An eigenvector's sign is arbitrary and differs between LAPACKs: the entry of largest size is made positive.
-    kept = kept * np.sign(kept[np.abs(kept).argmax(0), np.arange(count)])
+    # An eigenvector's sign is arbitrary: the entry of largest size is made positive.
+    kept = kept * np.where(kept[np.abs(kept).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
     scale = _EXACT / np.sqrt(len(kept))
     return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]))
 
 
-def project(field: np.ndarray, basis: Basis, *, step: int) -> np.ndarray:
-    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8."""
-    windows = _windows(field, basis.width, step)
-    grid = windows.shape[1:4]
-    features = np.empty((*grid, basis.vectors.shape[1]), np.int16)
+def _gram(sample: np.ndarray) -> np.ndarray:
+    """sample.T @ sample, exactly: float32 products of int8 values over 1024 rows at a time stay below 2^24."""
+    total = np.zeros((sample.shape[1],) * 2)
+    for start in range(0, len(sample), 1024):
+        rows = sample[start : start + 1024]
+        total += rows.T @ rows
+    return total
+
+
+def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None) -> np.ndarray:
+    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8.
+
+    Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
+    """
+    width, (length, count) = basis.width, basis.vectors.shape
+    grid = tuple((side - width) // step + 1 for side in field.shape[1:])
+    features = np.empty((*grid, count), np.int16)
     factor = np.float32(SCALE / basis.scale)
 
     def work(start: int, stop: int) -> None:
+        rows = np.empty((min(_ROWS, grid[1] * grid[2]), length), np.float32)
         for z in range(start, stop):
-            for y0 in range(0, grid[1], max(1, _ROWS // grid[2])):
-                block = windows[:, z, y0 : y0 + max(1, _ROWS // grid[2])]
-                rows = np.ascontiguousarray(block.transpose(1, 2, 0, 3, 4, 5), np.float32).reshape(
-                    -1, len(basis.vectors)
-                )
-                features[z, y0 : y0 + block.shape[1]] = np.rint(rows @ basis.vectors * factor).reshape(
-                    block.shape[1], grid[2], -1
-                )
+            sites = np.arange(grid[1] * grid[2]) if active is None else np.flatnonzero(active[z])
+            plane = features[z].reshape(-1, count)
+            for first in range(0, len(sites), _ROWS):
+                chosen = sites[first : first + _ROWS]
+                gather(field, chosen, grid[2], z * step, step, width, rows)
+                plane[chosen] = np.rint(rows[: len(chosen)] @ basis.vectors * factor)
 
     for_slabs(work, grid[0], least=2)
     return features
 
 
+@kernel
+def gather(field, sites, across, z0, step, width, rows):
+    """Rows (n, C * w^3) of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0."""
+    for n in range(len(sites)):
+        y0 = sites[n] // across * step
+        x0 = sites[n] % across * step
+        at = 0
+        for c in range(field.shape[0]):
+            for z in range(z0, z0 + width):
+                for y in range(y0, y0 + width):
+                    line = field[c, z, y, x0 : x0 + width]  # slices, which the compiler knows not to wrap around
+                    to = rows[n, at : at + width]
+                    for x in range(width):
+                        to[x] = line[x]
+                    at += width
+
+
 def basis_bytes(length: int) -> int:
-    """Memory that `principal_basis` takes for vectors of `length`: the sample in float64, and the eigenproblem."""
-    return 8 * _SAMPLES * length + 24 * length**2
+    """Memory that `principal_basis` takes for vectors of `length`: the sample in float32, and covariances."""
+    return 5 * _SAMPLES * length + 24 * length**2
 
 
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 
@@ -17,12 +19,16 @@ def halve(field: np.ndarray) -> np.ndarray:
     return padded
 
 
-def double(field: np.ndarray) -> np.ndarray:
-    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along every axis."""
+def double(field: np.ndarray, wraps: Sequence[bool] = (False, False, False)) -> np.ndarray:
+    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along every axis.
+
+    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
+    """
     fine = field.astype(np.int16)
-    for axis in (1, 2, 3):
-        before = np.concatenate([fine.take([0], axis), fine.take(range(fine.shape[axis] - 1), axis)], axis)
-        after = np.concatenate([fine.take(range(1, fine.shape[axis]), axis), fine.take([-1], axis)], axis)
+    for axis, wrap in zip((1, 2, 3), wraps, strict=True):
+        cells = np.arange(-1, fine.shape[axis] + 1)
+        cells = cells % fine.shape[axis] if wrap else cells.clip(0, fine.shape[axis] - 1)
+        before, after = fine.take(cells[:-2], axis), fine.take(cells[2:], axis)
         pair = np.stack([3 * fine + before, 3 * fine + after], axis + 1)
         fine = pair.reshape(*fine.shape[:axis], 2 * fine.shape[axis], *fine.shape[axis + 1 :])
     return ((fine + 32) >> 6).astype(np.int8)

@@ -7,7 +7,9 @@ SPEC = Spec(
     summary="a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest in the exemplar",
     paper="Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials",
     exemplar="3d",
-    kinds=("labels",),
+    kinds=("labels", "grey", "colour"),
+    honours=frozenset({"periodic", "mask", "fixed"}),
+    several=True,
     scaling="sweep",
     target="trabecula.synth.texture.method:Texture",
 )

@@ -12,8 +12,9 @@ from trabecula.core.errors import InputError
 class TextureConfig:
     """Settings of `texture`. Voxels are those of the level in question unless said otherwise."""
 
-    neighbourhood: int = 8
-    """Width w of the cubic neighbourhood, voxels, 4 .. 10 (section 4.1). Larger keeps more structure and copies more."""
+    neighbourhood: tuple[int, ...] = (8,)
+    """Widths w of the cubic neighbourhoods, voxels, each 4 .. 10, used one after another on every level (sections 4.1, 5.1).
+    Larger ones keep more structure and copy more."""
 
     step: int = 2
     """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section 4.1; 1 on the coarsest)."""
@@ -40,8 +41,8 @@ class TextureConfig:
     sweeps: int = 2
     """Search sweeps per round, 1 .. 10."""
 
-    tries: int = 8
-    """Random candidates per neighbourhood and sweep, 0 .. 64: half anywhere, half around the best with a shrinking radius."""
+    tries: int = 4
+    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the best, ever nearer."""
 
     index_penalty: float = 0.05
     """Weight of the index histogram in the search, 0 .. 1 (section 4.2): how much being chosen too often adds to a distance."""
@@ -55,13 +56,19 @@ class TextureConfig:
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
             self._keep(name, low, high)
-        self._keep("step", 1, self.neighbourhood // 2)
-        self._keep("trim", 0, (self.neighbourhood - self.step) // 2)
-        counts = self.rounds if isinstance(self.rounds, (list, tuple)) else (self.rounds,)
+        self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
+        self._keep_several("rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]")
+        narrowest = min(self.neighbourhood)
+        self._keep("step", 1, narrowest // 2)
+        self._keep("trim", 0, (narrowest - self.step) // 2)
+
+    def _keep_several(self, name: str, low: float, high: float, advice: str) -> None:
+        given = getattr(self, name)
+        counts = given if isinstance(given, (list, tuple)) else (given,)
         if not counts:
-            raise InputError("rounds is empty: give the rounds of the finest level first, such as [4, 6, 8]")
-        checked = tuple(as_number(count, name="rounds", low=1, high=100, whole=True) for count in counts)
-        object.__setattr__(self, "rounds", checked)
+            raise InputError(f"{name} is empty: give {advice}")
+        checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
+        object.__setattr__(self, name, checked)
 
     def _keep(self, name: str, low: float, high: float) -> None:
         whole = isinstance(getattr(TextureConfig, name), int)
@@ -69,7 +76,6 @@ class TextureConfig:
 
 
 _RANGES = {
-    "neighbourhood": (4, 10),
     "levels": (1, 8),
     "first_rounds": (1, 100),
     "clip": (2, 20),

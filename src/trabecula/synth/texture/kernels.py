@@ -2,6 +2,7 @@
 
 Glossary: S the neighbourhoods of the output on a grid, E those of the exemplar as a flat list; `match` the index into E per
 site of S. `ratio` is the grid's step over that of E, so that a neighbour's match moves by `ratio` cells of E.
+Sites that are not `active` are neither searched nor do they vote.
 Both kernels read old arrays and write new ones over a slab (Jacobi), so tiles and threads do not matter.
 """
 
@@ -24,9 +25,16 @@ def start_matches(match, count, key):
 
 
 @inline
-def _distance(a, b):
+def _distance(a, b, most):
+    """Squared distance, or something above `most` as soon as that is sure: most candidates fail in the first components."""
     total = np.int32(0)
-    for i in range(a.shape[0]):
+    first = min(8, a.shape[0])
+    for i in range(first):
+        difference = np.int32(a[i]) - np.int32(b[i])
+        total += difference * difference
+    if total > most:
+        return total
+    for i in range(first, a.shape[0]):
         difference = np.int32(a[i]) - np.int32(b[i])
         total += difference * difference
     return total
@@ -44,95 +52,153 @@ def _moved(match, shape, dz, dy, dx):
 
 
 @inline
-def _clamped(value, size):
-    return min(max(value, 0), size - 1)
-
-
-@inline
-def _random_candidate(words, match, shape, radius):
-    """Anywhere in E where `radius` is 0, otherwise within `radius` of `match`."""
-    if radius == 0:
-        return below(words[0], shape[0] * shape[1] * shape[2])
-    x = _clamped(match % shape[2] + below(words[2], 2 * radius + 1) - radius, shape[2])
-    y = _clamped((match // shape[2]) % shape[1] + below(words[1], 2 * radius + 1) - radius, shape[1])
-    z = _clamped(match // (shape[2] * shape[1]) + below(words[0], 2 * radius + 1) - radius, shape[0])
+def _around(words, match, shape, radius):
+    """A random cell within `radius` of `match`, clamped to E."""
+    x = match % shape[2] + below(words[3], 2 * radius + 1) - radius
+    y = (match // shape[2]) % shape[1] + below(words[2], 2 * radius + 1) - radius
+    z = match // (shape[2] * shape[1]) + below(words[1], 2 * radius + 1) - radius
+    x = min(max(x, 0), shape[2] - 1)
+    y = min(max(y, 0), shape[1] - 1)
+    z = min(max(z, 0), shape[0] - 1)
     return np.int64((z * shape[1] + y) * shape[2] + x)
 
 
+@inline
+def _better(site, exemplar, penalty, candidate, best, least):
+    """The better of `candidate` and `best`, and its penalised distance."""
+    factor = penalty[candidate]
+    d = _distance(site, exemplar[candidate], least / factor)
+    value = np.float32(d) * factor
+    if value < least:
+        return candidate, value
+    return best, least
+
+
 @kernel
-def search(features, exemplar, penalty, old, match, distance, shape, ratio, key, sweep, tries, start, stop):
+def search(
+    features, exemplar, penalty, active, old, match, distance, shape, ratio, wraps, key, sweep, tries, start, stop
+):
     """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for sites start..stop.
 
-    features (Z, Y, X, D) int16; exemplar (N, D) int16; penalty (N,) float32 factors; old, match (Z, Y, X) int32;
-    distance (Z, Y, X) int32, unpenalised.
+    features (Z, Y, X, D) int16; exemplar (N, D) int16; penalty (N,) float32 factors, infinite where E has a gap; active
+    (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised; wraps (3,) bool. Of the
+    `tries` pairs of random candidates one is anywhere and one around the best, in a shrinking radius.
     """
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
+    count = shape[0] * shape[1] * shape[2]
     for z in range(start, stop):
         for y in range(Y):
             for x in range(X):
+                if not active[z, y, x]:
+                    match[z, y, x] = old[z, y, x]
+                    distance[z, y, x] = 0
+                    continue
                 site = features[z, y, x]
                 best = np.int64(old[z, y, x])
-                least = np.float32(_distance(site, exemplar[best])) * penalty[best]
+                least = np.float32(_distance(site, exemplar[best], np.inf)) * penalty[best]
                 for axis in range(3):
                     for side in range(-1, 2, 2):
                         dz, dy, dx = (side, 0, 0) if axis == 0 else ((0, side, 0) if axis == 1 else (0, 0, side))
                         nz, ny, nx = z + dz, y + dy, x + dx
                         if nz < 0 or ny < 0 or nx < 0 or nz >= Z or ny >= Y or nx >= X:
-                            continue
+                            if not wraps[axis]:
+                                continue
+                            nz, ny, nx = nz % Z, ny % Y, nx % X
                         candidate = _moved(np.int64(old[nz, ny, nx]), shape, -dz * ratio, -dy * ratio, -dx * ratio)
-                        if candidate < 0 or candidate == best:
-                            continue
-                        d = np.float32(_distance(site, exemplar[candidate])) * penalty[candidate]
-                        if d < least:
-                            least, best = d, candidate
+                        if candidate >= 0 and candidate != best:
+                            best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):
-                    radius = 0 if k % 2 == 0 else max(1, longest >> (k // 2 + 2))
                     words = philox(key, z, y, x, (sweep << 8) + k)
-                    candidate = _random_candidate(words, best, shape, radius)
-                    d = np.float32(_distance(site, exemplar[candidate])) * penalty[candidate]
-                    if d < least:
-                        least, best = d, candidate
+                    best, least = _better(site, exemplar, penalty, below(words[0], count), best, least)
+                    near = _around(words, best, shape, max(1, longest >> (k + 2)))
+                    best, least = _better(site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
-                distance[z, y, x] = _distance(site, exemplar[best])
+                distance[z, y, x] = _distance(site, exemplar[best], np.inf)
 
 
 @kernel
-def vote(field, match, weight, shape, stride, step, width, trim, total, result, start, stop):
-    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in int16.
+def vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, result, start, stop):
+    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in int16; 0 where none is.
 
-    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32; stride of E in voxels; total (C + 1, ...) int32
-    scratch; result (C, ...) int16. The rim of `trim` voxels of a neighbourhood does not vote, except at the border.
+    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0 does not vote; stride of
+    E in voxels; wraps (3,) bool; plane (C + 1, y, x) int32 scratch, as wide as the grid covers; result (C, ...) int16.
+    The rim of `trim` voxels of a neighbourhood does not vote, except at a border that does not wrap.
     """
+    C, Z, Y, X = result.shape
+    summed = np.empty(match.shape[1:], np.int32)
+    for z in range(start, stop):
+        plane[:] = 0
+        summed[:] = 0
+        for turn in range(2 if wraps[0] else 1):
+            _vote_plane(field, match, weight, shape, stride, step, width, trim, wraps, plane, summed, z + turn * Z)
+        _spread(summed, plane[C], step, width, trim, wraps)
+        for y in range(Y, plane.shape[1] if wraps[1] else 0):
+            plane[:, y - Y] += plane[:, y]
+        for x in range(X, plane.shape[2] if wraps[2] else 0):
+            plane[:, :, x - X] += plane[:, :, x]
+        for c in range(C):
+            for y in range(Y):
+                for x in range(X):
+                    weights = plane[C, y, x]
+                    result[c, z, y, x] = np.int64(plane[c, y, x]) * 256 // weights if weights > 0 else 0
+
+
+@inline
+def _reach(site, count, width, trim, wrap):
+    """The voxels first .. last of a neighbourhood that vote along an axis."""
+    first = 0 if site == 0 and not wrap else trim
+    last = width if site == count - 1 and not wrap else width - trim
+    return first, last
+
+
+@inline
+def _vote_plane(field, match, weight, shape, stride, step, width, trim, wraps, plane, summed, z):
+    """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to `summed`."""
     SZ, SY, SX = match.shape
     C = field.shape[0]
-    total[:, start:stop] = 0
-    for z in range(start, stop):
-        for sz in range(max(0, (z - width + step) // step), min(SZ, z // step + 1)):
-            dz = z - sz * step
-            if (dz < trim and sz > 0) or (dz >= width - trim and sz < SZ - 1):
-                continue
-            for sy in range(SY):
-                y0 = 0 if sy == 0 else trim
-                y1 = width if sy == SY - 1 else width - trim
-                for sx in range(SX):
-                    x0 = 0 if sx == 0 else trim
-                    x1 = width if sx == SX - 1 else width - trim
-                    m = match[sz, sy, sx]
-                    w = weight[sz, sy, sx]
-                    ez = m // (shape[2] * shape[1]) * stride + dz
-                    ey = (m // shape[2]) % shape[1] * stride
-                    ex = m % shape[2] * stride
+    weights = np.empty(width, np.int32)
+    for sz in range(max(0, (z - width + step) // step), min(SZ, z // step + 1)):
+        dz = z - sz * step
+        z0, z1 = _reach(sz, SZ, width, trim, wraps[0])
+        if dz < z0 or dz >= z1:
+            continue
+        for sy in range(SY):
+            y0, y1 = _reach(sy, SY, width, trim, wraps[1])
+            for sx in range(SX):
+                w = weight[sz, sy, sx]
+                if w == 0:
+                    continue
+                summed[sy, sx] += w
+                # Whole rows, with weight 0 at the rim: the compiler makes eight voxels one addition.
+                x0, x1 = _reach(sx, SX, width, trim, wraps[2])
+                weights[:] = w
+                weights[:x0] = 0
+                weights[x1:] = 0
+                m = match[sz, sy, sx]
+                ez = m // (shape[2] * shape[1]) * stride + dz
+                ey = (m // shape[2]) % shape[1] * stride
+                ex = m % shape[2] * stride
+                for c in range(C):
                     for dy in range(y0, y1):
-                        for c in range(C):
-                            to = total[c, z, sy * step + dy]
-                            row = field[c, ez, ey + dy]
-                            for dx in range(x0, x1):
-                                to[sx * step + dx] += w * np.int32(row[ex + dx])
-                        weights = total[C, z, sy * step + dy]
-                        for dx in range(x0, x1):
-                            weights[sx * step + dx] += w
-        for c in range(C):
-            for y in range(total.shape[2]):
-                for x in range(total.shape[3]):
-                    result[c, z, y, x] = np.int64(total[c, z, y, x]) * 256 // total[C, z, y, x]
+                        to = plane[c, sy * step + dy, sx * step : sx * step + width]
+                        row = field[c, ez, ey + dy, ex : ex + width]
+                        for x in range(width):
+                            to[x] += weights[x] * np.int32(row[x])
+
+
+@inline
+def _spread(summed, weights, step, width, trim, wraps):
+    """The weights of a plane's sites, summed over its voxels."""
+    SY, SX = summed.shape
+    row = np.empty(SX, np.int32)
+    for y in range(weights.shape[0]):
+        row[:] = 0
+        for sy in range(max(0, (y - width + step) // step), min(SY, y // step + 1)):
+            y0, y1 = _reach(sy, SY, width, trim, wraps[1])
+            if y0 <= y - sy * step < y1:
+                row += summed[sy]
+        for sx in range(SX):
+            x0, x1 = _reach(sx, SX, width, trim, wraps[2])
+            for x in range(sx * step + x0, sx * step + x1):
+                weights[y, x] += row[sx]

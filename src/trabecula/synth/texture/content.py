@@ -1,0 +1,139 @@
+"""What the exemplars hold, as fields and back: labels, grey values or colours."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.core.request import Request
+from trabecula.measure.distance import distance_transform
+from trabecula.synth.shared.fields import (
+    isotropic_scale,
+    labels_of,
+    phase_fields,
+    phases_present,
+    value_fields,
+    values_of,
+)
+from trabecula.synth.shared.histogram import Histogram
+
+Bounds = tuple[np.ndarray, np.ndarray]
+"""The least and the most, (C, Z, Y, X) float32, that the field may be."""
+
+_ANY = 1e4  # farther than any distance
+
+
+def content_of(exemplars: Sequence[Image]) -> Content:
+    """How to read and write the exemplars' kind."""
+    return Labels(exemplars) if exemplars[0].kind == "labels" else Values(exemplars)
+
+
+class Content(ABC):
+    """Between images and fields."""
+
+    distances: bool
+    """Whether a field is a distance in voxels, which halves with the resolution."""
+
+    @abstractmethod
+    def fields(self, image: Image) -> np.ndarray:
+        """(C, Z, Y, X) float32."""
+
+    @abstractmethod
+    def bounds(self, request: Request) -> Bounds | None:
+        """What a request's known voxels say of the field."""
+
+    @abstractmethod
+    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        """The result's values from the last votes (C, Z, Y, X) int16."""
+
+
+class Labels(Content):
+    """Signed distances of the phases that occur."""
+
+    distances = True
+
+    def __init__(self, exemplars: Sequence[Image]) -> None:
+        self.present = phases_present(exemplars)
+        self.names = exemplars[0].phases
+        counts = np.sum([np.bincount(image.values.ravel(), minlength=len(self.names)) for image in exemplars], axis=0)
+        self.fractions = counts[list(self.present)] / counts.sum()
+        # Outside a form there is nothing: the void where it has a name, else the first phase.
+        self.empty = self.names.index("void") if "void" in self.names else 0
+
+    def fields(self, image: Image) -> np.ndarray:
+        return phase_fields(image, self.present)[0]
+
+    def bounds(self, request: Request) -> Bounds | None:
+        """Known voxels lie as far from an interface as they lie from the unknown, at least, or from one that is known."""
+        if request.fixed is None or request.known is None:
+            return None
+        fixed, known = request.fixed, request.known
+        spacing = isotropic_scale(fixed.spacing)
+        unknown = distance_transform(known, spacing=spacing)
+        low, high = [], []
+        for label in self.present[1:] if len(self.present) == 2 else self.present:
+            inside = fixed.values == label
+            within, without = (_depth(side, known, spacing) for side in (inside, ~inside))
+            own = np.where(inside, within, without)
+            near, far = np.maximum(np.minimum(own, unknown) - 0.5, 0.1), np.maximum(own - 0.5, 0.1)
+            low.append(np.where(known, np.where(inside, near, -far), -_ANY))
+            high.append(np.where(known, np.where(inside, far, -near), _ANY))
+        return np.stack(low).astype(np.float32), np.stack(high).astype(np.float32)
+
+    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        free = free_of(request)
+        values = labels_of(votes, self.present, self.fractions, free)
+        return _completed(values, request, empty=self.empty)
+
+
+class Values(Content):
+    """Grey values or colours, stretched over the bytes."""
+
+    distances = False
+
+    def __init__(self, exemplars: Sequence[Image]) -> None:
+        self.kind = exemplars[0].kind
+        self.low = min(float(image.values.min()) for image in exemplars)
+        self.high = max(float(image.values.max()) for image in exemplars)
+        channels = 3 if self.kind == "colour" else 1
+        pooled = [
+            np.concatenate([image.values.reshape(-1, channels)[:, c] for image in exemplars]) for c in range(channels)
+        ]
+        self.histograms = [Histogram.of(channel) for channel in pooled]
+
+    def fields(self, image: Image) -> np.ndarray:
+        return value_fields(image, low=self.low, high=self.high)
+
+    def bounds(self, request: Request) -> Bounds | None:
+        if request.fixed is None or request.known is None:
+            return None
+        fields = self.fields(request.fixed)
+        return np.where(request.known, fields, -_ANY), np.where(request.known, fields, _ANY)
+
+    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        values = values_of(votes, self.histograms, free_of(request))
+        return _completed(values, request, empty=0)
+
+
+def free_of(request: Request) -> np.ndarray | None:
+    """The voxels that are to be made; None where all are."""
+    if request.known is None:
+        return request.mask
+    return ~request.known if request.mask is None else request.mask & ~request.known
+
+
+def _completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
+    if request.mask is not None:
+        values[~request.mask] = empty
+    if request.fixed is not None and request.known is not None:
+        values[request.known] = request.fixed.values[request.known]
+    return values
+
+
+def _depth(inside: np.ndarray, known: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
+    """Distance of every voxel of `inside` to the nearest known voxel outside."""
+    may_be = inside | ~known
+    return np.full(inside.shape, _ANY) if may_be.all() else distance_transform(may_be, spacing=spacing)

@@ -1,0 +1,120 @@
+"""What is copied from: the exemplars at one resolution, stacked along z to one volume, and its neighbourhoods as features.
+
+Several exemplars, and rotated or mirrored copies of them, are one flat list of candidates with gaps: a neighbourhood that
+would reach over the seam between two volumes is not allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.neighbourhoods import Basis, principal_basis, project
+
+_MANY = 1_000_000  # neighbourhoods above which only every `step`-th is a candidate
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Volumes at one resolution, one above the other; beyond their own sides lies zero.
+
+    `field` is (C, z, y, x) int8; `starts` (n,) the first plane of each volume; `sides` (n, 3) its extent; `histograms` one
+    per channel, of the volumes themselves.
+    """
+
+    field: np.ndarray
+    starts: np.ndarray
+    sides: np.ndarray
+    histograms: tuple[Histogram, ...]
+
+    @classmethod
+    def of(cls, fields: Sequence[np.ndarray]) -> Stack:
+        """From fields (C, z, y, x) int8 of one number of channels."""
+        sides = np.array([field.shape[1:] for field in fields])
+        starts = np.concatenate([[0], np.cumsum(sides[:, 0])])
+        whole = np.zeros((len(fields[0]), starts[-1], *sides[:, 1:].max(0)), np.int8)
+        for field, start, (z, y, x) in zip(fields, starts, sides, strict=False):
+            whole[:, start : start + z, :y, :x] = field
+        channels = zip(*fields, strict=True)
+        histograms = tuple(Histogram.of(np.concatenate([part.ravel() for part in channel])) for channel in channels)
+        return cls(whole, starts[:-1], sides, histograms)
+
+    def allowed(self, width: int) -> np.ndarray:
+        """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz, gy, gx) bool."""
+        within = np.zeros([side - width + 1 for side in self.field.shape[1:]], bool)
+        for start, (z, y, x) in zip(self.starts, self.sides, strict=True):
+            within[start : start + z - width + 1, : y - width + 1, : x - width + 1] = True
+        return within
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The neighbourhoods of one width: `features` (N, D) int16 of the cells of a grid of `shape`, `stride` voxels apart.
+
+    `step` is how far apart the output's neighbourhoods are to be.
+    """
+
+    stack: Stack
+    basis: Basis
+    features: np.ndarray
+    shape: tuple[int, ...]
+    stride: int
+    step: int
+    allowed: np.ndarray  # (N,) bool
+
+    @classmethod
+    def of(cls, stack: Stack, *, width: int, step: int, variance: float, most: int) -> Candidates:
+        """All neighbourhoods, or every `step`-th along each axis where there are more than a million."""
+        within = stack.allowed(width)
+        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most)
+        stride = step if np.count_nonzero(within) > _MANY else 1
+        allowed = within[::stride, ::stride, ::stride]
+        features = project(stack.field, basis, step=stride, active=None if allowed.all() else allowed)
+        features = features.reshape(-1, features.shape[-1])
+        return cls(stack, basis, features, allowed.shape, stride, step, np.ascontiguousarray(allowed).ravel())
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """The allowed candidates, as numbers in the grid."""
+        return np.flatnonzero(self.allowed)
+
+    def corners(self, match: np.ndarray) -> list[np.ndarray]:
+        """The first voxel of each candidate, along z, y, x of the stack."""
+        return [cell * self.stride for cell in np.unravel_index(match, self.shape)]
+
+    def at(self, corners: Sequence[np.ndarray], volume: np.ndarray) -> np.ndarray:
+        """The allowed candidates of a volume that begin nearest to these voxels (z counted within the volume)."""
+        cells = []
+        for axis, corner in enumerate(corners):
+            most = self.stack.sides[volume, axis] - self.basis.width
+            start = self.stack.starts[volume] if axis == 0 else 0
+            # The stride need not divide a volume's start: its first and last cells are rounded inwards.
+            first, last = -(-start // self.stride), (start + most) // self.stride
+            cells.append(np.clip((np.clip(corner, 0, most) + start) // self.stride, first, last))
+        return np.ravel_multi_index(cells, self.shape).astype(np.int32)
+
+    def volumes(self, z: np.ndarray) -> np.ndarray:
+        """Which volume a plane of the stack belongs to."""
+        return np.searchsorted(self.stack.starts, z, side="right") - 1
+
+
+def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int) -> np.ndarray:
+    """Matches on another grid: every new neighbourhood takes what the old one at its place was matched with.
+
+    `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
+    """
+    sites, offsets = [], []
+    for count, have in zip(grid, match.shape, strict=True):
+        corner = np.arange(count) * new.step
+        site = np.minimum(corner // (factor * old.step), have - 1)
+        sites.append(site)
+        offsets.append(corner - factor * site * old.step)
+    z, y, x = old.corners(match[np.ix_(*sites)])
+    volume = old.volumes(z)
+    local = (z - old.stack.starts[volume], y, x)
+    moved = [factor * corner + offset for corner, offset in zip(local, np.ix_(*offsets), strict=True)]
+    return new.at(moved, volume)
