@@ -2,6 +2,10 @@
 
 import dataclasses
 import importlib
+import os
+import platform
+import subprocess
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -10,6 +14,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.recipe import digest
+from trabecula.engine import tiles
 from trabecula.engine.plan import GIB
 from trabecula.errors import InputError, MemoryBudgetError, RequestError, UnknownNameError
 from trabecula.flow import replay
@@ -92,6 +97,50 @@ def test_threads_do_not_matter(name, exemplar, material, count):
     with tb.threads(count):
         again = tb.method(name).fit(exemplar).generate(SHAPE, seed=5)
     assert np.array_equal(again.values, material.values)
+
+
+def test_tiles_do_not_matter(name, exemplar, material, monkeypatch):
+    """Slabs of random heights, worked in random order."""
+    rng = np.random.default_rng(1)
+
+    def shuffled(work, length, count, least):
+        cuts = np.unique(rng.integers(0, length + 1, 5))
+        bounds = [0, *(int(cut) for cut in cuts if 0 < cut < length), length]
+        for i in rng.permutation(len(bounds) - 1):
+            work(bounds[i], bounds[i + 1])
+
+    monkeypatch.setattr(tiles, "_run", shuffled)
+    assert np.array_equal(tb.method(name).fit(exemplar).generate(SHAPE, seed=5).values, material.values)
+
+
+@pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="instruction sets of x86-64")
+def test_an_old_processor_makes_the_same_voxels(tmp_path):
+    """Kernels compiled for 2008, no wide instructions in NumPy, BLAS and the C library: the digests agree with this machine's."""
+    program = tmp_path / "digests.py"
+    program.write_text(
+        "import trabecula as tb\n"
+        "from trabecula.synth.registry import methods\n"
+        "for name, spec in sorted(methods().items()):\n"
+        "    if spec.exemplar == '3d' and not spec.extras:\n"
+        "        exemplar = tb.crop(tb.sample('bone'), 32)\n"
+        "        material = tb.method(name).fit(exemplar).generate((26, 30, 33), seed=5)\n"
+        "        print(name, material.recipe.steps[-1]['sha256'])\n",
+        encoding="utf-8",
+    )
+    old = {
+        "NUMBA_CPU_NAME": "nehalem",
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "NPY_DISABLE_CPU_FEATURES": " ".join(["AVX2", "FMA3", "AVX512F", "AVX512CD", "AVX512_SKX"]),
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
+    }
+    runs = [
+        subprocess.run(
+            [sys.executable, program], env={**os.environ, **extra}, capture_output=True, text=True, check=True
+        )
+        for extra in ({}, old)
+    ]
+    assert runs[0].stdout == runs[1].stdout != ""
 
 
 def test_the_recipe_makes_the_same_voxels(material, tmp_path):

@@ -7,7 +7,9 @@ Distances between int16 features then are exact int32.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from trabecula.synth.shared.eigen import leading_vectors
 SCALE = 8
 """A feature is SCALE times the projection, so a squared distance is SCALE**2 times the neighbourhood's (at most 2^31)."""
 
-_EXACT = 2**24 / 127 * 0.98
+_EXACT = 2**24 / 127 * 0.98  # over the largest value and the norm of its row
 _SAMPLES = 8192
 _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
 
@@ -27,32 +29,38 @@ _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about
 class Basis:
     """Principal components of the neighbourhoods of an exemplar.
 
-    `vectors` is (C * w^3, D) float32 holding integers; `scale` is what an orthonormal vector was multiplied by;
-    `explained` the share of variance kept, 0..1.
+    `vectors` is (C * (w / grain)^3, D) float32 holding integers; `scale` is what an orthonormal vector was multiplied by;
+    `explained` the share of variance kept, 0..1. With a `grain` of 2 a neighbourhood is described by the sums over its
+    2 x 2 x 2 blocks, at an eighth of the work: enough where the field is smooth.
     """
 
     vectors: np.ndarray
     scale: float
     width: int
     explained: float
+    grain: int = 1
 
 
 def principal_basis(
-    field: np.ndarray, allowed: np.ndarray | None = None, *, width: int, variance: float, most: int
+    field: np.ndarray, allowed: np.ndarray | None = None, *, width: int, variance: float, most: int, grain: int = 1
 ) -> Basis:
     """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain `variance`, up to `most`.
 
     The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed` ((gz, gy, gx) bool, by
-    their first corner; default all), summed exactly.
+    their first corner; default all), summed exactly. `grain` 2 needs an even width.
     """
-    windows = _windows(field, width, 1)
-    grid = windows.shape[1:4]
+    grid = tuple(side - width + 1 for side in field.shape[1:])
     ones = np.arange(np.prod(grid)) if allowed is None else np.flatnonzero(allowed)
     chosen = ones[_spread(len(ones))]
-    sample = _rows(windows, np.unravel_index(chosen, grid)).astype(np.float32)
+    sample = np.empty((len(chosen), len(field) * (width // grain) ** 3), np.float32)
+    blocks = block_sums(field, grain)
+    for z, sites, rows in _by_plane(chosen, grid):
+        part = np.empty((len(sites), sample.shape[1]), np.float32)
+        gather(blocks, sites, grid[2], z, 1, width, grain, part)
+        sample[rows] = part
     total = sample.sum(0, dtype=np.float64)
     with one_blas_thread():
-        covariance = _gram(sample) - np.outer(total, total) / len(sample)
+        covariance = _gram(sample, exact=grain == 1) - np.outer(total, total) / len(sample)
     count = min(most, len(covariance))
     eigenvalues, vectors = leading_vectors(covariance, count)
     share = np.cumsum(np.maximum(eigenvalues, 0)) / max(np.trace(covariance), 1e-30)
@@ -60,12 +68,35 @@ def principal_basis(
     kept = vectors[:, :count]
     # An eigenvector's sign is arbitrary: the entry of largest size is made positive.
     kept = kept * np.where(kept[np.abs(kept).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
-    scale = _EXACT / np.sqrt(len(kept))
-    return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]))
+    scale = _EXACT / np.sqrt(len(kept)) / grain**3
+    return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain)
 
 
-def _gram(sample: np.ndarray) -> np.ndarray:
-    """sample.T @ sample, exactly: float32 products of int8 values over 1024 rows at a time stay below 2^24."""
+def block_sums(field: np.ndarray, grain: int) -> np.ndarray:
+    """Sums over the blocks of `grain` (1 or 2) voxels a side that begin at each voxel of (C, Z, Y, X) int8, in int16."""
+    if grain == 1:
+        return field
+    sums = field.astype(np.int16)
+    for axis in (1, 2, 3):
+        near, far = [slice(None)] * 4, [slice(None)] * 4
+        near[axis], far[axis] = slice(None, -1), slice(1, None)
+        sums = sums[tuple(near)] + sums[tuple(far)]
+    return sums
+
+
+def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, np.ndarray, slice]]:
+    """For every plane of a grid that holds some of the chosen sites (rising): it, their numbers in it, their places."""
+    planes, sites = np.divmod(chosen, grid[1] * grid[2])
+    bounds = np.flatnonzero(np.diff(planes, prepend=-1, append=grid[0]))
+    for first, stop in pairwise(bounds):
+        yield int(planes[first]), sites[first:stop], slice(first, stop)
+
+
+def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
+    """sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at a time stay below 2^24."""
+    if not exact:  # sums of blocks are too large for that
+        wide = sample.astype(np.float64)
+        return wide.T @ wide
     total = np.zeros((sample.shape[1],) * 2)
     for start in range(0, len(sample), 1024):
         rows = sample[start : start + 1024]
@@ -78,10 +109,12 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
-    width, (length, count) = basis.width, basis.vectors.shape
+    width, grain, (length, count) = basis.width, basis.grain, basis.vectors.shape
     grid = tuple((side - width) // step + 1 for side in field.shape[1:])
     features = np.empty((*grid, count), np.int16)
-    factor = np.float32(SCALE / basis.scale)
+    # The sum over a block of n equal values has n times their value, but only sqrt(n) times their norm.
+    factor = np.float32(SCALE / basis.scale / grain**1.5)
+    blocks = block_sums(field, grain)
 
     def work(start: int, stop: int) -> None:
         rows = np.empty((min(_ROWS, grid[1] * grid[2]), length), np.float32)
@@ -90,7 +123,7 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
             plane = features[z].reshape(-1, count)
             for first in range(0, len(sites), _ROWS):
                 chosen = sites[first : first + _ROWS]
-                gather(field, chosen, grid[2], z * step, step, width, rows)
+                gather(blocks, chosen, grid[2], z * step, step, width, grain, rows)
                 plane[chosen] = np.rint(rows[: len(chosen)] @ basis.vectors * factor)
 
     for_slabs(work, grid[0], least=2)
@@ -98,25 +131,32 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
 
 
 @kernel
-def gather(field, sites, across, z0, step, width, rows):
-    """Rows (n, C * w^3) of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0."""
+def gather(field, sites, across, z0, step, width, grain, rows):
+    """Rows (n, C * (w / grain)^3) of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0."""
+    length = width // grain
     for n in range(len(sites)):
         y0 = sites[n] // across * step
         x0 = sites[n] % across * step
         at = 0
         for c in range(field.shape[0]):
-            for z in range(z0, z0 + width):
-                for y in range(y0, y0 + width):
-                    line = field[c, z, y, x0 : x0 + width]  # slices, which the compiler knows not to wrap around
-                    to = rows[n, at : at + width]
-                    for x in range(width):
-                        to[x] = line[x]
-                    at += width
+            for z in range(z0, z0 + width, grain):
+                for y in range(y0, y0 + width, grain):
+                    line = field[
+                        c, z, y, x0 : x0 + width - grain + 1
+                    ]  # slices, which the compiler knows not to wrap around
+                    to = rows[n, at : at + length]
+                    if grain == 1:
+                        for x in range(length):
+                            to[x] = line[x]
+                    else:
+                        for x in range(length):
+                            to[x] = line[x * grain]
+                    at += length
 
 
-def basis_bytes(length: int) -> int:
-    """Memory that `principal_basis` takes for vectors of `length`: the sample in float32, and covariances."""
-    return 5 * _SAMPLES * length + 24 * length**2
+def basis_bytes(length: int, count: int) -> int:
+    """Memory that `principal_basis` takes for `count` vectors of `length`: the sample in float32, and covariances."""
+    return 4 * min(_SAMPLES, count) * length + 28 * length**2
 
 
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
@@ -133,16 +173,6 @@ def grid_shape(shape: tuple[int, ...], *, width: int, step: int) -> tuple[int, .
 def covered_shape(grid: tuple[int, ...], *, width: int, step: int) -> tuple[int, ...]:
     """The voxels that a grid of neighbourhoods covers."""
     return tuple((count - 1) * step + width for count in grid)
-
-
-def _windows(field: np.ndarray, width: int, step: int) -> np.ndarray:
-    views = np.lib.stride_tricks.sliding_window_view(field, (1, width, width, width))
-    return views[:, ::step, ::step, ::step, 0]
-
-
-def _rows(windows: np.ndarray, corners: tuple[np.ndarray, ...]) -> np.ndarray:
-    picked = windows[:, corners[0], corners[1], corners[2]]
-    return picked.transpose(1, 0, 2, 3, 4).reshape(len(corners[0]), -1)
 
 
 def _spread(count: int) -> np.ndarray:

@@ -33,6 +33,7 @@ from trabecula.synth.texture.region import Region, regions_of
 from trabecula.synth.texture.sources import Candidates, Stack, carried
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
 _SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
@@ -61,8 +62,8 @@ class Texture(Method):
             exemplar.values[..., 0].size if exemplar.kind == "colour" else exemplar.values.size
             for exemplar in exemplars
         )
-        fields = size * (14 + 10 * channels)
-        basis = basis_bytes(channels * max(self.config.neighbourhood) ** 3)
+        fields = size * (14 + 11 * channels)
+        basis = basis_bytes(channels * max(self.config.neighbourhood) ** 3, size // 8)  # of the second level, in full
         return Plan({"interpreter and kernels": _PROCESS, "fields": fields, "basis": basis})
 
 
@@ -88,7 +89,7 @@ class TextureModel(Model):
         for _ in range(_levels_that_fit(smallest, config) - 1):
             pyramid.append([halve(field) for field in pyramid[-1]])
         self.levels = [
-            self._level([self._quantised(field, index) for field in fields])
+            self._level([self._quantised(field, index) for field in fields], finest=index == 0)
             for index, fields in track(list(enumerate(pyramid)), "learning the exemplar")
         ]
 
@@ -98,12 +99,17 @@ class TextureModel(Model):
             return quantise(field / np.float32(2**index), clip=self.config.clip)
         return quantise(field, clip=FULL)
 
-    def _level(self, fields: list[np.ndarray]) -> Level:
+    def _level(self, fields: list[np.ndarray], *, finest: bool) -> Level:
         config, stack = self.config, Stack.of(fields)
-        made = [
-            Candidates.of(stack, width=width, step=config.step, variance=config.variance, most=config.components)
-            for width in config.neighbourhood
-        ]
+        made = []
+        for width in config.neighbourhood:
+            # On the finest level distances are so smooth that ten components hold them, and those of blocks are nearly the
+            # same ones; what varies within a block is missing from the variance that they share.
+            grain = 2 if finest and self.content.distances and width % 2 == 0 else 1
+            share = config.variance if grain == 1 else 1 - (1 - config.variance) * _BLOCKS_MISS
+            made.append(
+                Candidates.of(stack, width=width, step=config.step, variance=share, most=config.components, grain=grain)
+            )
         return Level(stack, tuple(made))
 
     def _generate(self, request: Request) -> np.ndarray:

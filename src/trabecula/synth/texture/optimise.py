@@ -112,7 +112,7 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     """
     # One quantum per voxel keeps an exact match from outvoting everything.
     basis = grid.candidates.basis
-    floor = SCALE**2 * len(basis.vectors)
+    floor = SCALE**2 * len(basis.vectors) * basis.grain**3
     count = max(1, int(np.count_nonzero(grid.active)))
     mean = int(distance.sum(dtype=np.int64)) // count + floor
     ratio = np.clip((distance.astype(np.int64) + floor) * 256 // mean, 1, 4095)

@@ -67,10 +67,10 @@ class Candidates:
     allowed: np.ndarray  # (N,) bool
 
     @classmethod
-    def of(cls, stack: Stack, *, width: int, step: int, variance: float, most: int) -> Candidates:
+    def of(cls, stack: Stack, *, width: int, step: int, variance: float, most: int, grain: int = 1) -> Candidates:
         """All neighbourhoods, or every `step`-th along each axis where there are more than a million."""
         within = stack.allowed(width)
-        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most)
+        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most, grain=grain)
         stride = step if np.count_nonzero(within) > _MANY else 1
         allowed = within[::stride, ::stride, ::stride]
         features = project(stack.field, basis, step=stride, active=None if allowed.all() else allowed)
