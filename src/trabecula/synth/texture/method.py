@@ -63,7 +63,10 @@ class Texture(Method):
             for exemplar in exemplars
         )
         fields = size * (14 + 11 * channels)
-        basis = basis_bytes(channels * max(self.config.neighbourhood) ** 3, size // 8)  # of the second level, in full
+        width = max(self.config.neighbourhood)
+        # Of the second level, where neighbourhoods are described in full.
+        count = sum(int(np.prod([max(1, side // 2 - width + 1) for side in exemplar.shape])) for exemplar in exemplars)
+        basis = basis_bytes(channels * width**3, count)
         return Plan({"interpreter and kernels": _PROCESS, "fields": fields, "basis": basis})
 
 
