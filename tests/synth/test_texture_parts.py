@@ -1,0 +1,181 @@
+"""`texture`: forms, periodic and fixed parts of a request, several exemplars, grey and colour."""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.errors import InputError, RequestError
+from trabecula.synth.texture.region import Region
+from trabecula.synth.texture.sources import Candidates, Stack, carried
+
+QUICK = {"rounds": (2, 3), "first_rounds": 8, "sweeps": 1, "tries": 2}
+
+
+@pytest.fixture(scope="module")
+def bone():
+    return tb.crop(tb.sample("bone"), 48)
+
+
+@pytest.fixture(scope="module")
+def model(bone):
+    return tb.method("texture").fit(bone)
+
+
+def labels(values, like):
+    return tb.Image(values, "labels", like.spacing, like.unit, like.phases)
+
+
+def misfit(exemplar, image):
+    """Distance of every voxel's neighbourhood to the nearest in the exemplar; NaN where none was looked for."""
+    distance = tb.measure.sources(exemplar, image).distance.astype(float)
+    return np.where(distance < 0, np.nan, distance)
+
+
+def test_a_periodic_tile_repeats_without_a_seam(bone, model):
+    side, margin = 56, 16
+    tile = model.generate(side, seed=3, periodic=(True, False, True))
+    around = np.pad(tile.values, [(margin, margin), (0, 0), (margin, margin)], mode="wrap")
+    found = misfit(bone, labels(around, bone))
+    z, _, x = np.indices(around.shape)
+    joint = np.isin(z, (margin - 1, margin, margin + side - 1, margin + side))
+    joint |= np.isin(x, (margin - 1, margin, margin + side - 1, margin + side))
+    assert np.nanmean(found[joint]) <= 1.1 * np.nanmean(found[~joint])
+    # An open axis does not repeat: opposite faces differ as independent ones do.
+    open_axis = np.mean(tile.values[:, 0] != tile.values[:, -1])
+    assert open_axis > 3 * np.mean(tile.values[0] != tile.values[-1])
+
+
+def test_a_form_is_filled_and_nothing_lies_outside(bone, model):
+    z, y, x = np.indices((60, 50, 56))
+    ball = (z - 30) ** 2 + (y - 25) ** 2 + (x - 28) ** 2 < 23**2
+    part = model.generate(ball.shape, seed=1, mask=ball).values
+    assert not part[~ball].any()
+    assert np.count_nonzero(part) == round(np.count_nonzero(ball) * bone.values.mean())
+
+
+def test_material_is_flush_to_the_surface_of_its_form(model):
+    """A slab: the share of solid in its outermost planes is that within, over six seeds (their mean scatters by a tenth)."""
+    slab = np.zeros((60, 40, 40), bool)
+    slab[15:45] = True
+    profile = np.mean(
+        [model.generate(slab.shape, seed=s, mask=slab).values.mean(axis=(1, 2)) for s in range(6)], axis=0
+    )
+    rim = np.concatenate([profile[15:18], profile[42:45]])
+    assert rim.mean() == pytest.approx(profile[20:40].mean(), rel=0.25)
+
+
+def test_a_form_without_room_for_a_neighbourhood_is_refused(model):
+    sheet = np.zeros((40, 40, 40), bool)
+    sheet[20:25] = True
+    with pytest.raises(RequestError, match="room for a neighbourhood of 8"):
+        model.generate(40, mask=sheet)
+
+
+def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
+    whole = tb.sample("bone")
+    bone, scan = labels(whole.values[46:, 46:, 46:], bone), labels(whole.values[:50, :50, :50], bone)
+    model = tb.method("texture").fit(bone)
+    known = np.ones(scan.shape, bool)
+    known[13:37, 13:37, 13:37] = False
+    repaired = model.generate(scan.shape, seed=3, fixed=scan, known=known)
+    assert np.array_equal(repaired.values[known], scan.values[known])
+    assert not np.array_equal(repaired.values, scan.values)
+    pasted = labels(np.where(known, scan.values, model.generate(scan.shape, seed=3).values), bone)
+    shell = np.zeros(scan.shape, bool)
+    shell[11:39, 11:39, 11:39] = True
+    shell[15:35, 15:35, 15:35] = False
+    real, joint, cut = (np.nanmean(misfit(bone, image)[shell]) for image in (scan, repaired, pasted))
+    # The scan itself is no nearer to the exemplar's neighbourhoods; what is pasted in is farther.
+    assert joint <= 1.1 * real
+    assert cut > 1.1 * joint
+
+
+def test_fixed_voxels_of_a_phase_that_the_exemplar_lacks_are_refused(model):
+    strange = tb.Image(np.full((40, 40, 40), 2, np.uint8), "labels", phases=("void", "bone", "cement"))
+    known = np.zeros((40, 40, 40), bool)
+    known[:10] = True
+    with pytest.raises(RequestError):
+        model.generate(40, fixed=strange, known=known)
+
+
+def test_several_exemplars_are_one_list_of_neighbourhoods():
+    rng = np.random.default_rng(0)
+    fields = [rng.integers(-9, 9, (1, *shape)).astype(np.int8) for shape in ((14, 12, 16), (12, 15, 13), (20, 12, 12))]
+    coarse = [rng.integers(-9, 9, (1, *((s + 1) // 2 for s in field.shape[1:]))).astype(np.int8) for field in fields]
+    stacks = [Stack.of(coarse), Stack.of(fields)]
+    old, new = (Candidates.of(stack, width=4, step=2, variance=0.9, most=8) for stack in stacks)
+    assert new.allowed.sum() == sum(np.prod([s - 3 for s in field.shape[1:]]) for field in fields)
+    for number in rng.choice(new.numbers, 20):
+        z, y, x = (int(c) for c in new.corners(number))
+        volume = int(new.volumes(np.array(z)))
+        local = z - int(stacks[1].starts[volume])
+        block = stacks[1].field[:, z : z + 4, y : y + 4, x : x + 4]
+        assert np.array_equal(block, fields[volume][:, local : local + 4, y : y + 4, x : x + 4])
+    match = rng.choice(old.numbers, (3, 4, 5)).astype(np.int32)
+    moved = carried(match, old, new, (7, 8, 9), factor=2)
+    assert new.allowed[moved].all()
+    place = old.volumes(old.corners(match)[0])
+    assert np.array_equal(new.volumes(new.corners(moved)[0])[::2, ::2, ::2][:3, :4, :5], place)
+
+
+def test_two_exemplars_both_lend_their_structures():
+    """One with layers across z, one with layers across y: the result holds both, and no third kind."""
+    z, y, _ = np.indices((40, 40, 40))
+    across_z, across_y = ((z // 5 % 2).astype(np.uint8), (y // 5 % 2).astype(np.uint8))
+    material = tb.method("texture", **QUICK).fit([across_z, across_y]).generate(64, seed=0).values
+    faces = [np.mean(np.diff(material.astype(int), axis=axis) != 0) for axis in range(3)]
+    assert faces[0] > 0.02
+    assert faces[1] > 0.02
+    assert faces[2] < 0.5 * min(faces[:2])
+
+
+def test_exemplars_that_differ_are_refused(bone):
+    other = tb.Image(bone.values, "labels", spacing=(2 * s for s in bone.spacing), unit=bone.unit, phases=bone.phases)
+    with pytest.raises(InputError, match="agree in spacing"):
+        tb.method("texture").fit([bone, other])
+    with pytest.raises(InputError, match="one exemplar"):
+        tb.method("noise").fit([bone, bone])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_grey_comes_out_with_its_whole_histogram(bone, dtype):
+    rng = np.random.default_rng(0)
+    smooth = bone.values[:32, :32, :32] * 160.0 + rng.normal(40, 12, (32, 32, 32))
+    values = smooth.clip(0, 255).astype(dtype) * (dtype(7) if dtype == np.uint16 else dtype(1))
+    grey = tb.Image(values, "grey")
+    made = tb.method("texture", **QUICK).fit(grey).generate(40, seed=1)
+    assert made.values.dtype == dtype
+    places = np.linspace(0.01, 0.99, 50)
+    wanted, found = np.quantile(values, places), np.quantile(made.values, places)
+    assert np.abs(found - wanted).max() <= 0.02 * float(np.ptp(values))
+    # Grain: a mean of neighbourhoods would lose the noise within the void.
+    assert (
+        np.abs(np.diff(made.values.astype(float), axis=2)).mean()
+        > 0.6 * np.abs(np.diff(values.astype(float), axis=2)).mean()
+    )
+
+
+def test_colours_stay_the_exemplars(bone):
+    solid = bone.values[:32, :32, :32, None].astype(bool)
+    values = np.where(solid, np.array([230, 210, 160]), np.array([120, 30, 20])).astype(np.uint8)
+    made = tb.method("texture", **QUICK).fit(tb.Image(values, "colour")).generate(36, seed=2)
+    assert made.kind == "colour"
+    assert made.values.shape == (36, 36, 36, 3)
+    near = np.abs(made.values[..., None, :].astype(int) - np.array([[230, 210, 160], [120, 30, 20]])).max(-1).min(-1)
+    assert np.mean(near == 0) > 0.97, "channels agree on the colour"
+
+
+@pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
+def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
+    rng = np.random.default_rng(4)
+    free = rng.random((13, 14, 15)) < 0.004
+    region = Region(free.shape, wraps, free)
+    grid = region.grid(width=6, step=2)
+    covered = region.covered(width=6, step=2)
+    active = covered.active(grid, width=6, step=2)
+    for site in np.ndindex(grid):
+        cells = [
+            np.arange(s * 2, s * 2 + 6) % side if wrap else np.arange(s * 2, s * 2 + 6)
+            for s, side, wrap in zip(site, covered.shape, wraps, strict=True)
+        ]
+        assert active[site] == covered.free[np.ix_(*cells)].any()
