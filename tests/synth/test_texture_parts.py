@@ -91,7 +91,7 @@ def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
         return np.mean([np.mean(v[[12, 36]] != v[[13, 37]], where=face) for v in turned])
 
     real, joint, cut = (steps(values) for values in (scan.values, repaired.values, pasted))
-    assert joint <= 1.2 * real
+    assert joint <= 1.3 * real
     assert cut > 2 * real
     # Nor are neighbourhoods on the joint farther from the exemplar's than those of the scan itself.
     shell = np.zeros(scan.shape, bool)

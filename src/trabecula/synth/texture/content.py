@@ -19,11 +19,13 @@ from trabecula.synth.shared.fields import (
     values_of,
 )
 from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.texture.joints import mixed_share, surroundings
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
 
 _ANY = 1e4  # farther than any distance
+_BESIDE = 8  # voxels around what is made that say how dense it should be
 
 
 def content_of(exemplars: Sequence[Image]) -> Content:
@@ -85,8 +87,17 @@ class Labels(Content):
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
         free = free_of(request)
-        values = labels_of(votes, self.present, self.fractions, free)
+        values = labels_of(votes, self.present, self._wanted(request, free), free)
         return _completed(values, request, empty=self.empty)
+
+    def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
+        """The fractions of what is made: the exemplar's, or where something is known beside it, of both together."""
+        if free is None or request.fixed is None or request.known is None:
+            return self.fractions
+        near = surroundings(free, request.known, _BESIDE)
+        held = request.fixed.values[near]
+        own = np.array([np.mean(held == label) if held.size else 0.0 for label in self.present])
+        return mixed_share(held.size, int(np.count_nonzero(free)), own, self.fractions)
 
 
 class Values(Content):

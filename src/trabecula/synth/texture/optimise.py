@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.tiles import for_slabs
-from trabecula.synth.shared.histogram import match_histogram
+from trabecula.synth.shared.histogram import Histogram, match_histogram
 from trabecula.synth.shared.neighbourhoods import SCALE, project
+from trabecula.synth.texture.joints import joined, known_of, mixed_histograms, surroundings
 from trabecula.synth.texture.kernels import search, vote
 from trabecula.synth.texture.region import Region
 from trabecula.synth.texture.sources import Candidates
@@ -22,13 +23,19 @@ class Grid:
     region: Region  # covered
     shape: tuple[int, ...]
     active: np.ndarray  # bool, `shape`
+    targets: tuple[Histogram, ...]  # that the free voxels are to have, one a channel
 
     @classmethod
     def over(cls, region: Region, candidates: Candidates) -> Grid:
         """The neighbourhoods of a region, which is continued to what they cover."""
         width, step = candidates.basis.width, candidates.step
         covered, shape = region.covered(width=width, step=step), region.grid(width=width, step=step)
-        return cls(candidates, covered, shape, covered.active(shape, width=width, step=step))
+        active, targets = covered.active(shape, width=width, step=step), candidates.stack.histograms
+        if covered.free is not None and covered.low is not None and covered.high is not None:
+            near = surroundings(covered.free, known_of(covered.free, covered.low, covered.high), width)
+            made = int(np.count_nonzero(covered.free))
+            targets = mixed_histograms(targets, covered.low, covered.high, near, made)
+        return cls(candidates, covered, shape, active, targets)
 
     @property
     def reach(self) -> tuple[int, ...]:
@@ -129,8 +136,7 @@ def cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -
 def rematched(grid: Grid, votes: np.ndarray) -> np.ndarray:
     """Votes (C, Z, Y, X) int16 as a field in int8 with the exemplar's histograms, and what is known put back."""
     region = grid.region
-    targets = grid.candidates.stack.histograms
-    matched = [match_histogram(mean, target, region.free) for mean, target in zip(votes, targets, strict=True)]
+    matched = [match_histogram(mean, target, region.free) for mean, target in zip(votes, grid.targets, strict=True)]
     return region.bounded(np.stack(matched))
 
 
@@ -159,4 +165,6 @@ def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) 
         )
 
     for_slabs(work, region.shape[0])
-    return votes
+    if region.free is None or region.low is None or region.high is None:
+        return votes
+    return joined(votes, region.low, region.high, region.free)
