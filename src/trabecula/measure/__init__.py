@@ -32,12 +32,14 @@ from trabecula.measure.morphometry import connectivity_density, morphometry
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.physics import describe_physics
+from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph, thin
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
 from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, tortuosity
 
 __all__ = [
     "Effective",
     "Minkowski",
+    "SkeletonGraph",
     "Stiffness",
     "anisotropy",
     "autocorrelation",
@@ -80,12 +82,14 @@ __all__ = [
     "porosity",
     "signed_distance",
     "size_distribution",
+    "skeleton_graph",
     "sources",
     "specific_surface",
     "stiffness",
     "structure_tensor",
     "ten_bins",
     "thickness",
+    "thin",
     "tortuosity",
     "two_point",
     "two_point_cluster",

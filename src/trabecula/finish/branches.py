@@ -1,0 +1,172 @@
+"""Struts that end freely, and the cells that they stick into.
+
+Surfaces that are rough and plates have branches with free ends too. One is taken for a strut where the part of the
+phase that is its own
+
+- sticks out: the void touches at least twice as much of its surface as the rest of the phase does;
+- is not more than twice as wide as thick;
+- is not cut by a face of the image.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.finish.cutting import Territories
+from trabecula.measure.distance import distance_transform
+from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph
+from trabecula.measure.skeleton.graph import END_JOINT, JOINT_JOINT
+
+_FLAT = 2.0  # width over thickness of what is a plate
+_SAMPLED = 200  # joints whose loops tell the size of a typical cell
+_FREE = 2.0  # free surface over what hangs on the rest
+
+
+@dataclass(frozen=True, eq=False)
+class FreeEnd:
+    """A strut that ends freely inside the image. Lengths are in the unit of the spacing."""
+
+    branch: int
+    """Number in the skeleton graph."""
+    root: int
+    """The joint that it grows from."""
+    length: float
+    """Of the branch, from joint to tip."""
+    thickness: float
+    """Mean diameter, along the branch outside of its root."""
+    tip: np.ndarray
+    """(3,) voxel at the free end, in the territories' volumes."""
+    direction: np.ndarray
+    """(3,) of length 1, outwards, in the unit of the spacing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """A phase taken apart into branches."""
+
+    graph: SkeletonGraph
+    radius: np.ndarray
+    """The image's shape: distance of every voxel of the phase to the rest, in the unit of the spacing."""
+    territories: Territories
+    ends: list[FreeEnd]
+    """Shortest first."""
+    volume: float
+    """Of the image without the margin in which ends are not judged, in the unit of the spacing."""
+
+
+def anatomy(inside: np.ndarray, spacing: tuple[float, ...]) -> Anatomy:
+    """Skeleton, territories and free ends of a phase, a boolean array; lengths are in the unit of `spacing`.
+
+    Ends nearer to a face than the mean thickness of the struts are not judged: the face may have cut a strut there.
+    """
+    graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
+    radius = distance_transform(inside, spacing=spacing)
+    margin = 2 * float(radius[graph.skeleton].mean(dtype=np.float64))
+    territories = Territories(graph, inside, radius)
+    girth = np.zeros(len(graph.joints))
+    np.maximum.at(girth, graph.joint_of, radius[tuple(graph.joint_voxels.T)])
+    sides = np.array(inside.shape) * np.array(spacing)
+    found = []
+    for branch in np.flatnonzero(graph.kind == END_JOINT):
+        tip = (graph.path(branch)[0] + 0.5) * np.array(spacing)
+        if min(tip.min(), (sides - tip).min()) >= margin:
+            end = _free_end(int(branch), graph, radius, girth[graph.stop[branch]], territories)
+            found += [] if end is None else [end]
+    found.sort(key=lambda end: end.length)  # stable: equal ones stay in the order of the graph
+    return Anatomy(graph, radius, territories, found, float(np.prod(np.maximum(sides - 2 * margin, 0))))
+
+
+def _free_end(
+    branch: int, graph: SkeletonGraph, radius: np.ndarray, girth: float, space: Territories
+) -> FreeEnd | None:
+    """The strut that a branch is the middle of; None where it is no strut, or a face cuts it. `girth` is the radius at
+    its root."""
+    edge, root = space.edge, int(graph.stop[branch])
+    own = space.of(branch)
+    if not len(own) or space.at_face(own):
+        return None
+    held, free = space.surface(own)
+    if free < _FREE * held:
+        return None
+    path = space.lifted(graph.path(branch))
+    base = space.lifted(graph.joints[root][None])[0]
+    away = np.linalg.norm((path[:-1] - base) * edge, axis=1)
+    outside = graph.path(branch)[:-1][away >= min(girth, away[0])]
+    diameter = 2 * float(radius[tuple(outside.T)].mean()) - edge.min() / 2
+    if not away[0]:  # a joint around its own branch: no way leads outwards
+        return None
+    outward = (path[0] - base) * edge / away[0]
+    at = space.places(own) * edge
+    wide, thick = _widths(at, outward, edge)
+    if radius.ndim == 3 and wide > _FLAT * min(thick, diameter):
+        return None
+    behind = np.linalg.norm((path - path[0]) * edge, axis=1) >= 2 * diameter
+    direction = (path[0] - (path[np.argmax(behind)] if behind.any() else base)) * edge
+    direction /= np.linalg.norm(direction)
+    return FreeEnd(branch, root, float(graph.length[branch]), diameter, path[0], direction)
+
+
+def _widths(at: np.ndarray, along: np.ndarray, edge: np.ndarray) -> tuple[float, float]:
+    """Larger and smaller width across a direction: of the box that has the same second moments."""
+    across = at - at.mean(axis=0)
+    across -= np.outer(across @ along, along)
+    # A voxel is no point: its own moment comes on top.
+    moments = np.linalg.eigvalsh(across.T @ across / len(at) + np.diag(edge**2) / 12)
+    return float(np.sqrt(12 * moments[2])), float(np.sqrt(12 * moments[1]))
+
+
+def cell_perimeters(graph: SkeletonGraph, roots: list[int]) -> np.ndarray:
+    """Perimeter of the cell around each joint, in the unit of the spacing; infinite where the graph has no loops at all.
+
+    It is the length of the shortest loop through the joint, but no less than the median of such loops: a small hole in
+    a strut is no cell, and a joint without a loop (on a tree that hangs into a cell) has one around it all the same.
+    """
+    edges = _edges(graph)
+    every = 1 + len(edges) // _SAMPLED
+    loops = np.array([_shortest_loop(joint, edges) for joint in range(0, len(edges), every)], np.float64)
+    if not np.isfinite(loops).any():
+        return np.full(len(roots), np.inf)
+    median = float(np.median(loops[np.isfinite(loops)]))
+    found = np.array([_shortest_loop(root, edges) for root in roots], np.float64)
+    return np.where(np.isfinite(found), np.maximum(found, median), median)
+
+
+def _edges(graph: SkeletonGraph) -> list[list[tuple[int, float, int]]]:
+    """For every joint the branches to others: the other joint, the length between both centres, the branch's number."""
+    edge = np.array(graph.spacing)
+    edges: list[list[tuple[int, float, int]]] = [[] for _ in graph.joints]
+    for branch in np.flatnonzero(graph.kind == JOINT_JOINT):
+        path, a, b = graph.path(branch), int(graph.start[branch]), int(graph.stop[branch])
+        inside = np.linalg.norm((path[[0, -1]] - graph.joints[[a, b]]) * edge, axis=1).sum()
+        length = float(graph.length[branch] + inside)
+        edges[a].append((b, length, int(branch)))
+        if a != b:
+            edges[b].append((a, length, int(branch)))
+    return edges
+
+
+def _shortest_loop(root: int, edges: list[list[tuple[int, float, int]]]) -> float:
+    """Dijkstra from the root. A loop closes where two ways meet that left the root by different branches."""
+    best = min((length for other, length, _ in edges[root] if other == root), default=np.inf)
+    queue = [(length, other, branch) for other, length, branch in edges[root] if other != root]
+    heapq.heapify(queue)
+    reached: dict[int, tuple[float, int]] = {}
+    while queue:
+        far, joint, left_by = heapq.heappop(queue)
+        if 2 * far >= best:  # the farthest joints of a shorter loop are nearer than half of it
+            break
+        if joint in reached:
+            continue
+        reached[joint] = (far, left_by)
+        for other, length, branch in edges[joint]:
+            if other == root:
+                best = min(best, far + length) if branch != left_by else best
+            elif other not in reached:
+                heapq.heappush(queue, (far + length, other, left_by))
+            elif reached[other][1] != left_by:
+                best = min(best, far + length + reached[other][0])
+    return float(best)
