@@ -99,6 +99,19 @@ def test_threads_do_not_matter(name, exemplar, material, count):
     assert np.array_equal(again.values, material.values)
 
 
+def test_presets_keep_their_promises(name, spec):
+    """Every preset: the shape asked for, the same voxels for one thread and two, and again from the recipe."""
+    for preset in spec.presets:
+        exemplar = tb.crop(exemplar_for(spec), 24)
+        made = []
+        for count in (1, 2):
+            with tb.threads(count):
+                made.append(tb.method(name, preset=preset).fit(exemplar).generate((16, 18, 20), seed=2))
+        assert made[0].shape == (16, 18, 20)
+        assert np.array_equal(made[0].values, made[1].values)
+        assert made[0].recipe.to_json() == made[1].recipe.to_json()
+
+
 def test_tiles_do_not_matter(name, exemplar, material, monkeypatch):
     """Slabs of random heights, worked in random order."""
     rng = np.random.default_rng(1)

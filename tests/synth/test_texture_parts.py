@@ -189,3 +189,61 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
             for s, side, wrap in zip(site, covered.shape, wraps, strict=True)
         ]
         assert active[site] == covered.free[np.ix_(*cells)].any()
+
+
+def test_rounds_by_energy_tell_their_trace(bone):
+    """Equation (1) falls, the last round of a level changes it by less than the tolerance, and the recipe tells so."""
+    exemplar = tb.crop(bone, 32)
+    method = tb.method("texture", gradient=0.5, adaptive=True, tolerance=0.01, first_rounds=12, rounds=(12,))
+    levels = method.fit(exemplar).generate(36, seed=1).recipe.steps[-1]["report"]["levels"]
+    assert [level["level"] for level in levels] == sorted((level["level"] for level in levels), reverse=True)
+    for level in levels:
+        robust = [round_["robust"] for round_ in level["energy"]]
+        assert robust[-1] < robust[0]
+        if len(robust) < 12:
+            assert abs(robust[-1] - robust[-2]) <= 0.01 * robust[-2]
+
+
+@pytest.mark.parametrize("settings", [{"search": "exact"}, {"gradient": 0.3}, {"search": "exact", "adaptive": True}])
+def test_the_papers_pieces_honour_every_part(bone, settings):
+    exemplar = tb.crop(bone, 28)
+    model = tb.method("texture", first_rounds=4, rounds=(2,), **settings).fit(exemplar)
+    form = np.ones((30, 30, 30), bool)
+    form[:, :, 20:] = False
+    known = np.zeros((30, 30, 30), bool)
+    known[:12, 4:26] = True
+    scan = labels(bone.values[:30, :30, :30], bone)
+    made = model.generate(30, seed=2, mask=form, fixed=scan, known=known, periodic=(False, True, False)).values
+    assert np.array_equal(made[known], scan.values[known])
+    assert not made[~form & ~known].any()
+    share = made[form & ~known].mean()
+    assert 0.5 * exemplar.values.mean() < share < 2 * exemplar.values.mean()
+
+
+def test_the_exact_search_finds_nearer_neighbourhoods_than_the_coherent_one(bone):
+    exemplar = tb.crop(bone, 28)
+    fits = {}
+    for search in ("coherent", "exact"):
+        model = tb.method("texture", search=search, levels=1, first_rounds=6, tolerance=1e-9).fit(exemplar)
+        trace = model.generate(36, seed=3).recipe.steps[-1]["report"]["levels"][0]["energy"]
+        fits[search] = trace[1]["squares"]
+    assert fits["exact"] < fits["coherent"]
+
+
+def test_mirrored_copies_are_learnt_from():
+    """Teeth that all rise to the right: the interface lies along one diagonal, and with mirrors along both."""
+    y, x = np.indices((32, 32))
+    teeth = np.zeros((32, 32, 32), np.uint8)
+    teeth[:] = (x % 8) > (y % 8)
+
+    def leaning(values):
+        along = np.mean(values[:, 1:, 1:] != values[:, :-1, :-1])
+        across = np.mean(values[:, 1:, :-1] != values[:, :-1, 1:])
+        return across / along
+
+    models = {which: tb.method("texture", orientations=which, **QUICK).fit(teeth) for which in ("none", "mirrors")}
+    assert len(models["mirrors"].levels[0].stack.starts) == 8
+    leans = {which: leaning(model.generate(48, seed=1).values) for which, model in models.items()}
+    assert leaning(teeth) > 2
+    assert leans["none"] > 1.6
+    assert 0.7 < leans["mirrors"] < 1.4

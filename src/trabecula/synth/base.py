@@ -7,7 +7,7 @@ The checks, the memory budget and the recipe are here, once; a method fills in `
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
@@ -98,8 +98,9 @@ class Model(ABC):
         """
         request = _as_request(shape, seed, parts)
         check_budget(self.plan(request), budget=memory)
-        values = self._generate(request)
-        return Image(values, **self._result_fields(), recipe=self._recipe(request, values))
+        made = self._generate(request)
+        values, report = made if isinstance(made, tuple) else (made, {})
+        return Image(values, **self._result_fields(), recipe=self._recipe(request, values, report))
 
     def _check_request(self, request: Request) -> None:
         refused = sorted(request.asks_for() - self.spec.honours)
@@ -113,7 +114,7 @@ class Model(ABC):
         first = self.exemplars[0]
         return {"kind": first.kind, "spacing": first.spacing, "unit": first.unit, "phases": first.phases}
 
-    def _recipe(self, request: Request, values: np.ndarray) -> Recipe:
+    def _recipe(self, request: Request, values: np.ndarray, report: Mapping[str, Any]) -> Recipe:
         return Recipe().then(
             "generate",
             values,
@@ -121,13 +122,15 @@ class Model(ABC):
             settings=asdict(self.config),
             request=request.to_json(),
             exemplars=[exemplar.recipe.to_json() for exemplar in self.exemplars],
+            **({"report": dict(report)} if report else {}),
         )
 
     @abstractmethod
     def _plan(self, request: Request) -> Plan: ...
 
     @abstractmethod
-    def _generate(self, request: Request) -> np.ndarray: ...
+    def _generate(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
+        """The values, or the values and what there is to tell of how they came to be (plain JSON)."""
 
 
 class Method(ABC):

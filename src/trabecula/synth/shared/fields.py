@@ -60,14 +60,18 @@ def value_fields(image: Image, *, low: float, high: float) -> np.ndarray:
 
 
 def labels_of(
-    fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray, inside: np.ndarray | None = None
+    fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray | None, inside: np.ndarray | None = None
 ) -> np.ndarray:
     """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume `fractions`.
 
+    Without fractions two phases are split at zero, and more go to the largest field.
     Two phases are split where the fraction is met to the voxel. More go to the largest field, each shifted by a constant so
     that the fractions come out as nearly as forty steps bring them: zeros alone need not agree where three phases meet.
     Where `inside` (Z, Y, X) bool is given, fractions are those of the voxels inside.
     """
+    if fractions is None:
+        chosen = (fields[0] > 0).astype(np.intp) if len(present) == 2 else fields.argmax(0)
+        return np.asarray(present, np.uint8)[chosen]
     size = fields[0].size if inside is None else int(np.count_nonzero(inside))
     if len(present) == 2:
         upper = brightest(fields[0], round(size * float(fractions[1])), inside)
@@ -91,3 +95,11 @@ def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarr
     """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms of the channels."""
     channels = [match_histogram(field, target, inside) for field, target in zip(fields, targets, strict=True)]
     return channels[0] if len(channels) == 1 else np.stack(channels, axis=-1)
+
+
+def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
+    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields` backwards."""
+    grey = (fields.astype(np.float32) / 256 + FULL) * np.float32((high - low) / (2 * FULL)) + np.float32(low)
+    grey = grey.clip(low, high)
+    values = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
+    return values[0] if len(values) == 1 else np.moveaxis(values, 0, -1).copy()

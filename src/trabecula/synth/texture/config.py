@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 
 
@@ -17,7 +18,8 @@ class TextureConfig:
     Larger ones keep more structure and copy more."""
 
     step: int = 2
-    """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section 4.1; 1 on the coarsest)."""
+    """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section 4.1; 1 on the coarsest). 0
+    stands for half the width on every level."""
 
     levels: int = 6
     """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave room for a neighbourhood in
@@ -50,6 +52,40 @@ class TextureConfig:
     robustness: float = 0.8
     """Exponent r of the vote's weights d^(r - 2), 0 .. 2 (section 4.3); 2 is plain least squares."""
 
+    field: str = "distance"
+    """What labels become: "distance", the clipped signed distance of every phase, or "indicator", its 0 and 1 as the paper's
+    grey levels. Grey values and colours are what they are."""
+
+    histogram: bool = True
+    """Whether every round matches the histogram of the field to the exemplar's, and the result holds its volume fractions.
+    Without, labels are split at the middle of the field, as the paper's iso-value does."""
+
+    search: str = "coherent"
+    """"coherent": each site tries its own match, its neighbours' moved along, and random ones. "exact": the `nearest`
+    nearest neighbourhoods, ordered again by the index histogram (section 4.2)."""
+
+    nearest: int = 10
+    """k, the nearest neighbourhoods that the exact search looks at, 1 .. 100 (section 4.2)."""
+
+    orientations: str = "none"
+    """Copies of the exemplar to learn from besides itself (section 5.1): "none", "mirrors" (8), "upright" (16, that keep the
+    first axis), "all" (48)."""
+
+    gradient: float = 0.0
+    """mu, the weight of the gradient energy beside that of the values, 0 .. 100 (equation 1); smaller for thin features."""
+
+    adaptive: bool = False
+    """Whether lambda follows the energy (equation 2). It acts through the gradient energy only: alone it cancels."""
+
+    increase: float = 0.05
+    """epsilon_i, by how much lambda rises where the energy fell, 0 .. 1 (equation 2)."""
+
+    decrease: float = 0.3
+    """epsilon_d, by how much lambda falls where the energy rose, 0 .. 0.9 (equation 2)."""
+
+    tolerance: float = 0.0
+    """Relative change of the energy at which a level is left before its rounds are used up, 0 .. 0.1 (section 4.3); 0: never."""
+
     trim: int = 1
     """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. (w - t) / 2: less averaging."""
 
@@ -58,9 +94,14 @@ class TextureConfig:
             self._keep(name, low, high)
         self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
         self._keep_several("rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]")
+        for name, allowed in _CHOICES.items():
+            check_name(getattr(self, name), allowed, name=name)
+        for name in ("histogram", "adaptive"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         narrowest = min(self.neighbourhood)
-        self._keep("step", 1, narrowest // 2)
-        self._keep("trim", 0, (narrowest - self.step) // 2)
+        self._keep("step", 0, narrowest // 2)
+        self._keep("trim", 0, (narrowest - self.step_of(narrowest)) // 2)
 
     def _keep_several(self, name: str, low: float, high: float, advice: str) -> None:
         given = getattr(self, name)
@@ -74,6 +115,46 @@ class TextureConfig:
         whole = isinstance(getattr(TextureConfig, name), int)
         object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
 
+    def step_of(self, width: int) -> int:
+        """Distance between neighbourhoods of a width."""
+        return self.step or width // 2
+
+    @property
+    def energetic(self) -> bool:
+        """Whether rounds go by the energy of equation (1) rather than by the plain vote."""
+        return self.gradient > 0 or self.adaptive or self.tolerance > 0
+
+    @classmethod
+    def preset(cls, name: str) -> dict[str, Any]:
+        """The settings of a preset."""
+        return dict(_PRESETS[name])
+
+
+_CHOICES = {
+    "field": ("distance", "indicator"),
+    "search": ("coherent", "exact"),
+    "orientations": ("none", "mirrors", "upright", "all"),
+}
+
+_PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {"first_rounds": 14, "rounds": (2, 4, 6), "sweeps": 1, "tries": 2},
+    "paper": {
+        "neighbourhood": (10, 8, 4),
+        "step": 0,
+        "levels": 2,
+        "first_rounds": 30,
+        "rounds": (30,),
+        "components": 128,
+        "trim": 0,
+        "field": "indicator",
+        "histogram": False,
+        "search": "exact",
+        "orientations": "mirrors",
+        "gradient": 0.5,
+        "adaptive": True,
+        "tolerance": 1e-3,
+    },
+}
 
 _RANGES = {
     "levels": (1, 8),
@@ -85,4 +166,9 @@ _RANGES = {
     "tries": (0, 64),
     "index_penalty": (0, 1),
     "robustness": (0, 2),
+    "nearest": (1, 100),
+    "gradient": (0, 100),
+    "increase": (0, 1),
+    "decrease": (0, 0.9),
+    "tolerance": (0, 0.1),
 }

@@ -10,11 +10,14 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.measure.distance import distance_transform
+from trabecula.measure.smooth import gaussian
 from trabecula.synth.shared.fields import (
+    FULL,
     isotropic_scale,
     labels_of,
     phase_fields,
     phases_present,
+    plain_values,
     value_fields,
     values_of,
 )
@@ -25,12 +28,15 @@ Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
 
 _ANY = 1e4  # farther than any distance
+_BLUR = 1.0  # voxels
 _BESIDE = 8  # voxels around what is made that say how dense it should be
 
 
-def content_of(exemplars: Sequence[Image]) -> Content:
+def content_of(exemplars: Sequence[Image], *, field: str, histogram: bool) -> Content:
     """How to read and write the exemplars' kind."""
-    return Labels(exemplars) if exemplars[0].kind == "labels" else Values(exemplars)
+    if exemplars[0].kind != "labels":
+        return Values(exemplars, histogram=histogram)
+    return (Labels if field == "distance" else Indicators)(exemplars, histogram=histogram)
 
 
 class Content(ABC):
@@ -57,7 +63,8 @@ class Labels(Content):
 
     distances = True
 
-    def __init__(self, exemplars: Sequence[Image]) -> None:
+    def __init__(self, exemplars: Sequence[Image], *, histogram: bool) -> None:
+        self.histogram = histogram
         self.present = phases_present(exemplars)
         self.names = exemplars[0].phases
         counts = np.sum([np.bincount(image.values.ravel(), minlength=len(self.names)) for image in exemplars], axis=0)
@@ -87,7 +94,8 @@ class Labels(Content):
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
         free = free_of(request)
-        values = labels_of(votes, self.present, self._wanted(request, free), free)
+        wanted = self._wanted(request, free) if self.histogram else None
+        values = labels_of(votes, self.present, wanted, free)
         return _completed(values, request, empty=self.empty)
 
     def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
@@ -100,12 +108,34 @@ class Labels(Content):
         return mixed_share(held.size, int(np.count_nonzero(free)), own, self.fractions)
 
 
+class Indicators(Labels):
+    """The phases' 0 and 1, blurred by a voxel and stretched over the bytes: what a scan's grey levels would be."""
+
+    distances = False
+
+    def fields(self, image: Image) -> np.ndarray:
+        channels = self.present[1:] if len(self.present) == 2 else self.present
+        sharp = [np.where(image.values == label, np.float32(FULL), np.float32(-FULL)) for label in channels]
+        return np.stack([gaussian(channel, _BLUR) for channel in sharp])
+
+    def bounds(self, request: Request) -> Bounds | None:
+        if request.fixed is None or request.known is None:
+            return None
+        # How far the blur of a known voxel is known depends on its neighbours; its side of the middle does not.
+        low, high = [], []
+        for label in self.present[1:] if len(self.present) == 2 else self.present:
+            inside = request.fixed.values == label
+            low.append(np.where(request.known, np.where(inside, 1.0, -_ANY), -_ANY))
+            high.append(np.where(request.known, np.where(inside, _ANY, -1.0), _ANY))
+        return np.stack(low).astype(np.float32), np.stack(high).astype(np.float32)
+
+
 class Values(Content):
     """Grey values or colours, stretched over the bytes."""
 
     distances = False
 
-    def __init__(self, exemplars: Sequence[Image]) -> None:
+    def __init__(self, exemplars: Sequence[Image], *, histogram: bool) -> None:
         self.kind = exemplars[0].kind
         self.low = min(float(image.values.min()) for image in exemplars)
         self.high = max(float(image.values.max()) for image in exemplars)
@@ -113,7 +143,8 @@ class Values(Content):
         pooled = [
             np.concatenate([image.values.reshape(-1, channels)[:, c] for image in exemplars]) for c in range(channels)
         ]
-        self.histograms = [Histogram.of(channel) for channel in pooled]
+        self.histograms = [Histogram.of(channel) for channel in pooled] if histogram else None
+        self.dtype = exemplars[0].values.dtype
 
     def fields(self, image: Image) -> np.ndarray:
         return value_fields(image, low=self.low, high=self.high)
@@ -125,7 +156,9 @@ class Values(Content):
         return np.where(request.known, fields, -_ANY), np.where(request.known, fields, _ANY)
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        values = values_of(votes, self.histograms, free_of(request))
+        if self.histograms is not None:
+            return _completed(values_of(votes, self.histograms, free_of(request)), request, empty=0)
+        values = plain_values(votes, low=self.low, high=self.high, dtype=self.dtype)
         return _completed(values, request, empty=0)
 
 

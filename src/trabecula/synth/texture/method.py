@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,22 @@ from trabecula.synth.shared.fields import FULL, quantise
 from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 from trabecula.synth.texture import SPEC
+from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.content import Content, content_of
 from trabecula.synth.texture.kernels import start_matches
-from trabecula.synth.texture.optimise import Grid, State, cast, features_of, robust_weights, searched
+from trabecula.synth.texture.optimise import (
+    Grid,
+    State,
+    cast,
+    features_of,
+    joined_votes,
+    nearest_matches,
+    rematched,
+    robust_weights,
+    searched,
+)
+from trabecula.synth.texture.orient import oriented, symmetries
 from trabecula.synth.texture.region import Region, regions_of
 from trabecula.synth.texture.sources import Candidates, Stack, carried
 
@@ -86,8 +99,10 @@ class TextureModel(Model):
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
-        self.content: Content = content_of(exemplars)
-        pyramid = [[self.content.fields(exemplar) for exemplar in exemplars]]
+        self.content: Content = content_of(exemplars, field=config.field, histogram=config.histogram)
+        turns = symmetries(config.orientations, spacing=exemplars[0].spacing)
+        fields = [self.content.fields(exemplar) for exemplar in exemplars]
+        pyramid = [[oriented(field, turn) for field in fields for turn in turns]]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
         for _ in range(_levels_that_fit(smallest, config) - 1):
             pyramid.append([halve(field) for field in pyramid[-1]])
@@ -111,19 +126,28 @@ class TextureModel(Model):
             grain = 2 if finest and self.content.distances and width % 2 == 0 else 1
             share = config.variance if grain == 1 else 1 - (1 - config.variance) * _BLOCKS_MISS
             made.append(
-                Candidates.of(stack, width=width, step=config.step, variance=share, most=config.components, grain=grain)
+                Candidates.of(
+                    stack,
+                    width=width,
+                    step=config.step_of(width),
+                    variance=share,
+                    most=config.components,
+                    grain=grain,
+                    k=config.nearest,
+                )
             )
         return Level(stack, tuple(made))
 
-    def _generate(self, request: Request) -> np.ndarray:
+    def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         used = _levels_for(request.shape, len(self.levels), max(self.config.neighbourhood))
         regions = self._regions(request, used)
         state: State | None = None
         before: Candidates | None = None
+        told: list[dict[str, Any]] = []
         for index in reversed(range(used)):
             first = index == used - 1
             for number, candidates in enumerate(self.levels[index].candidates):
-                if first and 2**index >= _SPARSE_BELOW:
+                if first and 2**index >= _SPARSE_BELOW and self.config.step:
                     candidates = replace(candidates, step=1)
                 grid = Grid.over(regions[index], candidates)
                 stage = key(request.seed, f"texture/{index}" + (f"/{number}" if number else ""))
@@ -131,12 +155,13 @@ class TextureModel(Model):
                     begin = partial(self._started, grid, stage)
                 else:
                     begin = partial(self._continued, grid, before, state, finer=number == 0)
-                state = self._optimise(grid, begin, stage, index=index, first=first, used=used)
+                state, trace = self._optimise(grid, begin, stage, index=index, first=first, used=used)
+                told += [{"level": index, "width": candidates.basis.width, "energy": trace}] if trace else []
                 before = candidates
         assert state is not None  # there is at least one level
         inside = (slice(None), *(slice(side) for side in request.shape))
         votes = np.ascontiguousarray(state.votes[inside])
-        return self.content.delivered(votes, request)
+        return self.content.delivered(votes, request), {"levels": told} if told else {}
 
     def _regions(self, request: Request, used: int) -> list[Region]:
         bounds = self.content.bounds(request)
@@ -163,21 +188,33 @@ class TextureModel(Model):
 
     def _optimise(
         self, grid: Grid, begin: Callable[[], State], stage: np.uint64, *, index: int, first: bool, used: int
-    ) -> State:
+    ) -> tuple[State, list[dict[str, Any]]]:
         config = self.config
         rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
+        balance = Balance.at_first(config, rounds)
         state = begin()  # here, so that nobody else holds on to it
         for number in track(range(rounds), f"level {used - index} of {used}"):
             match, distance = self._search(grid, state, stage, number)
-            del state
-            weights = robust_weights(grid, distance, config.robustness)
-            state = cast(grid, match, weights, trim=self._trim(grid, index, last=number >= rounds - 2))
-        return state
+            trim = self._trim(grid, index, last=number >= rounds - 2)
+            if config.energetic:
+                votes, balance = balanced(grid, state.field, match, balance, config, trim=trim)
+                del state
+                votes = joined_votes(grid, votes)
+                state = State(match, votes, rematched(grid, votes, histogram=config.histogram))
+                if balance.feedback.done:
+                    break
+            else:
+                del state
+                weights = robust_weights(grid, distance, config.robustness)
+                state = cast(grid, match, weights, trim=trim, histogram=config.histogram)
+        return state, balance.trace()
 
     def _search(self, grid: Grid, state: State, stage: np.uint64, number: int) -> tuple[np.ndarray, np.ndarray]:
         config = self.config
         features = features_of(grid, state.field)
         match = state.match
+        if config.search == "exact":
+            return nearest_matches(grid, match, features, index_penalty=config.index_penalty)
         for sweep in range(config.sweeps):
             match, distance = searched(
                 grid,

@@ -8,6 +8,7 @@ import numpy as np
 
 from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.histogram import Histogram, match_histogram
+from trabecula.synth.shared.nearest import index_histogram, k_nearest, reranked
 from trabecula.synth.shared.neighbourhoods import SCALE, project
 from trabecula.synth.texture.joints import joined, known_of, mixed_histograms, surroundings
 from trabecula.synth.texture.kernels import search, vote
@@ -53,12 +54,30 @@ class State:
     field: np.ndarray  # (C, Z, Y, X) int8, the same with the exemplar's histogram
 
 
+def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
+    """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as neighbourhoods reach."""
+    beyond = [(0, 0)] + [(0, max(0, far - side)) for far, side in zip(grid.reach, field.shape[1:], strict=True)]
+    return np.pad(field, beyond, mode="wrap") if any(far for _, far in beyond) else field
+
+
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
     """The feature vectors of the output's neighbourhoods."""
-    beyond = [(0, 0)] + [(0, max(0, far - side)) for far, side in zip(grid.reach, field.shape[1:], strict=True)]
-    around = np.pad(field, beyond, mode="wrap") if any(far for _, far in beyond) else field
     active = None if grid.active.all() else grid.active
-    return project(around, grid.candidates.basis, step=grid.candidates.step, active=active)
+    return project(wrapped(grid, field), grid.candidates.basis, step=grid.candidates.step, active=active)
+
+
+def nearest_matches(
+    grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and their distances."""
+    candidates = grid.candidates
+    queries = features[grid.active]
+    index, distance = k_nearest(queries, candidates.prepared)
+    shares = index_histogram(old[grid.active], len(candidates.features))
+    chosen, apart = reranked(index, distance, shares, weight=index_penalty * len(candidates.numbers))
+    match, found = old.copy(), np.zeros(old.shape, np.int32)
+    match[grid.active], found[grid.active] = chosen, apart
+    return match, found
 
 
 def searched(
@@ -127,17 +146,27 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     return np.where(grid.active, table.astype(np.int32)[ratio], np.int32(0))
 
 
-def cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> State:
+def cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0, histogram: bool = True) -> State:
     """Vote and match the histogram: the matches become a field."""
-    votes = voted(grid, match, weights, trim=trim)
-    return State(match, votes, rematched(grid, votes))
+    votes = joined_votes(grid, voted(grid, match, weights, trim=trim))
+    return State(match, votes, rematched(grid, votes, histogram=histogram))
 
 
-def rematched(grid: Grid, votes: np.ndarray) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 as a field in int8 with the exemplar's histograms, and what is known put back."""
+def joined_votes(grid: Grid, votes: np.ndarray) -> np.ndarray:
+    """Votes without a step beside what is known."""
     region = grid.region
-    matched = [match_histogram(mean, target, region.free) for mean, target in zip(votes, grid.targets, strict=True)]
-    return region.bounded(np.stack(matched))
+    if region.free is None or region.low is None or region.high is None:
+        return votes
+    return joined(votes, region.low, region.high, region.free)
+
+
+def rematched(grid: Grid, votes: np.ndarray, *, histogram: bool = True) -> np.ndarray:
+    """Votes (C, Z, Y, X) int16 as a field in int8, with the exemplar's histograms where asked, and what is known put back."""
+    region = grid.region
+    if histogram:
+        matched = [match_histogram(mean, target, region.free) for mean, target in zip(votes, grid.targets, strict=True)]
+        return region.bounded(np.stack(matched))
+    return region.bounded(np.clip((votes.astype(np.int32) + 128) >> 8, -127, 127).astype(np.int8))
 
 
 def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
@@ -165,6 +194,4 @@ def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) 
         )
 
     for_slabs(work, region.shape[0])
-    if region.free is None or region.low is None or region.high is None:
-        return votes
-    return joined(votes, region.low, region.high, region.free)
+    return votes

@@ -13,9 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.nearest import Candidates as Nearest
+from trabecula.synth.shared.nearest import candidates
 from trabecula.synth.shared.neighbourhoods import Basis, principal_basis, project
 
-_MANY = 1_000_000  # neighbourhoods above which only every `step`-th is a candidate
+_MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
 
 
 @dataclass(frozen=True)
@@ -65,22 +67,30 @@ class Candidates:
     stride: int
     step: int
     allowed: np.ndarray  # (N,) bool
+    k: int = 10  # nearest ones that the exact search looks at
 
     @classmethod
-    def of(cls, stack: Stack, *, width: int, step: int, variance: float, most: int, grain: int = 1) -> Candidates:
-        """All neighbourhoods, or every `step`-th along each axis where there are more than a million."""
+    def of(
+        cls, stack: Stack, *, width: int, step: int, variance: float, most: int, grain: int = 1, k: int = 10
+    ) -> Candidates:
+        """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2 million."""
         within = stack.allowed(width)
         basis = principal_basis(stack.field, within, width=width, variance=variance, most=most, grain=grain)
         stride = step if np.count_nonzero(within) > _MANY else 1
         allowed = within[::stride, ::stride, ::stride]
         features = project(stack.field, basis, step=stride, active=None if allowed.all() else allowed)
         features = features.reshape(-1, features.shape[-1])
-        return cls(stack, basis, features, allowed.shape, stride, step, np.ascontiguousarray(allowed).ravel())
+        return cls(stack, basis, features, allowed.shape, stride, step, np.ascontiguousarray(allowed).ravel(), k)
 
     @cached_property
     def numbers(self) -> np.ndarray:
         """The allowed candidates, as numbers in the grid."""
         return np.flatnonzero(self.allowed)
+
+    @cached_property
+    def prepared(self) -> Nearest:
+        """The candidates as the exact search wants them."""
+        return candidates(self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed)
 
     def corners(self, match: np.ndarray) -> list[np.ndarray]:
         """The first voxel of each candidate, along z, y, x of the stack."""
