@@ -25,6 +25,8 @@ _HOMES = {
     "read": "io.files",
     "write": "io.files",
     "crop": "exemplar.crop",
+    "read_mesh": "mesh.files",
+    "voxelise": "mesh.voxels",
     "segment": "exemplar.segment",
     "sample": "exemplar.samples",
     "samples": "exemplar.samples",
@@ -36,6 +38,7 @@ _HOMES = {
     "rerun": "flow",
     "render": "view.still",
     "verify": "report.certificate",
+    "print_check": "finish.printing",
 }
 _ROOMS = {"errors": "errors", "measure": "measure", "finish": "finish", "mesh": "mesh"}
 

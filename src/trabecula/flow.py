@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,19 +14,21 @@ from numpy.typing import ArrayLike
 
 from trabecula import finish
 from trabecula.core.checks import check_name
-from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
+from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image, default_phases
 from trabecula.core.progress import say
-from trabecula.core.recipe import Recipe, digest
-from trabecula.core.request import Request
 from trabecula.exemplar.crop import crop as cut_box
+from trabecula.exemplar.place import block, place
 from trabecula.exemplar.samples import sample
 from trabecula.exemplar.segment import segment
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
-from trabecula.mesh.files import write_mesh
+from trabecula.io.units import has_length, to_metres
+from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.surface import mesh
+from trabecula.mesh.voxels import fitted, scaled, voxelise
+from trabecula.replay import replay, rerun
 from trabecula.report.certificate import verify
 from trabecula.report.metric import Certificate
 from trabecula.report.page import page
@@ -34,6 +36,8 @@ from trabecula.report.page import write_page as page_to_file
 from trabecula.synth.registry import method
 from trabecula.view.slices import montage
 from trabecula.view.still import render
+
+__all__ = ["check_target", "demo", "export", "load", "load_fixed", "load_like", "load_mask", "replay", "rerun"]
 
 SAMPLE_PREFIX = "sample:"
 
@@ -85,17 +89,106 @@ def _read_with_phases(name: str, phases: Sequence[str], reading: Mapping[str, An
     return plain if plain.kind == "grey" else files.read(name, phases=phases, **reading)
 
 
-def load_like(source: str | os.PathLike[str], exemplar: Image) -> Image:
+def load_like(
+    source: str | os.PathLike[str], exemplar: Image, *, threshold: float | Sequence[float] | str = "auto"
+) -> Image:
     """A result to be compared with an exemplar: a grey one is segmented where the exemplar has phases, and where its file
     states neither a spacing nor names of phases of its own (an outside program's, a plain array) it takes the
     exemplar's."""
-    image = load(source, threshold="auto" if exemplar.kind == "labels" else "none")
+    image = load(source, threshold="none")
+    if image.kind == "grey" and exemplar.kind == "labels":
+        image = load(source, threshold=threshold)
     given: dict[str, Any] = {}
     if image.unit == "voxel" and image.ndim == exemplar.ndim:
         given |= {"spacing": exemplar.spacing, "unit": exemplar.unit}
     if image.phases == default_phases(len(image.phases)) and len(exemplar.phases) >= len(image.phases):
         given |= {"phases": exemplar.phases}
     return replace(image, **given)
+
+
+def load_mask(
+    source: str | os.PathLike[str],
+    exemplar: Image,
+    *,
+    shape: Sequence[int] | None = None,
+    scale: float | None = None,
+) -> Image:
+    """A form to fill, for `Request.mask`: a closed surface in voxels of the exemplar's size, or a volume as it is.
+
+    Parameters
+    ----------
+    source : path
+        A surface (.stl, .ply, .obj, .3mf), or a volume of labels in which everything but void is filled.
+    exemplar : Image, (Z, Y, X) or (Y, X)
+        Its voxels are the mask's; of a picture, as deep as they are high.
+    shape : sequence of int, optional
+        Of a surface: the voxels that it is put into, scaled so that it just fits where no `scale` is given. Default: as
+        many as it needs.
+    scale : float, optional
+        Factor on the surface's coordinates, which are lengths in the unit that its file states, else in the exemplar's.
+
+    Raises
+    ------
+    InputError
+        A surface that is not watertight or does not fit; a grey volume; a scale for a volume.
+    FileError
+        As `read` and `read_mesh`.
+    """
+    if Path(source).suffix.lower() not in SURFACES:
+        if scale is not None:
+            raise InputError(f"{os.fspath(source)} is a volume: a scale is for a surface ({', '.join(SURFACES)})")
+        return load(source)
+    surface = read_mesh(source)
+    edges = exemplar.spacing if exemplar.ndim == 3 else (exemplar.spacing[0], *exemplar.spacing)
+    if scale is None and shape is not None:
+        surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
+    else:
+        both = has_length(surface.unit) and has_length(exemplar.unit)
+        factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
+        surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
+    return voxelise(surface, spacing=edges, shape=shape)
+
+
+def load_fixed(
+    source: str | os.PathLike[str],
+    exemplar: Image,
+    *,
+    shape: Sequence[int] | None = None,
+    corner: Sequence[int] | None = None,
+    known: str | os.PathLike[str] | None = None,
+) -> tuple[Image, Image]:
+    """A measured part, for `Request.fixed`, and where it is known, for `Request.known`.
+
+    Parameters
+    ----------
+    source : path or str
+        A scan. A grey one is cut at the exemplar's threshold; what its file does not state (spacing, unit, names of the
+        phases) is taken from the exemplar.
+    exemplar : Image
+    shape : sequence of int, optional
+        Voxels to be made in all; needed with `corner`.
+    corner : sequence of int, optional
+        Where in `shape` the first voxel of the scan lies; the whole scan is known, all around it is made.
+    known : path, optional
+        Instead of a corner, for a scan of the whole shape: a volume of labels, of which all but void is known.
+
+    Raises
+    ------
+    InputError
+        Neither corner nor known, or both; a scan that does not lie inside the shape; as `load`.
+    """
+    if (corner is None) == (known is None):
+        raise InputError(
+            "a fixed scan needs to be told where it is known: give either a volume of what is known (--known), or the "
+            "corner at which the whole scan lies in the shape (--at)"
+        )
+    cuts = [step for step in exemplar.recipe.steps if step["verb"] == "segment"]
+    scan = load_like(source, exemplar, threshold=cuts[-1]["threshold"] if cuts else "auto")
+    if known is not None:
+        return scan, load(known)
+    if shape is None or corner is None:
+        raise InputError("a scan at a corner needs a shape to lie in: give --shape")
+    return place(scan, shape, corner=corner), block(scan.shape, shape, corner=corner)
 
 
 def check_page(path: str | os.PathLike[str]) -> None:
@@ -201,108 +294,3 @@ def demo(folder: str | os.PathLike[str], *, shape: int = 120, seed: int = 7) -> 
     verdict = verify(exemplar, part, names=["part.zarr"])
     write_page(out / "report.html", exemplar, [part], [verdict])
     return verdict
-
-
-def rerun(path: str | os.PathLike[str], *, exemplar: str | os.PathLike[str] | None = None) -> Image:
-    """Make a file's voxels again from the recipe in it.
-
-    Parameters
-    ----------
-    path : path
-    exemplar : path, optional
-        Where the file that the recipe starts from lies now, if it has moved.
-
-    Raises
-    ------
-    InputError
-        The file holds no recipe, or one that starts from an array in memory.
-    NotReproducedError
-        A step gave other voxels than the recipe says (another exemplar, another version), or the file's own voxels are
-        not the recipe's.
-    """
-    image = files.read(path)
-    steps = image.recipe.steps
-    if not steps or [step["verb"] for step in steps] == ["read"]:
-        raise InputError(f"{path} holds no recipe: it was not made by this package, or its metadata is lost")
-    # Before any work: the last step recorded the digest that its replay would have to meet as well.
-    if digest(image.values) != steps[-1].get("sha256"):
-        raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
-    return replay(image.recipe, folder=Path(path).absolute().parent, exemplar=exemplar)
-
-
-def replay(recipe: Recipe, *, folder: Path, exemplar: str | os.PathLike[str] | None = None) -> Image:
-    """Do the steps of a recipe, checking the voxels after each."""
-    image: Image | None = None
-    for step in recipe.steps:
-        check_name(step["verb"], _STEPS, name="step of a recipe")
-        try:
-            image = _STEPS[step["verb"]](image, step, folder, exemplar)
-            same = digest(image.values) == step["sha256"]
-        except TrabeculaError:
-            raise
-        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            # The parameters come from a file, and anybody may have written it.
-            raise InputError(
-                f"the recipe is damaged: its step {step['verb']!r} cannot be done again "
-                f"({type(error).__name__}: {error})"
-            ) from error
-        if not same:
-            raise NotReproducedError(_difference(step))
-    if image is None:
-        raise InputError("the recipe is empty: there is nothing to do again")
-    return image
-
-
-def _difference(step: Mapping[str, Any]) -> str:
-    what = step.get("source") or step.get("method") or step.get("operation") or step["verb"]
-    made = ", ".join(f"{name} {number}" for name, number in dict(step.get("versions") or {}).items())
-    return (
-        f"step {step['verb']!r} ({what}) gives other voxels than recorded: "
-        f"the file has changed, or the versions ({made}) differ"
-    )
-
-
-def _read_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    if exemplar is not None:
-        return files.read(exemplar, **step["options"])
-    candidates = [step["source"], folder / step["source"], folder / Path(step["source"]).name]
-    for candidate in candidates:
-        if Path(candidate).exists():
-            return files.read(candidate, **step["options"])
-    raise FileError(f"the recipe starts from {step['source']}, which is not here: give its place with --exemplar")
-
-
-def _array_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    if exemplar is None:
-        raise InputError(
-            f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with --exemplar"
-        )
-    return files.read(exemplar)
-
-
-def _generate_again(image: Image | None, step: Mapping[str, Any], folder: Path, exemplar: Any) -> Image:
-    sources = [replay(Recipe.from_json(steps), folder=folder, exemplar=exemplar) for steps in step["exemplars"]]
-    model = method(step["method"], **step["settings"]).fit(sources[0])
-    return model.generate(Request(**step["request"]))
-
-
-def _given(image: Image | None) -> Image:
-    if image is None:
-        raise InputError("the recipe is damaged: its first step needs an image that no step made")
-    return image
-
-
-_STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Path, Any], Image]] = {
-    "read": _read_again,
-    "array": _array_again,
-    "sample": lambda image, step, folder, exemplar: sample(step["name"]),
-    "crop": lambda image, step, folder, exemplar: cut_box(_given(image), step["size"], corner=step["corner"]),
-    "segment": lambda image, step, folder, exemplar: segment(_given(image), step["threshold"], phases=step["phases"]),
-    "generate": _generate_again,
-    "finish": lambda image, step, folder, exemplar: finish.OPERATIONS[step["operation"]](
-        _given(image), **step["settings"]
-    ),
-    "render": lambda image, step, folder, exemplar: render(
-        _given(image), **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")}
-    ),
-}

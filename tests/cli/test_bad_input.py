@@ -111,7 +111,13 @@ READERS = [
     ("measure", "{}"),
     ("verify", "scan.npy", "{}"),
     ("verify", "{}", "scan.npy", "--report", "new.html"),
+    ("generate", "scan.npy", "{}", "--shape", "16", "--out", "new.zarr", *SMALL),
+    ("plan", "scan.npy", "--mask", "{}"),
+    ("plan", "scan.npy", "--fixed", "{}", "--at", "0", "0", "0", "--shape", "40"),
+    ("plan", "scan.npy", "--fixed", "scan.npy", "--known", "{}"),
+    ("check", "{}"),
     ("finish", "{}", "--connect", "--out", "old.zarr"),
+    ("finish", "scan.npy", "--prune", "--like", "{}", "--out", "old.zarr"),
     ("export", "{}", "--out", "new.stl"),
     ("export", "{}", "--out", "old.npy"),
     ("render", "{}", "--out", "new.png"),
@@ -160,7 +166,7 @@ def test_exemplars_that_nothing_can_be_learnt_from(place, name, says):
         (("--shape", "20000"), ""),
         (("--shape", "16", "other.npy"), "a file comes before --shape"),
         (("--shape",), "argument --shape"),
-        ((), "the following arguments are required: --shape"),
+        ((), "the size of the result is not given: add --shape N"),
     ],
 )
 def test_shapes(place, words, says):
@@ -186,8 +192,8 @@ def test_shapes(place, words, says):
         (("--threads", "1.5"), "argument --threads"),
         (("--method", "textrue"), "unknown method 'textrue': did you mean 'texture'"),
         (("--method", ""), "unknown method ''"),
-        (("--preset", "fast"), "unknown preset of texture 'fast'"),
-        (("--periodic",), "cannot honour periodic: it honours shape and seed alone"),
+        (("--preset", "fats"), "unknown preset of texture 'fats'"),
+        (("--periodic", "w"), "--periodic w: name axes among z, y, x"),
         (
             ("--mehtod", "texture"),
             "unrecognized arguments: --mehtod texture; did you mean --method? (see trabecula generate",

@@ -203,7 +203,7 @@ def electrode(place, bone):
 
 
 def test_three_phases_are_kept(electrode):
-    image, output = generate("electrode.tif", "--shape", 20)
+    image, output = generate("electrode.tif", "--shape", 28)
     assert image.phases == ("void", "carbon", "binder")
     share, expected = (np.bincount(values.ravel(), minlength=3) / values.size for values in (image.values, electrode))
     np.testing.assert_allclose(share, expected, atol=0.04)

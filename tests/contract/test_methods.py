@@ -178,7 +178,8 @@ def test_what_a_method_cannot_honour_is_refused_by_name(model, spec):
     for part, value in parts.items():
         if part not in spec.honours:
             with pytest.raises(RequestError, match=part):
-                model.generate(SHAPE, seed=1, **{part: value})
+                known = {"known": np.arange(np.prod(SHAPE)).reshape(SHAPE) == 0} if part == "fixed" else {}
+                model.generate(SHAPE, seed=1, **{part: value}, **known)
 
 
 def test_a_run_over_its_budget_is_refused_before_it_starts(model):

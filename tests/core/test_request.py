@@ -1,4 +1,4 @@
-"""`Request`: what it takes, and which of its parts are in use."""
+"""`Request`: what it takes, which of its parts are in use, and which contradict each other."""
 
 import dataclasses
 
@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.errors import InputError
+from trabecula.core.recipe import digest
+from trabecula.core.request import check_exemplar
+from trabecula.errors import InputError, RequestError
+
+
+def half(shape=(4, 4, 4), axis=0):
+    """True in the first half along an axis."""
+    known = np.zeros(shape, bool)
+    np.moveaxis(known, axis, 0)[: shape[axis] // 2] = True
+    return known
+
+
+def solid(shape=(4, 4, 4), **fields):
+    return tb.Image(np.ones(shape, np.uint8), "labels", **fields)
 
 
 def test_a_cube_and_defaults():
@@ -21,17 +34,100 @@ def test_periodic_along_every_axis(value):
 
 
 def test_parts_in_use_are_named():
-    image = tb.Image(np.zeros((2, 2, 2), int), "labels")
     full = tb.Request(
-        2,
-        periodic=(False, True, False),
-        mask=np.ones((2,) * 3, bool),
-        target={"porosity": np.ones((2,) * 3)},
-        fixed=image,
+        4,
+        periodic=(True, False, False),
+        mask=np.ones((4,) * 3, bool),
+        target={"porosity": np.ones((4,) * 3)},
+        fixed=solid(),
+        known=half(),
     )
     assert full.asks_for() == {"periodic", "mask", "target", "fixed"}
-    assert tb.Request(2, fixed=image).asks_for() == {"fixed"}
+    assert tb.Request(4, fixed=solid(), known=half()).asks_for() == {"fixed"}
     assert tb.Request(2, target={}).asks_for() == frozenset()
+
+
+def test_the_shape_may_be_that_of_the_mask():
+    assert tb.Request(None, mask=np.ones((3, 4, 5), bool)).shape == (3, 4, 5)
+
+
+def test_a_mask_image_is_everything_but_void():
+    values = np.arange(3, dtype=np.uint8).repeat(9).reshape(3, 3, 3)
+    for phases, void in ((("void", "a", "b"), 0), (("a", "void", "b"), 1), (("a", "b", "c"), 0)):
+        mask = tb.Request(3, mask=tb.Image(values, "labels", phases=phases)).mask
+        assert mask.dtype == bool and np.array_equal(mask, values != void)
+
+
+def test_the_origins_of_the_parts_go_into_the_recipe():
+    read = tb.Recipe().then("read", np.ones((4, 4, 4), np.uint8), source="part.tif", options={})
+    request = tb.Request(4, seed=3, periodic=(True, False, False), mask=solid(recipe=read), fixed=solid(), known=half())
+    told = request.to_json()
+    assert told["shape"] == [4, 4, 4] and told["seed"] == 3 and told["periodic"] == [True, False, False]
+    assert told["mask"] == read.to_json()
+    assert [step["verb"] for step in told["known"] + told["fixed"]] == ["array", "array"]
+    # A bool array and the labels that a file gives back of it have one digest.
+    assert told["known"][0]["sha256"] == digest(half().astype(np.uint8))
+    assert tb.Request(4, seed=3).to_json() == {"shape": [4, 4, 4], "seed": 3, "periodic": [False] * 3}
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"mask": np.ones((4, 4, 5), bool)}, r"mask has shape \(4, 4, 5\), the request \(4, 4, 4\)"),
+        ({"mask": np.ones((4, 4, 4), np.uint8)}, "mask is uint8 .*boolean array"),
+        ({"mask": np.ones((4, 4), bool)}, "boolean array"),
+        ({"mask": np.zeros((4, 4, 4), bool)}, "holds no voxel"),
+        ({"mask": tb.Image(np.ones((4, 4, 4)), "grey")}, "mask is grey"),
+        ({"shape": None}, "has no shape"),
+        ({"fixed": solid()}, "fixed voxels need known"),
+        ({"known": half()}, "give fixed as well"),
+        ({"fixed": np.ones((4, 4, 4), np.uint8), "known": half()}, "plain ndarray"),
+        ({"fixed": solid((4, 4, 3)), "known": half()}, r"fixed has shape \(4, 4, 3\)"),
+        ({"fixed": solid(), "known": half((4, 4, 3))}, r"known has shape \(4, 4, 3\)"),
+        ({"fixed": solid(), "known": half().astype(int)}, "known is int64"),
+        ({"fixed": solid(), "known": np.zeros((4,) * 3, bool)}, "no voxel is known"),
+        ({"fixed": solid(), "known": np.ones((4,) * 3, bool)}, "every voxel is known"),
+        ({"fixed": solid(), "known": half(), "mask": half()}, "every voxel is known"),
+        ({"fixed": solid(), "known": half(), "mask": ~half()}, "no voxel inside the mask is known"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(fields, says):
+    with pytest.raises(InputError, match=says):
+        tb.Request(**{"shape": 4, **fields})
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_fixed_border_cannot_be_periodic(axis):
+    periodic = tuple(k == axis for k in range(3))
+    for other in range(3):
+        if other == axis:
+            tb.Request(4, fixed=solid(), known=half(axis=axis), periodic=periodic)  # known at one end only
+            continue
+        with pytest.raises(RequestError, match=f"known voxels lie at both ends of {'zyx'[axis]}"):
+            tb.Request(4, fixed=solid(), known=half(axis=other), periodic=periodic)
+
+
+@pytest.mark.parametrize(
+    ("exemplar", "says"),
+    [
+        (tb.Image(np.ones((9, 9, 9)), "grey"), "fixed voxels are labels, the exemplar is grey"),
+        (tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", spacing=2), "give the spacing of both"),
+        (tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", phases=("pore", "bone")), "name the phases"),
+        (tb.Image(np.zeros((9, 9, 9), int), "labels"), "hold the phase solid, which the exemplar lacks"),
+    ],
+)
+def test_fixed_voxels_of_another_material_are_refused(exemplar, says):
+    request = tb.Request(4, fixed=solid(), known=half())
+    with pytest.raises(RequestError, match=says):
+        check_exemplar(request, exemplar)
+    check_exemplar(request, tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels"))
+    check_exemplar(tb.Request(4), exemplar)
+
+
+def test_what_is_not_known_may_be_anything():
+    values = np.where(half(), 0, 2)
+    request = tb.Request(4, fixed=tb.Image(values, "labels", phases=("void", "solid", "dirt")), known=half())
+    check_exemplar(request, tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels"))
 
 
 @pytest.mark.parametrize(

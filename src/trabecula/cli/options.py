@@ -21,6 +21,58 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
 
 
+def add_parts(parser: argparse.ArgumentParser) -> None:
+    """What is asked for beside a shape: a form, axes that repeat, a measured part."""
+    group = parser.add_argument_group("forms, tiles and measured parts")
+    group.add_argument(
+        "--mask", metavar="FILE", help="form to fill: a surface (.stl .ply .obj .3mf; scaled to --shape) or a volume"
+    )
+    group.add_argument(
+        "--mask-scale", metavar="S", help="factor on a surface's lengths, which are in its unit or the exemplar's"
+    )
+    group.add_argument(
+        "--periodic", nargs="*", metavar="AXIS", help="repeat without a seam along z, y, x (no word: all of them)"
+    )
+    group.add_argument("--fixed", metavar="FILE", help="scan whose voxels are kept and continued")
+    group.add_argument("--known", metavar="FILE", help="volume: where --fixed was measured (void: to be made)")
+    group.add_argument(
+        "--at", nargs=3, metavar=("Z", "Y", "X"), help="corner of --fixed in --shape; all around it is made"
+    )
+
+
+def periodic(words: list[str] | None) -> tuple[bool, ...]:
+    """Whether each axis repeats: `None` where the option is not given, no word for all of them."""
+    from trabecula.core.errors import InputError
+
+    if words is None:
+        return (False,) * 3
+    named = set("".join(words).lower()) if words else set("zyx")
+    if not named <= set("zyx"):
+        raise InputError(f"--periodic {' '.join(words)}: name axes among z, y, x (a file comes before --periodic)")
+    return tuple(axis in named for axis in "zyx")
+
+
+def load_parts(options: argparse.Namespace, exemplar: Any, shape: tuple[int, ...] | None) -> dict[str, Any]:
+    """Mask, fixed and known of a request, from their files."""
+    from trabecula.core.errors import InputError
+    from trabecula.flow import load_fixed, load_mask
+
+    found: dict[str, Any] = {}
+    scale = None if options.mask_scale is None else numbers([options.mask_scale], name="--mask-scale")[0]
+    if options.mask is not None:
+        found["mask"] = load_mask(options.mask, exemplar, shape=shape, scale=scale)
+        shape = found["mask"].shape if shape is None else shape
+    elif scale is not None:
+        raise InputError("--mask-scale without --mask: give the surface that is scaled")
+    if options.fixed is not None:
+        corner = None if options.at is None else integers(options.at, name="--at")
+        fixed, known = load_fixed(options.fixed, exemplar, shape=shape, corner=corner, known=options.known)
+        found |= {"fixed": fixed, "known": known}
+    elif options.known is not None or options.at is not None:
+        raise InputError("--known and --at say where --fixed lies: give --fixed FILE as well")
+    return found
+
+
 def add_level(parser: argparse.ArgumentParser) -> None:
     """How much is measured."""
     group = parser.add_argument_group("how much is measured")

@@ -6,9 +6,13 @@ import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, and where its exemplar lies now."""
+    """The file, and where the files of its recipe lie now."""
     parser.add_argument("file", metavar="FILE", help="a file that this package wrote")
-    parser.add_argument("--exemplar", metavar="FILE", help="where the recipe's first file lies now, if it has moved")
+    parser.add_argument(
+        "--exemplar", nargs="+", metavar="FILE", help="where the recipe's first files lie now, if they have moved"
+    )
+    for part in ("mask", "fixed", "known"):
+        parser.add_argument(f"--{part}", metavar="FILE", help=f"where the file that was --{part} lies now")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,6 +20,6 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.core.recipe import digest
     from trabecula.flow import rerun
 
-    image = rerun(options.file, exemplar=options.exemplar)
+    image = rerun(options.file, exemplar=options.exemplar, mask=options.mask, fixed=options.fixed, known=options.known)
     print(f"{options.file}: the same voxels\nsha256 {digest(image.values)}")
     return 0

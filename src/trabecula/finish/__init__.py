@@ -1,9 +1,36 @@
 """Image -> Image: what a material needs before it is printed or simulated. Every operation adds a step to the
-recipe."""
+recipe; `trapped` and `print_check` only look."""
 
+from collections.abc import Callable
+
+from trabecula.core.image import Image
 from trabecula.finish.connect import connect
+from trabecula.finish.floaters import remove_floaters
+from trabecula.finish.printing import PrintCheck, print_check
+from trabecula.finish.prune import prune
+from trabecula.finish.smooth import smooth
+from trabecula.finish.thicken import thicken
+from trabecula.finish.trapped import fill_trapped, trapped
 
 # By the name that stands in a recipe's step, so that the step can be done again.
-OPERATIONS = {"connect": connect}
+OPERATIONS: dict[str, Callable[..., Image]] = {
+    "prune": prune,
+    "connect": connect,
+    "smooth": smooth,
+    "thicken": thicken,
+    "remove_floaters": remove_floaters,
+    "fill_trapped": fill_trapped,
+}
 
-__all__ = ["OPERATIONS", "connect"]
+__all__ = [
+    "OPERATIONS",
+    "PrintCheck",
+    "connect",
+    "fill_trapped",
+    "print_check",
+    "prune",
+    "remove_floaters",
+    "smooth",
+    "thicken",
+    "trapped",
+]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.errors import InputError
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
 
@@ -111,3 +112,36 @@ def _components(mesh: Mesh, used: np.ndarray) -> int:
     parent = np.arange(len(mesh.vertices), dtype=np.int32)
     kernels.unite(mesh.faces, parent)
     return int(np.sum(used & (parent == np.arange(len(parent)))))
+
+
+def check_closed(mesh: Mesh) -> None:
+    """Raise where a mesh does not tell inside from outside: an edge that faces run through more often in one direction
+    than in the other.
+
+    Less than watertight: bodies that touch in an edge are closed.
+
+    Raises
+    ------
+    InputError
+        What is wrong, and how to mend it.
+    """
+    ends = np.concatenate([mesh.faces[:, (0, 1)], mesh.faces[:, (1, 2)], mesh.faces[:, (2, 0)]]).astype(np.int64)
+    edges = ends.min(axis=1) * len(mesh.vertices) + ends.max(axis=1)
+    order = np.argsort(edges, kind="stable")
+    starts = np.flatnonzero(np.diff(edges[order], prepend=-1))
+    if not np.add.reduceat(np.where(ends[:, 0] < ends[:, 1], 1, -1)[order], starts).any():
+        return
+    found = check(mesh)
+    faults = [
+        f"{count} {what}"
+        for count, what in (
+            (found.open_edges, "edges of one face only (holes)"),
+            (found.crowded_edges, "edges of more than two faces"),
+            (found.twisted_edges, "edges whose two faces disagree on which side is outside"),
+        )
+        if count
+    ]
+    raise InputError(
+        f"the mesh is not watertight, so it has no inside: {', '.join(faults)} of {len(starts)}; fill the holes and make "
+        "the faces point outwards (repair it in a mesh editor or a slicer), or give the form as a volume"
+    )

@@ -1,14 +1,19 @@
-"""`write_mesh`: a mesh into a file whose suffix names the format."""
+"""`read_mesh` and `write_mesh`: the suffix names the format."""
 
 from __future__ import annotations
 
 import importlib
-from os import PathLike
+import zipfile
+from dataclasses import replace
+from os import PathLike, fspath
 from pathlib import Path
 
 from trabecula.core.checks import check_name
-from trabecula.core.errors import InputError
+from trabecula.core.errors import FileError, InputError
+from trabecula.core.recipe import Recipe
 from trabecula.engine.files import replacing
+from trabecula.io.guard import check_there, damaged
+from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import FORMATS
 
@@ -42,3 +47,50 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     with replacing(path) as temporary:
         writer.write(mesh, temporary)
     return path
+
+
+def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
+    """Read a surface.
+
+    Parameters
+    ----------
+    path : path
+        `.stl` (binary or text), `.ply` (binary or text), `.obj` or `.3mf`.
+    unit : str, optional
+        Of the coordinates. Default: what the file states (3MF always does, the others where this package wrote them),
+        else "voxel", which is no length.
+
+    Returns
+    -------
+    Mesh
+        Polygons as triangles; the corners of an STL that lie at one place are one vertex. Its recipe is this reading.
+
+    Raises
+    ------
+    FileError
+        Missing, empty, truncated or damaged, or without triangles.
+    UnknownNameError
+        An unknown suffix or unit.
+    InputError
+        Coordinates that are not finite, faces that name vertices that do not exist.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, trabecula as tb
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = tb.export(np.ones((2, 3, 4), np.uint8), f"{folder}/block.stl")
+    ...     read_mesh(path, unit="mm")
+    <Mesh 52 vertices, 100 faces, mm>
+    """
+    path = Path(path)
+    check_name(path.suffix.lower(), FORMATS, name="surface format")
+    check_there(path)
+    if unit is not None:
+        check_unit(unit)
+    module = FORMATS[path.suffix.lower()][1]
+    with damaged(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
+        mesh = importlib.import_module(module).read(path)
+    if not len(mesh.faces):
+        raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")
+    unit = mesh.unit if unit is None else canonical(unit)
+    return replace(mesh, unit=unit, recipe=Recipe().then("read_mesh", mesh.vertices, source=fspath(path), unit=unit))

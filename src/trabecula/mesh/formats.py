@@ -1,11 +1,11 @@
-"""The one table of surface formats: suffix -> (what it is, module that writes it)."""
+"""The one table of surface formats: suffix -> (what it is, module that reads and writes it)."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 
-from trabecula.io.units import has_length, to_metres
+from trabecula.io.units import canonical, has_length, to_metres
 from trabecula.mesh.base import Mesh
 
 FORMATS = {
@@ -14,6 +14,8 @@ FORMATS = {
     ".ply": ("binary PLY, unit and recipe as comments", "trabecula.mesh.ply"),
     ".obj": ("Wavefront OBJ, unit and recipe as comments", "trabecula.mesh.obj"),
 }
+
+NO_UNIT = "voxel"
 
 
 def recipe_json(mesh: Mesh) -> str:
@@ -29,3 +31,8 @@ def recipe_digest(mesh: Mesh) -> str:
 def metres(mesh: Mesh) -> float | None:
     """Metres in the mesh's unit, or None where it has no length ("voxel")."""
     return to_metres(mesh.unit) if has_length(mesh.unit) else None
+
+
+def stated_unit(text: str | None) -> str:
+    """The unit that a file names, as an Image would; "voxel" where it names none that is known."""
+    return canonical(text) if text and has_length(text) else NO_UNIT

@@ -131,3 +131,76 @@ def unite(faces, parent):
                 parent[a] = b
     for v in range(len(parent)):
         parent[v] = parent[parent[v]]
+
+
+@inline
+def _passes(a, b, points, z, y):
+    """Winding of the edge a -> b about the line (z, y): 1 where it passes it upwards in z on its side of larger y, -1
+    downwards, 0 elsewhere. The test takes the ends in a fixed order, so that b -> a gives exactly the opposite."""
+    up = points[a, 0] <= z
+    if up != (points[b, 0] > z):
+        return 0
+    if not up:
+        a, b = b, a
+    # Now a lies at or below the line and b above: the edge crosses z at a larger y than the line's where this is > 0.
+    side = (points[b, 1] - points[a, 1]) * (z - points[a, 0]) - (y - points[a, 1]) * (points[b, 0] - points[a, 0])
+    if side <= 0.0:
+        return 0
+    return 1 if up else -1
+
+
+@inline
+def _crossing(a, b, c, points, z, y):
+    """x at which the plane of a triangle meets the line (z, y), held inside the triangle's own range."""
+    z1, y1, x1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    z2, y2, x2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    area = z1 * y2 - z2 * y1
+    dz, dy = z - points[a, 0], y - points[a, 1]
+    low = min(points[a, 2], points[b, 2], points[c, 2])
+    high = max(points[a, 2], points[b, 2], points[c, 2])
+    # A triangle seen from its edge is met by rounding only; any place of its own is as good.
+    x = low if area == 0.0 else points[a, 2] + ((dz * y2 - dy * z2) * x1 + (dy * z1 - dz * y1) * x2) / area
+    return min(max(x, low), high)
+
+
+@kernel
+def fill_rows(points, faces, values, start, stop):
+    """1 in the voxels of slices start..stop whose centres have a winding number other than 0.
+
+    `points` (V, 3) is z, y, x in voxels; `values` (Z, Y, X) int8 is 0 and takes first the crossings, each at the first
+    voxel whose centre lies beyond it, then the result.
+    """
+    _, height, width = values.shape
+    # Where the crossings of a row begin and end: beyond them it is empty.
+    low = np.full((stop - start, height), width, np.int32)
+    high = np.zeros((stop - start, height), np.int32)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        z0 = min(points[a, 0], points[b, 0], points[c, 0])
+        z1 = max(points[a, 0], points[b, 0], points[c, 0])
+        if z1 < start or z0 > stop:
+            continue
+        y0 = min(points[a, 1], points[b, 1], points[c, 1])
+        y1 = max(points[a, 1], points[b, 1], points[c, 1])
+        top, bottom = max(y0 - 0.5, 0.0), min(y1 - 0.5, height - 1.0)
+        for k in range(int(np.ceil(max(z0 - 0.5, start))), int(np.floor(min(z1 - 0.5, stop - 1.0))) + 1):
+            z = k + 0.5
+            for j in range(int(np.ceil(top)), int(np.floor(bottom)) + 1):
+                y = j + 0.5
+                turns = _passes(a, b, points, z, y) + _passes(b, c, points, z, y) + _passes(c, a, points, z, y)
+                if turns != 0:
+                    first = np.ceil(_crossing(a, b, c, points, z, y) - 0.5)
+                    if first < width:
+                        x = int(max(first, 0.0))
+                        values[k, j, x] += turns
+                        low[k - start, j] = min(low[k - start, j], x)
+                        high[k - start, j] = max(high[k - start, j], x)
+                    else:
+                        high[k - start, j] = width - 1
+    for k in range(start, stop):
+        for j in range(height):
+            row = values[k, j]
+            winding = np.int8(0)
+            for x in range(low[k - start, j], high[k - start, j] + 1):
+                winding += row[x]
+                row[x] = winding != 0

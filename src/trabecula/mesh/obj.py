@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import recipe_json
+from trabecula.mesh.formats import recipe_json, stated_unit
 from trabecula.mesh.text import rows
+from trabecula.mesh.weld import fans
 
 
 def write(mesh: Mesh, path: Path) -> None:
@@ -15,3 +18,28 @@ def write(mesh: Mesh, path: Path) -> None:
         file.write(f"# trabecula\n# unit {mesh.unit}\n# recipe {recipe_json(mesh)}\n")
         file.writelines(rows("v %.7g %.7g %.7g\n", mesh.vertices))
         file.writelines(rows("f %d %d %d\n", mesh.faces, offset=1))
+
+
+def read(path: Path) -> Mesh:
+    """Read vertices and faces, whatever else stands there; polygons become fans of triangles."""
+    points: list[list[bytes]] = []
+    corners: list[int] = []
+    counts: list[int] = []
+    unit = None
+    for line in path.read_bytes().splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            points.append(words[1:4])
+        elif words[0] == b"f":
+            # vertex/texture/normal; a negative number counts back from the vertices so far.
+            numbers = [int(word.split(b"/")[0]) for word in words[1:]]
+            if 0 in numbers:
+                raise ValueError("a face names vertex 0, the first is 1")
+            corners += [number - 1 if number > 0 else len(points) + number for number in numbers]
+            counts.append(len(numbers))
+        elif words[:2] == [b"#", b"unit"] and len(words) == 3:
+            unit = words[2].decode("latin-1")
+    vertices = np.array(points).astype(np.float64).reshape(-1, 3)
+    return Mesh(vertices, fans(np.array(counts, np.int64), np.array(corners, np.int64)), stated_unit(unit))

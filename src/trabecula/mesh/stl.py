@@ -1,16 +1,20 @@
-"""Binary STL: 80 bytes of header, a count, 50 bytes a triangle. The format knows no unit; slicers take millimetres."""
+"""STL: 80 bytes of header, a count, 50 bytes a triangle; or its text form. The format knows no unit; slicers take
+millimetres."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import metres, recipe_digest
+from trabecula.mesh.formats import metres, recipe_digest, stated_unit
+from trabecula.mesh.weld import weld
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _PIECE = 1 << 18  # triangles at a time: the records of the whole mesh would double the memory
+_HEADER = 84
 
 
 def write(mesh: Mesh, path: Path) -> None:
@@ -33,3 +37,24 @@ def _records(mesh: Mesh, faces: np.ndarray, factor: float) -> np.ndarray:
     records["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
     records["corners"] = corners
     return records
+
+
+def read(path: Path) -> Mesh:
+    """Read either form; corners at the same place become one vertex. A unit is known only where this package wrote it."""
+    raw = path.read_bytes()
+    count = int.from_bytes(raw[80:_HEADER], "little") if len(raw) >= _HEADER else -1
+    # The size decides, not the first word: binary files of some programs begin with "solid" as well.
+    if len(raw) != _HEADER + count * _TRIANGLE.itemsize:
+        if b"facet" in raw[:4096]:
+            return _read_text(raw)
+        raise ValueError(f"{len(raw)} bytes do not hold the {max(count, 0)} triangles that its header claims")
+    unit = re.search(rb"unit=(\w+)", raw[:80])
+    corners = np.frombuffer(raw, _TRIANGLE, offset=_HEADER)["corners"]
+    return Mesh(*weld(corners), stated_unit(unit[1].decode("ascii") if unit else None))
+
+
+def _read_text(raw: bytes) -> Mesh:
+    numbers = re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", raw)
+    if len(numbers) != 3 * raw.count(b"endfacet") or b"endsolid" not in raw:
+        raise ValueError(f"{len(numbers)} corners in {raw.count(b'endfacet')} closed facets")
+    return Mesh(*weld(np.array(numbers).astype(np.float64).reshape(-1, 3, 3)))

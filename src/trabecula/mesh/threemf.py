@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import io
+import xml.etree.ElementTree as ElementTree
 import zipfile
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+import numpy as np
+
 from trabecula import __version__
+from trabecula.core.errors import FileError
+from trabecula.engine.plan import available_memory
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import metres, recipe_json
+from trabecula.mesh.formats import NO_UNIT, metres, recipe_json, stated_unit
 from trabecula.mesh.text import rows
 
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
+_CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+_FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
+_DEEPEST = 16  # of components within components; a file in which one holds itself would have no end
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -75,3 +83,64 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
     file.write('</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n')
     file.flush()
     file.detach()
+
+
+def read(path: Path) -> Mesh:
+    """Read every object that the file says to build, each at its place."""
+    with zipfile.ZipFile(path) as package:
+        entry = next((info for info in package.infolist() if info.filename.lower().endswith("3dmodel.model")), None)
+        if entry is None:
+            entry = next(info for info in package.infolist() if info.filename.endswith(".model"))
+        if entry.file_size * 8 > available_memory():
+            raise FileError(
+                f"cannot read {path}: its model unpacks to {entry.file_size >> 20} MiB, too much for memory"
+            )
+        model = ElementTree.fromstring(package.read(entry))
+    objects = {node.get("id", ""): node for node in model.iter(f"{_CORE}object")}
+    parts = [
+        part
+        for item in model.iter(f"{_CORE}item")
+        for part in _built(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
+    ]
+    offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
+    vertices = np.concatenate([points for points, _ in parts])
+    faces = np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)])
+    unit, factor = _unit_read(model)
+    return Mesh(vertices * factor, faces, unit)
+
+
+def _unit_read(model: ElementTree.Element) -> tuple[str, float]:
+    """The unit, and the factor that the coordinates need; a mesh of ours in voxels is one again."""
+    ours = {node.get("name"): node.text for node in model.iter(f"{_CORE}metadata")}.get("tb:unit")
+    if ours == NO_UNIT:
+        return NO_UNIT, 1.0
+    stated = model.get("unit", "millimeter")  # the specification's default
+    return ("inch", _FOOT) if stated == "foot" else (stated_unit(stated), 1.0)
+
+
+def _built(
+    objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Vertices and faces of an object and of the components in it. `transform` is (4, 3): points are rows (x, y, z, 1)."""
+    if depth == 0:
+        raise ValueError("its components are nested too deep")
+    node = objects[name]
+    parts = []
+    surface = node.find(f"{_CORE}mesh")
+    if surface is not None:
+        points = [[float(v.get(axis, "")) for axis in "xyz"] for v in surface.iter(f"{_CORE}vertex")]
+        faces = [[int(t.get(corner, "")) for corner in ("v1", "v2", "v3")] for t in surface.iter(f"{_CORE}triangle")]
+        placed = np.array(points, np.float64).reshape(-1, 3) @ transform[:3] + transform[3]
+        turned = np.array(faces, np.int64).reshape(-1, 3)
+        # A mirror turns the surface inside out.
+        parts.append((placed, turned if np.linalg.det(transform[:3]) > 0 else turned[:, ::-1]))
+    for component in node.iter(f"{_CORE}component"):
+        inner = _transform(component)
+        whole = np.concatenate([inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]])
+        parts += _built(objects, component.get("objectid", ""), whole, depth - 1)
+    return parts
+
+
+def _transform(node: ElementTree.Element) -> np.ndarray:
+    text = node.get("transform")
+    return np.eye(4, 3) if text is None else np.array(text.split(), np.float64).reshape(4, 3)

@@ -46,6 +46,7 @@ from trabecula.synth.texture.region import Region, regions_of
 from trabecula.synth.texture.sources import Candidates, Stack, carried
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
 _BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
 _SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
@@ -123,7 +124,7 @@ class TextureModel(Model):
         for width in config.neighbourhood:
             # On the finest level distances are so smooth that ten components hold them, and those of blocks are nearly the
             # same ones; what varies within a block is missing from the variance that they share.
-            grain = 2 if finest and self.content.distances and width % 2 == 0 else 1
+            grain = 2 if finest and self.content.distances and width >= _WIDE and width % 2 == 0 else 1
             share = config.variance if grain == 1 else 1 - (1 - config.variance) * _BLOCKS_MISS
             made.append(
                 Candidates.of(

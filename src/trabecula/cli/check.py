@@ -1,0 +1,38 @@
+"""`trabecula check FILE --printer sls|sla|fdm`."""
+
+from __future__ import annotations
+
+import argparse
+
+from trabecula.cli import options as shared
+from trabecula.cli import terminal
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The part, the printer, its limits."""
+    parser.add_argument("file", metavar="FILE", help="volume of labels, in a unit of length")
+    parser.add_argument("--printer", default="sls", metavar="NAME", help="sls (default), sla or fdm")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="LIMIT=MM",
+        help="another limit than the typical one: box, wall, gap, passage, cup, overhang, bridge; repeatable",
+    )
+    parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
+    parser.add_argument("--json", action="store_true", help="print as JSON")
+    shared.add_reading(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print what was found. A part that would be refused is a result, not an error: status 0."""
+    from trabecula.finish import print_check
+
+    limits = shared.settings(options.set)
+    image = shared.load_exemplar(options.file, options)
+    found = print_check(image, printer=options.printer, phase=options.phase, **limits)
+    if options.json:
+        terminal.show_json(found.to_json())
+    else:
+        print(found.to_table())
+    return 0

@@ -1,0 +1,69 @@
+"""Floaters: parts of a phase that hang on nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, with_values
+from trabecula.finish.connect import _background
+from trabecula.measure.labelling import label_components
+from trabecula.measure.phases import indicator
+
+
+def remove_floaters(
+    image: Image | ArrayLike,
+    *,
+    smaller_than: int | None = None,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+) -> Image:
+    """Remove the parts of a phase that are not joined to its largest component.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    smaller_than : int, optional
+        Remove only parts of fewer voxels than this. Default: all but the largest.
+    phase : str or int, optional
+        Default: "solid", which is every phase but "void" taken together.
+    connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
+        What counts as joined. Default: voxels that share a face.
+
+    Returns
+    -------
+    image : Image
+        What is removed becomes void. The recipe's step holds a `report`: `removed_parts`, `removed` (voxels), `left`
+        (parts).
+
+    Raises
+    ------
+    InputError
+        The phase is empty; a size below 1; another connectivity; the void of an image of several phases.
+
+    Examples
+    --------
+    >>> part = remove_floaters(np.array([[1, 1, 0, 1], [1, 0, 0, 0]]))
+    >>> part.values.tolist(), part.recipe.steps[-1]["report"]["removed_parts"]
+    ([[1, 1, 0, 0], [1, 0, 0, 0]], 1)
+    """
+    image, inside = indicator(image, phase)
+    if smaller_than is not None:
+        smaller_than = int(as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True))
+    background = _background(image, phase)
+    labels, sizes = label_components(inside, connectivity=connectivity)
+    if not len(sizes):
+        raise InputError(
+            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing floats in it"
+        )
+    goes = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than
+    goes[np.argmax(sizes)] = False
+    values = np.array(image.values, order="C")
+    values[np.concatenate([[False], goes])[labels]] = background
+    report = {"removed_parts": np.count_nonzero(goes), "removed": int(sizes[goes].sum())}
+    report["left"] = len(sizes) - report["removed_parts"]
+    settings = {"smaller_than": smaller_than, "phase": phase, "connectivity": connectivity}
+    recipe = image.recipe.then("finish", values, operation="remove_floaters", settings=settings, report=report)
+    return with_values(image, values, recipe=recipe)

@@ -1,0 +1,85 @@
+"""What printers can make: typical limits by process, in millimetres.
+
+They are the figures that makers and print services commonly publish for desktop and service machines of the process, not
+those of one machine: give your own where you know them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from trabecula.core.checks import as_number, check_name
+from trabecula.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Printer:
+    """Limits of a process; None where it has none. Lengths in millimetres, every one can be given anew.
+
+    Parameters
+    ----------
+    process : str
+        "sls" (powder sintered by a laser), "sla" (resin cured by light), "fdm" (molten filament).
+    box : (z, y, x)
+        Largest part; z is the direction in which layers are laid.
+    wall : float
+        Least thickness of a strut or wall.
+    gap : float
+        Least width of a pore that stays open.
+    passage : float, optional
+        Least width of the way on which powder or resin is cleared out.
+    cup : float, optional
+        Largest volume, mm**3, of resin that may be sealed off during the print by what is printed so far.
+    overhang : float, optional
+        Largest angle from the vertical, degrees, at which a surface carries itself while it is printed.
+    bridge : float, optional
+        Longest span between two supports.
+    """
+
+    process: str
+    box: tuple[float, float, float]
+    wall: float
+    gap: float
+    passage: float | None = None
+    cup: float | None = None
+    overhang: float | None = None
+    bridge: float | None = None
+
+
+PRINTERS: Mapping[str, Printer] = {
+    "sls": Printer("sls", box=(300.0, 165.0, 165.0), wall=0.7, gap=0.5, passage=1.5),
+    "sla": Printer("sla", box=(185.0, 145.0, 145.0), wall=0.5, gap=0.5, passage=0.5, cup=100.0),
+    "fdm": Printer("fdm", box=(250.0, 220.0, 220.0), wall=0.8, gap=0.5, overhang=45.0, bridge=10.0),
+}
+
+_RANGES = {"overhang": (0.0, 90.0), "cup": (0.0, 1e9)}
+
+
+def printer_of(process: str, limits: Mapping[str, Any]) -> Printer:
+    """The printer of a process with other limits than the typical ones.
+
+    Raises
+    ------
+    UnknownNameError
+        No such process, or no such limit of it.
+    InputError
+        A limit that is no number in its range.
+    """
+    check_name(process, PRINTERS, name="printer")
+    typical = PRINTERS[process]
+    known = [entry.name for entry in fields(Printer)[1:] if getattr(typical, entry.name) is not None]
+    for name in limits:
+        check_name(name, known, name=f"limit of {process}")
+    return replace(typical, **{name: _limit(name, value) for name, value in limits.items()})
+
+
+def _limit(name: str, value: Any) -> Any:
+    low, high = _RANGES.get(name, (1e-6, 1e6))
+    if name != "box":
+        return as_number(value, name=name, low=low, high=high)
+    sides = list(value) if isinstance(value, (list, tuple)) else [value] * 3
+    if len(sides) != 3:
+        raise InputError(f"box={value!r} should be one number of millimetres, or three (z, y, x)")
+    return tuple(as_number(side, name=name, low=low, high=high) for side in sides)

@@ -1,0 +1,125 @@
+"""Which struts are thinner than asked for: shared by `thicken` and the print check.
+
+Thin is a voxel whose local thickness (the largest sphere of the phase that holds it) is below a length. That is so at
+every sharp corner of a thick part as well, so not all thin voxels count, but the *cores* of what is thin: those that lie
+about as deep as that largest sphere's own centre. At a corner the sphere that holds a voxel is larger than the voxel is
+deep: 1.4 times or more along the edge of a right angle. Along a strut, and at its waist, both are nearly the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.engine.compile import kernel
+from trabecula.engine.tiles import for_slabs
+from trabecula.measure.distance import distance_transform
+from trabecula.measure.spheres import paint_largest
+
+DEEP = 0.75
+"""Depth of a core's voxel over the radius of the largest sphere that holds it, at least."""
+
+
+@dataclass(frozen=True)
+class Cores:
+    """The cores of what is thin.
+
+    Parameters
+    ----------
+    places : (n, 3) int array
+        z, y, x.
+    depth : (n,) float32 array
+        Distance to the nearest voxel that is not of the phase.
+    aside : (n,) float32 array
+        How much deeper the middle of the strut is.
+    thinnest : float
+        The smallest local thickness among them, infinite where there are none.
+    share : float
+        How much of the phase is thin and lies about them, 0..1.
+    """
+
+    places: np.ndarray
+    depth: np.ndarray
+    aside: np.ndarray
+    thinnest: float
+    share: float
+
+
+def thin_cores(inside: np.ndarray, spacing: tuple[float, ...], thickness: float) -> Cores:
+    """The cores of struts and walls whose local thickness is below `thickness` by more than half a voxel, its error.
+
+    Parameters
+    ----------
+    inside : (Z, Y, X) or (Y, X) bool array
+        The phase; somewhere it must end.
+    spacing : tuple of float
+        Edge of a voxel along every axis.
+    thickness : float
+        In the unit of `spacing`.
+    """
+    # In units of the smallest edge, as everything about spheres of voxels.
+    scale = min(spacing)
+    steps = tuple(edge / scale for edge in spacing)
+    depth = distance_transform(inside, spacing=steps)
+    radius = _radius_where_thin(inside, depth, steps, thickness / scale)
+    found = (radius > 0) & (depth >= DEEP * radius)
+    places = np.argwhere(found.reshape((1,) * (3 - found.ndim) + found.shape))
+    thinnest = float(2 * radius[found].min() - 0.5) if len(places) else float("inf")
+    # The voxels between a sphere and the surface around it belong to the strut as well.
+    around = balls(places, depth[found] + 1, inside.shape, steps)
+    share = np.count_nonzero((radius > 0) & around) / max(1, np.count_nonzero(inside))
+    return Cores(places, depth[found] * scale, (radius - depth)[found] * scale, thinnest * scale, share)
+
+
+def _radius_where_thin(inside: np.ndarray, depth: np.ndarray, steps: tuple[float, ...], thickness: float) -> np.ndarray:
+    """Radius of the largest sphere that holds each voxel (as deep as its centre), where it is too small; else 0.
+
+    Half a voxel is taken off a diameter (see `measure.thickness.local_thickness`) and allowed to lack, so that a voxel is
+    thin where its sphere's diameter lacks anything. Where most are not, only those spheres are painted that hold a voxel
+    which no sphere of the very size asked for holds.
+    """
+    deep = depth >= thickness / 2
+    if inside.all():
+        return np.zeros_like(depth)
+    doubtful, needed = inside, depth
+    # Two more distances are worth their time only where they spare most of the spheres; the result is the same.
+    if 2 * np.count_nonzero(deep) > np.count_nonzero(inside):
+        doubtful = inside & (distance_transform(~deep, spacing=steps) >= thickness / 2)
+        if not doubtful.any():
+            return np.zeros_like(depth)
+        needed = np.where(distance_transform(~doubtful, spacing=steps) < depth, depth, np.float32(0))
+    lift = 3 - inside.ndim
+    edges = np.array((max(steps),) * lift + steps)
+    diameter = paint_largest(needed.reshape((1,) * lift + needed.shape), edges, (False,) * 3).reshape(inside.shape)
+    return np.where(doubtful & (diameter < thickness - 0.001), diameter / 2, np.float32(0))
+
+
+def balls(places: np.ndarray, radius: np.ndarray, shape: tuple[int, ...], spacing: tuple[float, ...]) -> np.ndarray:
+    """True in every voxel whose centre lies no farther than `radius` from one of `places` (n, 3); `shape` has 2 or 3 axes."""
+    lifted = (1,) * (3 - len(shape)) + shape
+    edges = np.array((max(spacing),) * (3 - len(shape)) + tuple(spacing))
+    painted = np.zeros(lifted, bool)
+    reach = np.ascontiguousarray(radius, np.float64)
+    for_slabs(lambda start, stop: _paint(places, reach, edges, painted, start, stop), lifted[0])
+    return painted.reshape(shape)
+
+
+@kernel
+def _paint(places, radius, spacing, painted, start, stop):
+    _, height, width = painted.shape
+    for n in range(len(places)):
+        z, y, x = places[n, 0], places[n, 1], places[n, 2]
+        # A hair more, so that a distance of exactly the radius counts whatever the unit.
+        limit = radius[n] * radius[n] * (1.0 + 1e-6)
+        deep = int(np.sqrt(limit) / spacing[0])
+        for k in range(max(z - deep, start), min(z + deep + 1, stop)):
+            rest = limit - ((k - z) * spacing[0]) ** 2
+            if rest < 0.0:
+                continue
+            wide = int(np.sqrt(rest) / spacing[1])
+            for j in range(max(y - wide, 0), min(y + wide + 1, height)):
+                left = rest - ((j - y) * spacing[1]) ** 2
+                if left >= 0.0:
+                    half = int(np.sqrt(left) / spacing[2])
+                    painted[k, j, max(x - half, 0) : min(x + half + 1, width)] = True

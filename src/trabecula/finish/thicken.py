@@ -1,0 +1,96 @@
+"""Thicken: struts that are too thin grow to a least thickness; what is thick enough stays as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, with_values
+from trabecula.finish.connect import _background
+from trabecula.finish.labels import repainted
+from trabecula.finish.struts import balls, thin_cores
+from trabecula.measure.phases import indicator
+
+# Radius of the balls of each round, over half the thickness, in voxels. A ball of voxels is half a voxel wider than its
+# radius, give or take rounding: what is still too thin after a round gets a little more in the next.
+_MORE = (-0.5, -0.25, 0.0, 0.25)
+
+
+def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | None = None) -> Image:
+    """Grow the struts and walls of a phase to a least thickness, only where they are thinner.
+
+    The second operation of Zhang, Chen, Wang and Wang 2017, section 5.4, which dilates everything alike; here a ball of
+    that diameter is put around the middle of what is thinner than it.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    thickness : float
+        Least thickness in the image's unit, above 0 and at most the longest side. A strut may come out one and a
+        half voxels thicker, by rounding; one that is thinner by less than half a voxel counts as thick enough.
+    phase : str or int, optional
+        Default: "solid", which is every phase but "void" taken together.
+
+    Returns
+    -------
+    image : Image
+        No voxel of the phase is lost, and no other phase but the void gives way. New voxels take the nearest label. The
+        recipe's step holds a `report`: `added` (voxels), `thin_before`, `thin_after` (share of the phase that lay, and
+        lies, in struts that are too thin), `rounds`.
+
+    Raises
+    ------
+    InputError
+        The phase is empty; a thickness out of range; the void of an image of several phases.
+
+    Notes
+    -----
+    Pores that are narrower than twice what is added close. Sharp edges of thick parts are no struts and stay sharp.
+
+    Examples
+    --------
+    >>> wire = np.zeros((11, 11, 30), int); wire[5, 5] = 1
+    >>> int(thicken(wire, thickness=5).values[:, 5, 15].sum())
+    5
+    """
+    image, inside = indicator(image, phase)
+    extent = max(side * edge for side, edge in zip(image.shape, image.spacing, strict=True))
+    thickness = as_number(thickness, name="thickness", low=0, high=extent)
+    if thickness == 0:
+        raise InputError("thickness 0 thickens nothing: give a length above 0, in the image's unit")
+    background = _background(image, phase)
+    if not inside.any():
+        raise InputError(
+            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to thicken"
+        )
+    free = image.values == background
+    after, shares = _grown(inside, free, image.spacing, thickness)
+    values = repainted(image, inside, after, background)
+    report = {
+        "added": np.count_nonzero(after & ~inside),
+        "thin_before": round(shares[0], 6),
+        "thin_after": round(shares[-1], 6),
+        "rounds": len(shares) - 1,
+    }
+    settings = {"thickness": thickness, "phase": phase}
+    recipe = image.recipe.then("finish", values, operation="thicken", settings=settings, report=report)
+    return with_values(image, values, recipe=recipe)
+
+
+def _grown(
+    inside: np.ndarray, free: np.ndarray, spacing: tuple[float, ...], thickness: float
+) -> tuple[np.ndarray, list[float]]:
+    """The phase with its thin struts grown into what is free; the share of thin struts before every round and at the end."""
+    shares: list[float] = []
+    for more in (*_MORE, None):
+        if inside.all():
+            return inside, [*shares, 0.0]
+        cores = thin_cores(inside, spacing, thickness)
+        shares.append(cores.share)
+        if more is None or not len(cores.places):
+            break
+        reach = np.maximum(thickness / 2 + more * min(spacing) - cores.aside, 0)
+        inside = inside | (balls(cores.places, reach, inside.shape, spacing) & free)
+    return inside, shares

@@ -1,0 +1,177 @@
+"""`voxelise`: which voxels of a grid lie inside a surface.
+
+1. For every row of voxels along x, find where its centre line crosses the surface, and in which direction. A line counts
+   as crossing a triangle where it winds around it in the plane (y, z); whether an edge is passed is decided from its ends
+   in a fixed order, so both triangles at the edge decide alike, and the crossings of a row sum to 0, whatever the
+   rounding: no ray can leak through an edge or a vertex, and none needs to be moved aside.
+2. Along the row add the crossings up: the sum is the winding number, and a voxel is inside where it is not 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from trabecula.core.checks import as_number, as_shape, as_spacing
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.core.recipe import Recipe
+from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.tiles import for_slabs
+from trabecula.mesh import kernels
+from trabecula.mesh.base import Mesh
+from trabecula.mesh.check import check_closed
+from trabecula.mesh.weld import weld
+
+
+def voxelise(
+    mesh: Mesh,
+    *,
+    spacing: float | Sequence[float],
+    shape: int | Sequence[int] | None = None,
+    margin: int = 0,
+    origin: Sequence[float] | None = None,
+) -> Image:
+    """The voxels whose centres lie inside a closed surface.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Watertight. Where parts overlap their union is taken; a surface that is turned inwards is a cavity.
+    spacing : float or sequence of float
+        Edge of a voxel along z, y, x, in the mesh's unit.
+    shape : int or sequence of int, optional
+        Voxels along z, y, x. Default: as many as the mesh needs, and `margin`.
+    margin : int, optional
+        Empty voxels around the mesh along every axis, 0..4096. Not beside `shape`. Default 0.
+    origin : sequence of float, optional
+        z, y, x of the corner of voxel (0, 0, 0) in the mesh's coordinates. Default: the mesh lies in the middle.
+
+    Returns
+    -------
+    Image, (Z, Y, X)
+        Labels void and solid, in the mesh's unit.
+
+    Raises
+    ------
+    InputError
+        The mesh has holes or no coherent outside; it does not fit into `shape`; no voxel's centre lies inside.
+    MemoryBudgetError
+        More voxels than memory.
+
+    Notes
+    -----
+    A voxel is in or out as a whole. On the volume that cancels to below 0.1 % where the form is 200 voxels wide or more.
+
+    Examples
+    --------
+    >>> import numpy as np, trabecula as tb
+    >>> block = np.zeros((4, 5, 6), np.uint8); block[1:3, 1:4, 1:5] = 1
+    >>> again = voxelise(tb.mesh(block, smooth=0), spacing=1, shape=(4, 5, 6), origin=(0, 0, 0))
+    >>> bool((again.values == block).all())
+    True
+    """
+    edges = as_spacing(spacing, ndim=3)
+    closed = _closed(mesh)
+    low, high = (bound[::-1] for bound in _bounds(closed))
+    sides, corner = _grid(low, high, edges, shape, margin, origin)
+    check_budget(Plan({"voxels": int(np.prod(sides, dtype=np.int64))}), advice="use larger voxels, or a smaller mesh")
+    points = np.ascontiguousarray((closed.vertices[:, ::-1].astype(np.float64) - corner) / edges)
+    values = np.zeros(sides, np.int8)
+    faces = np.ascontiguousarray(closed.faces)
+    for_slabs(lambda start, stop: kernels.fill_rows(points, faces, values, start, stop), sides[0])
+    solid = values.view(np.uint8)
+    if not solid.any():
+        raise InputError(
+            f"no voxel lies inside the mesh of {_size(high - low)} {mesh.unit} (z, y, x) at voxels of {_size(edges)}: "
+            "use smaller voxels, or scale the mesh"
+        )
+    made = {"mesh": mesh.recipe, "spacing": edges, "shape": sides, "origin": corner}
+    return Image(solid, "labels", edges, mesh.unit, recipe=Recipe().then("voxelise", solid, **made))
+
+
+def scaled(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:
+    """The mesh with its coordinates times `factor` (above 0), in another `unit` where one is given."""
+    factor = as_number(factor, name="scale", low=1e-18, high=1e18)
+    unit = mesh.unit if unit is None else unit
+    vertices = mesh.vertices.astype(np.float64) * factor
+    recipe = mesh.recipe.then("scale", vertices, factor=factor, unit=unit)
+    return replace(mesh, vertices=vertices, unit=unit, recipe=recipe)
+
+
+def fitted(
+    mesh: Mesh, *, shape: int | Sequence[int], spacing: float | Sequence[float], unit: str | None = None
+) -> Mesh:
+    """The mesh, scaled alike along every axis so that it just fits into a box of voxels.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    shape : int or sequence of int
+        Voxels of the box along z, y, x.
+    spacing : float or sequence of float
+        Edge of a voxel along z, y, x.
+    unit : str, optional
+        Of the spacing, and then of the mesh. Default: the mesh's.
+    """
+    box = np.array(as_shape(shape)) * as_spacing(spacing, ndim=3)
+    low, high = _bounds(mesh)
+    extent = (high - low)[::-1]
+    if not extent.max() > 0:
+        raise InputError("the mesh is a single point: it cannot be scaled to a box")
+    return scaled(mesh, float(np.min(box[extent > 0] / extent[extent > 0])), unit=unit)
+
+
+def _closed(mesh: Mesh) -> Mesh:
+    """The mesh, if it is closed; one whose vertices are split (as at the seams of a texture) is, once they are welded."""
+    try:
+        check_closed(mesh)
+    except InputError:
+        vertices, faces = weld(mesh.vertices[mesh.faces])
+        mesh = replace(mesh, vertices=vertices, faces=faces)
+        check_closed(mesh)
+    return mesh
+
+
+def _bounds(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest x, y, z of the surface; vertices that no face uses do not count."""
+    if not len(mesh.faces):
+        raise InputError("the mesh has no faces: there is nothing inside")
+    used = mesh.vertices[np.unique(mesh.faces)].astype(np.float64)
+    return used.min(axis=0), used.max(axis=0)
+
+
+def _grid(
+    low: np.ndarray,
+    high: np.ndarray,
+    edges: tuple[float, ...],
+    shape: int | Sequence[int] | None,
+    margin: int,
+    origin: Sequence[float] | None,
+) -> tuple[tuple[int, ...], np.ndarray]:
+    """Voxels along z, y, x, and the corner of voxel (0, 0, 0)."""
+    margin = int(as_number(margin, name="margin", low=0, high=4096, whole=True))
+    if shape is not None and margin:
+        raise InputError("give a shape or a margin, not both: a shape says how much room there is")
+    start = None if origin is None else np.array(origin, np.float64)
+    if start is not None and (start.shape != (3,) or not np.isfinite(start).all()):
+        raise InputError(f"origin {origin!r} is not made of three finite numbers: give z, y, x")
+    # A hair less than needed: n voxels that the float32 of a file made n + 1e-6 are n.
+    hair = 1e-6 * np.maximum(np.abs(low), np.abs(high))
+    extent = (high - (low if start is None else start) - hair) / edges
+    need = np.maximum(np.ceil(extent - 1e-9), 1) + (2 if start is None else 1) * margin
+    sides = as_shape([int(side) for side in need] if shape is None else shape, name="shape of the voxels")
+    if start is not None:
+        return sides, start
+    if any(n > side for n, side in zip(need, sides, strict=True)):
+        raise InputError(
+            f"the mesh is {_size(high - low)} wide (z, y, x) and needs {_size(need)} voxels, the shape is {sides}: "
+            "ask for a larger shape, or scale the mesh"
+        )
+    return sides, (low + high) / 2 - np.array(sides) * edges / 2
+
+
+def _size(lengths: Sequence[float] | np.ndarray) -> str:
+    return " x ".join(f"{length:.6g}" for length in lengths)

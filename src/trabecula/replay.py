@@ -1,0 +1,208 @@
+"""Make a result again from its recipe: every step is done anew, and its voxels are compared with what was recorded."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trabecula import finish
+from trabecula.core.checks import check_name
+from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
+from trabecula.core.image import Image
+from trabecula.core.recipe import Recipe, digest
+from trabecula.core.request import Request
+from trabecula.exemplar.crop import crop
+from trabecula.exemplar.place import block, place
+from trabecula.exemplar.samples import sample
+from trabecula.exemplar.segment import segment
+from trabecula.io import files
+from trabecula.mesh.base import Mesh
+from trabecula.mesh.files import read_mesh
+from trabecula.mesh.voxels import scaled, voxelise
+from trabecula.synth.registry import method
+from trabecula.view.still import render
+
+AnyPath = str | os.PathLike[str]
+PARTS = ("mask", "fixed", "known")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the files that a recipe names lie now: beside the result unless they are given anew, by option."""
+
+    folder: Path
+    moved: Mapping[str, Sequence[AnyPath]] = field(default_factory=dict)
+    option: str = "exemplar"
+    number: int = 0
+
+    @property
+    def given(self) -> AnyPath | None:
+        """The file that was given for the recipe in hand."""
+        found = self.moved.get(self.option, ())
+        return found[min(self.number, len(found) - 1)] if found else None
+
+    def of(self, option: str, number: int = 0) -> Places:
+        """For a recipe inside the recipe."""
+        return Places(self.folder, self.moved, option, number)
+
+    def find(self, source: str) -> AnyPath:
+        """Where the file that a recipe calls `source` lies."""
+        if self.given is not None:
+            return self.given
+        for candidate in (source, self.folder / source, self.folder / Path(source).name):
+            if Path(candidate).exists():
+                return candidate
+        raise FileError(f"the recipe starts from {source}, which is not here: give its place with --{self.option}")
+
+
+def rerun(
+    path: AnyPath,
+    *,
+    exemplar: AnyPath | Sequence[AnyPath] | None = None,
+    mask: AnyPath | None = None,
+    fixed: AnyPath | None = None,
+    known: AnyPath | None = None,
+) -> Image:
+    """Make a file's voxels again from the recipe in it.
+
+    Parameters
+    ----------
+    path : path
+    exemplar : path or sequence of path, optional
+        Where the files that the recipe starts from lie now, if they have moved; several in the order of the exemplars.
+    mask, fixed, known : path, optional
+        The same for the other files that the request named.
+
+    Raises
+    ------
+    InputError
+        The file holds no recipe, or one that starts from an array in memory.
+    NotReproducedError
+        A step gave other voxels than the recipe says (another exemplar, another version), or the file's own voxels are
+        not the recipe's.
+    """
+    image = files.read(path)
+    steps = image.recipe.steps
+    if not steps or [step["verb"] for step in steps] == ["read"]:
+        raise InputError(f"{path} holds no recipe: it was not made by this package, or its metadata is lost")
+    # Before any work: the last step recorded the digest that its replay would have to meet as well.
+    if digest(image.values) != steps[-1].get("sha256"):
+        raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
+    folder = Path(path).absolute().parent
+    return replay(image.recipe, folder=folder, exemplar=exemplar, mask=mask, fixed=fixed, known=known)
+
+
+def replay(
+    recipe: Recipe, *, folder: Path, exemplar: AnyPath | Sequence[AnyPath] | None = None, **parts: AnyPath | None
+) -> Image:
+    """Do the steps of a recipe, checking the voxels after each; paths as for `rerun`."""
+    several = [exemplar] if isinstance(exemplar, (str, os.PathLike)) else list(exemplar or ())
+    moved = {"exemplar": several, **{name: [part] for name, part in parts.items() if part is not None}}
+    return _replayed(recipe, Places(folder, moved))
+
+
+def _replayed(recipe: Recipe, places: Places) -> Image:
+    image: Image | None = None
+    for step in recipe.steps:
+        check_name(step["verb"], _STEPS, name="step of a recipe")
+        try:
+            image = _STEPS[step["verb"]](image, step, places)
+            same = digest(image.values) == step["sha256"]
+        except TrabeculaError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            # The parameters come from a file, and anybody may have written it.
+            raise InputError(
+                f"the recipe is damaged: its step {step['verb']!r} cannot be done again "
+                f"({type(error).__name__}: {error})"
+            ) from error
+        if not same:
+            raise NotReproducedError(_difference(step))
+    if image is None:
+        raise InputError("the recipe is empty: there is nothing to do again")
+    return image
+
+
+def _difference(step: Mapping[str, Any]) -> str:
+    what = step.get("source") or step.get("method") or step.get("operation") or step["verb"]
+    made = ", ".join(f"{name} {number}" for name, number in dict(step.get("versions") or {}).items())
+    return (
+        f"step {step['verb']!r} ({what}) gives other voxels than recorded: "
+        f"the file has changed, or the versions ({made}) differ"
+    )
+
+
+def _read_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    return files.read(places.find(step["source"]), **step["options"])
+
+
+def _array_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    if places.given is None:
+        raise InputError(
+            f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with "
+            f"--{places.option}"
+        )
+    return files.read(places.given)
+
+
+def _voxelise_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    surface = _surface_again(step["mesh"], places)
+    return voxelise(surface, spacing=step["spacing"], shape=step["shape"], origin=step["origin"])
+
+
+def _surface_again(steps: Sequence[Mapping[str, Any]], places: Places) -> Mesh:
+    if not steps or steps[0]["verb"] != "read_mesh":
+        raise InputError("the recipe voxelises a surface that was in memory: nothing says how to make it again")
+    surface = read_mesh(places.find(steps[0]["source"]), unit=steps[0]["unit"])
+    if digest(surface.vertices) != steps[0]["sha256"]:
+        raise NotReproducedError(_difference(steps[0]))
+    for step in steps[1:]:
+        check_name(step["verb"], ("scale",), name="step of a surface's recipe")
+        surface = scaled(surface, step["factor"], unit=step["unit"])
+    return surface
+
+
+def _generate_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    sources = [
+        _replayed(Recipe.from_json(steps), places.of("exemplar", number))
+        for number, steps in enumerate(step["exemplars"])
+    ]
+    request = dict(step["request"])
+    for name in PARTS:
+        if name in request:
+            request[name] = _replayed(Recipe.from_json(request[name]), places.of(name))
+    learner: Any = method(step["method"], **step["settings"])
+    return learner.fit(sources if len(sources) > 1 else sources[0]).generate(Request(**request))
+
+
+def _finish_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    settings = dict(step["settings"])
+    for steps in step.get("exemplars", ()):
+        settings["exemplar"] = _replayed(Recipe.from_json(steps), places.of("exemplar"))
+    return finish.OPERATIONS[step["operation"]](_given(image), **settings)
+
+
+def _given(image: Image | None) -> Image:
+    if image is None:
+        raise InputError("the recipe is damaged: its first step needs an image that no step made")
+    return image
+
+
+_STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Places], Image]] = {
+    "read": _read_again,
+    "array": _array_again,
+    "sample": lambda image, step, places: sample(step["name"]),
+    "voxelise": _voxelise_again,
+    "crop": lambda image, step, places: crop(_given(image), step["size"], corner=step["corner"]),
+    "place": lambda image, step, places: place(_given(image), step["shape"], corner=step["corner"]),
+    "block": lambda image, step, places: block(step["size"], step["shape"], corner=step["corner"]),
+    "segment": lambda image, step, places: segment(_given(image), step["threshold"], phases=step["phases"]),
+    "generate": _generate_again,
+    "finish": _finish_again,
+    "render": lambda image, step, places: render(
+        _given(image), **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")}
+    ),
+}

@@ -1,0 +1,316 @@
+"""Forms, tiles and measured parts as a user types them; and what a finished part is asked."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from commands import SMALL, refused, trabecula
+from trabecula.finish import OPERATIONS
+from trabecula.flow import load_mask, replay
+
+
+def ball(side):
+    grid = np.indices((side,) * 3) - (side - 1) / 2
+    return (grid**2).sum(axis=0) < (side / 2) ** 2
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, bone):
+    """A scan of 28 voxels of 40 um, a ball as a surface of 16 voxels across in several units, and volumes."""
+    folder = tmp_path_factory.mktemp("parts")
+    scan = tb.crop(bone, 28)
+    tb.write(tb.Image(scan.values, "labels", 40, "um"), folder / "scan.zarr")
+    tb.write(tb.Image(np.roll(scan.values, 9, axis=2), "labels", 40, "um"), folder / "other.zarr")
+    surface = tb.Image(ball(16), "labels", 40, "um")
+    for name in ("ball.stl", "ball.ply"):  # in millimetres; in micrometres
+        tb.export(surface, folder / name)
+    tb.export(tb.Image(ball(16), "labels"), folder / "plain.obj")  # in no unit
+    open_box = (folder / "plain.obj").read_text().splitlines()
+    (folder / "open.obj").write_text("\n".join(open_box[:-3]), encoding="ascii")
+    tb.write(np.pad(ball(18), ((0, 0), (0, 2), (1, 1))), folder / "form.tif")
+    tb.write(np.ones((20, 20, 20), np.uint8), folder / "full.npy")
+    tb.write(tb.Image(np.arange(8000.0).reshape(20, 20, 20), "grey"), folder / "grey.npy")
+    known = np.zeros((28, 28, 28), np.uint8)
+    known[:, :, :14] = 1
+    tb.write(known, folder / "known.tif")
+    return folder
+
+
+@pytest.fixture
+def place(made, tmp_path, monkeypatch):
+    """A copy to work in."""
+    shutil.copytree(made, tmp_path / "place")
+    monkeypatch.chdir(tmp_path / "place")
+    return tmp_path / "place"
+
+
+def generate(*words, exemplars=("scan.zarr",), out="made.zarr"):
+    output = trabecula("generate", *exemplars, *words, *SMALL, "--out", out)
+    return tb.read(out), output
+
+
+def asked(image):
+    return image.recipe.steps[0]["request"]
+
+
+@pytest.mark.parametrize("name", ["ball.stl", "ball.ply", "plain.obj"])
+def test_a_surface_is_scaled_to_the_shape(place, name):
+    image, output = generate("--mask", name, "--shape", 20, 20, 26)
+    mask = load_mask(name, tb.read("scan.zarr"), shape=(20, 20, 26)).values == 1
+    assert image.shape == mask.shape and not image.values[~mask].any() and image.values[mask].any()
+    assert np.ptp(np.nonzero(mask), axis=1).tolist() == [19, 19, 19]
+    assert mask.sum() == pytest.approx(np.pi / 6 * 20**3, rel=0.05)
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
+@pytest.mark.parametrize(("name", "scale"), [("ball.stl", 1), ("ball.ply", 1), ("plain.obj", 40), ("ball.stl", 1.5)])
+def test_a_surface_without_a_shape_keeps_its_size(place, name, scale):
+    """The same ball in millimetres, in micrometres, and in numbers that --mask-scale takes for the exemplar's unit."""
+    image, _ = generate("--mask", name, *(("--mask-scale", scale) if scale != 1 else ()))
+    assert image.shape == ((24,) * 3 if scale == 1.5 else (16,) * 3)
+    assert image.spacing == (40.0,) * 3
+
+
+def test_a_surface_at_its_own_size_in_a_larger_shape(place):
+    image, _ = generate("--mask", "ball.stl", "--mask-scale", 1, "--shape", 24)
+    assert image.shape == (24, 24, 24) and not image.values[:4].any() and image.values[6:18].any()
+
+
+def test_a_volume_is_a_mask_as_it_is(place):
+    image, output = generate("--mask", "form.tif")
+    mask = tb.read("form.tif").values == 1
+    assert image.shape == (18, 20, 20) and not image.values[~mask].any() and image.values[mask].any()
+    assert [step["verb"] for step in asked(image)["mask"]] == ["read"]
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
+def test_python_makes_what_the_command_makes(place):
+    image, _ = generate("--mask", "plain.obj", "--mask-scale", 40, "--seed", 3)
+    exemplar = tb.read("scan.zarr")
+    surface = tb.voxelise(tb.read_mesh("ball.ply"), spacing=exemplar.spacing)
+    model = tb.method("texture", neighbourhood=4, first_rounds=2, rounds=(1,)).fit(exemplar)
+    np.testing.assert_array_equal(model.generate(None, mask=surface, seed=3).values, image.values)
+
+
+def test_a_mask_that_moved_or_changed_is_told(place):
+    _, output = generate("--mask", "ball.ply", "--shape", 20)
+    (place / "ball.ply").rename(place / "sphere.ply")
+    assert "starts from ball.ply, which is not here: give its place with --mask" in refused("rerun", "made.zarr")
+    assert trabecula("rerun", "made.zarr", "--mask", "sphere.ply").sha256 == output.sha256
+    says = refused("rerun", "made.zarr", "--mask", "ball.stl")
+    assert "step 'read_mesh' (ball.ply) gives other voxels than recorded" in says
+    generate("--mask", "form.tif", out="form.zarr")
+    values = tb.read("form.tif").values.copy()
+    values[9, 9, 9] ^= 1
+    tb.write(values, "form.tif")
+    assert "step 'read' (form.tif) gives other voxels than recorded" in refused("rerun", "form.zarr")
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda mask: mask.clear(), "the recipe is empty"),
+        (lambda mask: mask[0].pop("mesh"), "the recipe is damaged: its step 'voxelise'"),
+        (lambda mask: mask[0]["mesh"].clear(), "a surface that was in memory"),
+        (lambda mask: mask[0]["mesh"][0].update(verb="write_mesh"), "a surface that was in memory"),
+        (lambda mask: mask[0]["mesh"][1].update(verb="turn"), "unknown step of a surface's recipe 'turn'"),
+        (lambda mask: mask[0]["mesh"][1].update(factor="x"), "scale='x' should be a number"),
+        (lambda mask: mask[0].update(origin=[0, 0]), "three finite numbers"),
+        (lambda mask: mask[0].update(spacing=[39, 40, 40]), "step 'voxelise' .* gives other voxels|does not fit|needs"),
+        (lambda mask: mask[0].update(sha256="0"), "step 'voxelise' .* gives other voxels"),
+    ],
+)
+def test_damaged_recipes_of_a_mask_are_told(made, monkeypatch, damage, says):
+    monkeypatch.chdir(made)
+    exemplar = tb.read("scan.zarr")
+    mask = load_mask("ball.ply", exemplar)
+    request = tb.Request(None, mask=mask)
+    steps = [{"verb": "generate", "method": "texture", "settings": {}, "sha256": "", "request": request.to_json()}]
+    steps[0]["exemplars"] = [exemplar.recipe.to_json()]
+    damage(steps[0]["request"]["mask"])
+    with pytest.raises(tb.errors.TrabeculaError, match=says):
+        replay(tb.Recipe.from_json(steps), folder=made)
+
+
+def test_a_scan_is_continued_from_its_corner(place):
+    image, output = generate("--fixed", "scan.zarr", "--at", 0, 2, 4, "--shape", 28, 32, 40)
+    np.testing.assert_array_equal(image.values[:, 2:30, 4:32], tb.read("scan.zarr").values)
+    assert image.values[:, :, 33:].any()
+    assert [step["verb"] for step in asked(image)["known"]] == ["block"]
+    assert asked(image)["fixed"][-1]["corner"] == [0, 2, 4]
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
+def test_a_hole_is_repaired_where_nothing_is_known(place):
+    image, output = generate("--fixed", "other.zarr", "--known", "known.tif")
+    assert image.shape == (28, 28, 28)
+    np.testing.assert_array_equal(image.values[:, :, :14], tb.read("other.zarr").values[:, :, :14])
+    (place / "known.tif").rename(place / "seen.tif")
+    assert "give its place with --known" in refused("rerun", "made.zarr")
+    assert trabecula("rerun", "made.zarr", "--known", "seen.tif").sha256 == output.sha256
+
+
+def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
+    rng = np.random.default_rng(0)
+    solid = tb.read("scan.zarr").values
+    grey = np.clip(60 + 110.0 * solid + rng.normal(0, 12, solid.shape), 0, 255).astype(np.uint8)
+    np.save("raw.npy", grey)
+    np.save("piece.npy", grey[:12, :12, :12])
+    words = ("--fixed", "piece.npy", "--at", 4, 4, 4, "--shape", 24)
+    image, output = generate(*words, "--threshold", 140, exemplars=("raw.npy",))
+    np.testing.assert_array_equal(image.values[4:16, 4:16, 4:16], grey[:12, :12, :12] > 140)
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
+@pytest.mark.parametrize(
+    ("words", "axes"),
+    [
+        ((), [True] * 3),
+        (("z",), [True, False, False]),
+        (("y", "x"), [False, True, True]),
+        (("XZ",), [True, False, True]),
+    ],
+)
+def test_periodic_axes(place, words, axes):
+    image, output = generate("--shape", 16, "--periodic", *words)
+    assert asked(image)["periodic"] == axes
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
+def test_several_exemplars(place):
+    image, output = generate("--shape", 16, exemplars=("scan.zarr", "other.zarr"))
+    assert [steps[0]["source"] for steps in image.recipe.steps[0]["exemplars"]] == ["scan.zarr", "other.zarr"]
+    assert output.sha256 != generate("--shape", 16, out="one.zarr")[1].sha256
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256
+    for name in ("scan.zarr", "other.zarr"):
+        (place / name).rename(place / f"moved-{name}")
+    moved = ("--exemplar", "moved-scan.zarr", "moved-other.zarr")
+    assert trabecula("rerun", "made.zarr", *moved).sha256 == output.sha256
+
+
+def test_plan_takes_the_same_words(place):
+    words = ("--mask", "form.tif", "--fixed", "full.npy", "--at", 0, 0, 0, "--periodic", "x")
+    assert "does not lie inside (18, 20, 20)" in refused("plan", "scan.zarr", *words, *SMALL)
+    plan = json.loads(trabecula("plan", "scan.zarr", "other.zarr", "--mask", "form.tif", "--json", *SMALL).out)
+    assert plan["peak"] > 18 * 20 * 20
+
+
+BAD = [
+    (("--mask", "missing.stl"), "there is no file missing.stl"),
+    (("--mask", "open.obj"), "the mesh is not watertight, so it has no inside"),
+    (("--mask", "grey.npy"), "the mask is grey: give labels"),
+    (("--mask", "form.tif", "--shape", 20), "the mask has shape (18, 20, 20), the request (20, 20, 20)"),
+    (("--mask", "form.tif", "--mask-scale", 2), "form.tif is a volume: a scale is for a surface"),
+    (("--mask", "ball.stl", "--mask-scale", 0), "scale=0.0 is outside"),
+    (("--mask", "ball.stl", "--mask-scale", "nan"), "scale=nan is outside"),
+    (("--mask", "ball.stl", "--mask-scale", "big"), "--mask-scale big: give numbers"),
+    (("--mask", "ball.stl", "--mask-scale", 2, "--shape", 20), "needs 32 x 32 x 32 voxels, the shape is (20, 20, 20)"),
+    (("--mask", "ball.stl", "--mask-scale", 1e9), "2**48 voxels"),
+    (("--mask", "part.stp", "--shape", 20), "part.stp"),
+    (("--shape", 20, "--mask-scale", 2), "--mask-scale without --mask"),
+    (("--shape", 40, "--known", "known.tif"), "--known and --at say where --fixed lies"),
+    (("--shape", 40, "--at", 0, 0, 0), "--known and --at say where --fixed lies"),
+    (("--shape", 40, "--fixed", "scan.zarr"), "needs to be told where it is known"),
+    (("--fixed", "scan.zarr", "--at", 0, 0, 0), "give --shape"),
+    (("--shape", 20, "--fixed", "scan.zarr", "--at", 0, 0, 0), "does not lie inside (20, 20, 20)"),
+    (("--shape", 40, "--fixed", "scan.zarr", "--at", 0, 0, "x"), "--at 0 0 x: give one whole number or three"),
+    (("--shape", 28, "--fixed", "scan.zarr", "--at", 0, 0, 0), "every voxel is known, nothing is left to make"),
+    (("--fixed", "scan.zarr", "--known", "full.npy"), "known has shape (20, 20, 20), the request (28, 28, 28)"),
+    (
+        ("--shape", 28, 28, 40, "--periodic", "--fixed", "scan.zarr", "--at", 0, 0, 0),
+        "periodic with a fixed border: known voxels lie at both ends of z",
+    ),
+    (("--shape", 20, "--periodic", "w"), "--periodic w: name axes among z, y, x"),
+    (("--shape", 20, "--periodic", "z", "other.zarr"), "a file comes before --periodic"),
+    ((), "the size of the result is not given: add --shape N"),
+]
+
+
+@pytest.mark.parametrize(("words", "says"), BAD, ids=[" ".join(map(str, words)) or "nothing" for words, _ in BAD])
+def test_what_cannot_be_is_refused(made, monkeypatch, words, says):
+    monkeypatch.chdir(made)
+    for verb in (("plan",), ("generate", "--out", "new.zarr")):
+        assert says in refused(verb[0], "scan.zarr", *words, *verb[1:], *SMALL)
+    assert not (made / "new.zarr").exists()
+
+
+def test_a_method_that_cannot_honour_a_part_says_so(made, monkeypatch):
+    monkeypatch.chdir(made)
+    for words, part in (
+        (("--mask", "ball.stl"), "mask"),
+        (("--fixed", "scan.zarr", "--at", 0, 0, 0, "--shape", 40), "fixed"),
+    ):
+        if part not in tb.methods()["noise"].honours:
+            assert f"method 'noise' cannot honour {part}" in refused("plan", "scan.zarr", *words, "--method", "noise")
+
+
+def test_finish_does_its_operations_in_one_order(place):
+    words = ("--fill", "--floaters", "--thicken", 90, "--smooth", 45, "--connect", "--prune", "--like", "other.zarr")
+    printed = trabecula("finish", "scan.zarr", *words, "--out", "part.zarr").out
+    part = tb.read("part.zarr")
+    done = [step for step in part.recipe.steps if step["verb"] == "finish"]
+    assert [step["operation"] for step in done] == list(OPERATIONS)
+    assert [done[2]["settings"]["sigma"], done[3]["settings"]["thickness"]] == [45, 90]
+    image = tb.read("scan.zarr")
+    other = tb.read("other.zarr")
+    for name, settings in (
+        ("prune", {"exemplar": other}),
+        ("connect", {}),
+        ("smooth", {"sigma": 45}),
+        ("thicken", {"thickness": 90}),
+        ("remove_floaters", {}),
+        ("fill_trapped", {}),
+    ):
+        image = OPERATIONS[name](image, **settings)
+    np.testing.assert_array_equal(part.values, image.values)
+    for line in ("connect.joins", "smooth.level", "thicken.thin_after", "remove_floaters.left", "fill_trapped.filled "):
+        assert line in printed
+    trabecula("rerun", "part.zarr")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--like", "other.zarr", "--connect"), "--like is the exemplar for --prune"),
+        (("--smooth", "much"), "--smooth much: give numbers"),
+        (("--smooth", 0), "sigma 0 smooths nothing"),
+        (("--thicken", -3), "thickness=-3.0 is outside"),
+        (("--thicken", "nan"), "thickness=nan is outside"),
+        (("--prune", "--like", "missing.zarr"), "there is no file missing.zarr"),
+    ],
+)
+def test_finish_refuses(made, monkeypatch, words, says):
+    monkeypatch.chdir(made)
+    assert says in refused("finish", "scan.zarr", *words, "--out", "new.zarr")
+    assert not (made / "new.zarr").exists()
+
+
+def test_check_prints_a_table_or_json(made, monkeypatch):
+    monkeypatch.chdir(made)
+    found = tb.print_check(tb.read("scan.zarr"), printer="fdm")
+    assert trabecula("check", "scan.zarr", "--printer", "fdm").out == found.to_table() + "\n"
+    plain = json.loads(trabecula("check", "scan.zarr", "--printer", "fdm", "--json").out)
+    assert plain == found.to_json() and plain["verdict"] == "refuse"
+    large = ("--spacing", 1, "--unit", "cm", "--set", "box=[500,500,500]", "--set", "wall=5")
+    plain = json.loads(trabecula("check", "scan.zarr", *large, "--json").out)
+    assert plain["printer"]["box"] == [500, 500, 500] and plain["checks"]["size"]["extent"] == [280, 280, 280]
+    assert plain["checks"]["walls"]["verdict"] == "pass"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("full.npy",), "unit is 'voxel', which is no length"),
+        (("scan.zarr", "--printer", "fmd"), "unknown printer 'fmd': did you mean 'fdm'"),
+        (("scan.zarr", "--set", "wal=1"), "did you mean 'wall'"),
+        (("scan.zarr", "--set", "wall=thin"), "wall='thin' should be a number"),
+        (("scan.zarr", "--phase", "bone"), "unknown phase 'bone'"),
+        (("missing.zarr",), "there is no file missing.zarr"),
+    ],
+)
+def test_check_refuses(made, monkeypatch, words, says):
+    monkeypatch.chdir(made)
+    assert says in refused("check", *words)

@@ -1,0 +1,231 @@
+"""The print check: each fault alone, in a part that has no other, and each limit."""
+
+import json
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.errors import InputError, UnknownNameError
+from trabecula.finish import fill_trapped, layers, print_check, thicken
+from trabecula.finish.printers import PRINTERS
+
+
+def block(side=24):
+    """A cube of 12 mm on the plate."""
+    return np.ones((side, side, side), bool)
+
+
+def verdicts(solid, printer="sls", spacing=0.5, unit="mm", **limits):
+    found = print_check(tb.Image(solid, "labels", spacing=spacing, unit=unit), printer=printer, **limits)
+    return {finding.name: finding.verdict for finding in found.findings}
+
+
+def figures(solid, name, printer="sls", spacing=0.5, **limits):
+    found = print_check(tb.Image(solid, "labels", spacing=spacing, unit="mm"), printer=printer, **limits)
+    return next(finding.figures for finding in found.findings if finding.name == name)
+
+
+def worst(found):
+    return {name: verdict for name, verdict in found.items() if verdict != "pass"}
+
+
+@pytest.mark.parametrize("printer", PRINTERS)
+def test_a_solid_cube_passes(printer):
+    found = verdicts(block(), printer)
+    assert worst(found) == {}
+    extra = {"sls": {"trapped", "passage"}, "sla": {"trapped", "passage", "cups", "islands"}}
+    extra["fdm"] = {"islands", "overhangs", "bridges"}
+    assert set(found) == {"size", "surface", "pieces", "walls", "gaps"} | extra[printer]
+
+
+def test_the_box_may_be_met_by_turning_about_the_vertical():
+    beam = np.ones((4, 4, 40), bool)
+    for box, fits in (((2, 2, 20), True), ((2, 20, 2), True), ((20, 2, 2), False), ((2, 2, 19.9), False)):
+        assert verdicts(beam, box=box)["size"] == ("pass" if fits else "refuse")
+    # The part counts, not the empty image around it.
+    assert figures(np.pad(beam, 5), "size")["extent"] == [2, 2, 20]
+
+
+def test_lengths_are_those_of_the_unit():
+    for unit, factor in (("mm", 1), ("um", 1000), ("cm", 0.1), ("inch", 1 / 25.4)):
+        image = tb.Image(block(), "labels", spacing=0.5 * factor, unit=unit)
+        assert print_check(image).findings[0].figures["extent"] == pytest.approx([12, 12, 12], abs=1e-5)
+    with pytest.raises(InputError, match=r"unit is 'voxel', which is no length.*--spacing 19\.5 --unit um"):
+        print_check(block())
+
+
+def test_voxels_that_touch_in_an_edge_or_a_corner():
+    edge, corner = np.zeros((2, 20, 20, 20), bool)
+    edge[:10, :10, :], edge[10:, 10:, :] = True, True
+    corner[:10, :10, :10], corner[10:, 10:, 10:] = True, True
+    assert verdicts(edge)["surface"] == verdicts(corner)["surface"] == "warn"
+    assert figures(edge, "surface") == {"edges": 20, "corners": 0}
+    assert figures(corner, "surface") == {"edges": 0, "corners": 1}
+
+
+@pytest.mark.parametrize(("printer", "says"), [("sls", "warn"), ("sla", "refuse"), ("fdm", "refuse")])
+def test_loose_pieces(printer, says):
+    part = np.pad(block(), ((0, 0), (0, 0), (0, 20)))
+    part[:4, 4:10, 34:40] = True
+    assert verdicts(part, printer)["pieces"] == says
+    assert figures(part, "pieces") == {"pieces": 2, "loose_volume": 4 * 6 * 6 / 8}
+
+
+def test_struts_and_walls():
+    part = np.pad(block(), ((0, 0), (0, 0), (0, 24)))
+    part[:4, 10:12, 24:] = True  # 2 voxels wide, 1 mm
+    assert verdicts(part, wall=0.5)["walls"] == "pass"
+    assert verdicts(part, wall=1.6)["walls"] == "refuse"
+    found = figures(part, "walls", wall=1.6)
+    assert found["thin_share"] == pytest.approx(4 * 2 * 24 / part.sum(), rel=0.15)
+    assert found["thinnest"] == pytest.approx(1, abs=0.26) and found["wall"] == 1.6
+    few = part.copy()
+    few[:, :, 30:] = False
+    assert verdicts(few, wall=1.6)["walls"] == "warn"
+    thick = thicken(tb.Image(part, "labels", spacing=0.5, unit="mm"), thickness=1.6)
+    assert print_check(thick, wall=1.6).findings[3].verdict == "pass"
+
+
+def test_narrow_pores_and_wide_ones():
+    part = block()
+    part[:, 8:12, 8:12] = False  # 2 mm, right through
+    assert worst(verdicts(part)) == {}
+    assert verdicts(part, gap=3)["gaps"] == "warn"
+    assert figures(part, "gaps", gap=3)["narrow_share"] > 0.9
+
+
+def test_voxels_too_coarse_for_the_limit_are_told():
+    part = np.pad(block(), ((0, 0), (0, 0), (0, 24)))
+    part[:4, 10:12, 24:] = True
+    assert verdicts(part, spacing=0.5, wall=0.7)["walls"] == "warn"
+    assert verdicts(part, spacing=0.5, wall=0.5)["walls"] == "pass", "two voxels are thicker, whatever the error"
+    assert verdicts(block(), spacing=0.5, wall=0.7)["walls"] == "pass", "nothing is anywhere near it"
+    assert verdicts(~part, spacing=0.5, gap=0.7, wall=0.1)["gaps"] == "warn"
+
+
+def test_trapped_powder():
+    part = block()
+    part[8:16, 8:16, 8:16] = False
+    assert verdicts(part)["trapped"] == verdicts(part, "sla")["trapped"] == "refuse"
+    assert figures(part, "trapped") == {"pores": 1, "volume": 64.0}
+    assert "trapped" not in verdicts(part, "fdm")
+    filled = fill_trapped(tb.Image(part, "labels", spacing=0.5, unit="mm"))
+    assert print_check(filled).verdict == "pass"
+    part[8:16, 8:16, 8:] = False  # opened to the side, as wide as it is
+    assert worst(verdicts(part)) == {}
+    small = np.pad(part, 0)
+    small[20, 4, 4] = False
+    assert verdicts(small)["trapped"] == "warn"
+
+
+def test_a_pore_behind_a_narrow_hole_is_hard_to_clear():
+    part = block(40)
+    part[8:32, 8:32, 8:32] = False
+    part[18:21, 18:21, 32:] = False  # 1.5 mm
+    assert verdicts(part, passage=1.4)["passage"] == "pass"
+    assert verdicts(part, passage=2)["passage"] == "warn" and figures(part, "passage", passage=2)["far_share"] > 0.9
+    assert verdicts(part, passage=2)["trapped"] == "pass"
+
+
+def test_cups_are_what_only_the_next_layer_opens():
+    cup = block()
+    cup[4:, 4:20, 4:20] = False
+    # Up to the last layer the bowl is closed below and at its sides.
+    assert layers.sealed(cup) == 20 * 16 * 16
+    assert verdicts(cup, "sla")["cups"] == "warn" and figures(cup, "cups", "sla")["volume"] == 640
+    assert verdicts(cup, "sla", cup=650)["cups"] == "pass"
+    assert layers.sealed(cup[::-1]) == 0, "a bell opens downwards: it is open from its first layer on"
+    drained = cup.copy()
+    drained[4:6, 20:, 10:12] = False
+    assert layers.sealed(drained) <= 16 * 16 * 2
+    late = cup.copy()
+    late[14, 20:, 10] = False  # a drain ten layers up: until then it is a cup
+    assert 10 * 16 * 16 <= layers.sealed(late) <= 11 * 16 * 16
+
+
+def test_what_starts_in_the_air():
+    part = block()
+    part[:10, 2:22, 12:22] = False
+    assert verdicts(part, "fdm", bridge=100)["islands"] == "pass", "a ceiling is held at its side"
+    part[:, 9:, 9:] = False
+    part[12, 14:18, 14:18] = True
+    for printer, says in (("fdm", "refuse"), ("sla", "warn")):
+        assert verdicts(part, printer)["islands"] == says
+    assert figures(part, "islands", "fdm") == {"islands": 1, "volume": 2.0}
+
+
+@pytest.mark.parametrize(("slope", "angle"), [(0.5, 26.6), (0.8, 38.7), (1.25, 51.3), (2, 63.4)])
+def test_a_slope_is_measured_at_its_angle(slope, angle):
+    """A wedge whose lower side leans out by `slope` voxels for every voxel up."""
+    z, _, x = np.indices((30, 30, 90))
+    wedge = x < 15 + slope * z
+    for limit in (angle - 6, angle + 6):
+        down, leaning = layers.overhang(wedge, (1.0, 1.0, 1.0), limit)
+        assert leaning / down == pytest.approx(1.0 if limit < angle else 0.0, abs=0.15)
+    area, _ = layers.overhang(wedge[:, 8:-8], (1.0, 1.0, 1.0), 45)
+    assert area == pytest.approx(14 * 29 * np.hypot(1, slope), rel=0.12)
+
+
+def test_a_ball_hangs_over_by_its_cap():
+    """Of the lower half of a ball, the share beyond 45 degrees is 1 - cos 45."""
+    z, y, x = np.indices((64, 64, 64)) - 31.5
+    _, leaning = layers.overhang(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
+    cap = 2 * np.pi * 30**2 * (1 - np.sqrt(0.5))
+    assert leaning == pytest.approx(cap, rel=0.1)
+
+
+def test_voxels_that_are_not_cubes_lean_as_they_do_in_space():
+    z, _, x = np.indices((40, 20, 100))
+    wedge = x * 0.5 < 6 + 0.5 * 2 * z  # 26.6 degrees from the vertical: 0.5 along x for every 1 along z
+    for limit in (20, 33):
+        down, leaning = layers.overhang(wedge, (2.0, 1.0, 0.5), limit)
+        assert leaning / down == pytest.approx(1.0 if limit == 20 else 0.0, abs=0.15)
+
+
+def test_bridges_and_overhangs():
+    gate = block(40)
+    gate[:20, :, 8:32] = False  # a span of 12 mm
+    found = verdicts(gate, "fdm", spacing=0.5)
+    assert found["bridges"] == "warn" and found["overhangs"] == "warn" and found["islands"] == "pass"
+    assert figures(gate, "bridges", "fdm")["span"] == pytest.approx(12, abs=1)
+    assert figures(gate, "overhangs", "fdm")["share"] > 0.9
+    assert verdicts(gate, "fdm", bridge=13)["bridges"] == "pass"
+    table = gate[::-1]
+    assert worst(verdicts(table, "fdm")) == {}
+
+
+def test_the_verdict_is_the_worst_and_plain_json():
+    part = np.pad(block(), ((0, 0), (0, 0), (0, 24)))
+    part[:4, 10:12, 24:] = True
+    found = print_check(tb.Image(part, "labels", spacing=0.5, unit="mm"), printer="fdm", wall=1.6)
+    plain = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert found.verdict == plain["verdict"] == plain["checks"]["walls"]["verdict"] == "refuse"
+    assert plain["printer"]["wall"] == 1.6 and "passage" not in plain["printer"]
+    assert found.to_table().splitlines()[-1] == "fdm: refuse" and "thinner than 1.6 mm" in found.to_table()
+
+
+@pytest.mark.parametrize("printer", PRINTERS)
+def test_a_part_of_one_voxel(printer):
+    assert verdicts(np.ones((1, 1, 1), bool), printer, wall=2)["walls"] == "refuse"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"printer": "slm"}, "unknown printer 'slm': did you mean"),
+        ({"wal": 1}, "unknown limit of sls 'wal': did you mean 'wall'"),
+        ({"bridge": 1}, "unknown limit of sls 'bridge'"),
+        ({"wall": 0}, "wall=0 is outside"),
+        ({"wall": "thin"}, "wall='thin' should be a number"),
+        ({"box": (1, 2)}, "box=\\(1, 2\\) should be one number of millimetres, or three"),
+        ({"printer": "fdm", "overhang": 91}, "overhang=91 is outside"),
+    ],
+)
+def test_refusals(options, says):
+    with pytest.raises((InputError, UnknownNameError), match=says):
+        print_check(tb.Image(block(4), "labels", spacing=0.5, unit="mm"), **options)
+    with pytest.raises(InputError, match="needs a volume"):
+        print_check(tb.Image(np.eye(4, dtype=int), "labels", spacing=0.5, unit="mm"))
+    with pytest.raises(InputError, match="nothing to print"):
+        print_check(tb.Image(np.zeros((4, 4, 4), int), "labels", spacing=0.5, unit="mm"))
