@@ -25,6 +25,7 @@ VERBS = {
     "export": "surfaces (.stl .3mf .ply .obj) and volumes for other programs",
     "render": "a still picture",
     "rerun": "make a file's voxels again from the recipe in it",
+    "bench": "the tables of speed and quality",
 }
 
 

@@ -12,10 +12,12 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram
+from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram, mixed_with_neighbours
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
+
+_AUCTIONS = 20  # rounds at most; a handful settle it
 
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
@@ -66,7 +68,7 @@ def labels_of(
 
     Without fractions two phases are split at zero, and more go to the largest field.
     Two phases are split where the fraction is met to the voxel. More go to the largest field, each shifted by a constant so
-    that the fractions come out as nearly as forty steps bring them: zeros alone need not agree where three phases meet.
+    that the fractions come out, but for ties: zeros alone need not agree where three phases meet.
     Where `inside` (Z, Y, X) bool is given, fractions are those of the voxels inside.
     """
     if fractions is None:
@@ -76,19 +78,30 @@ def labels_of(
     if len(present) == 2:
         upper = brightest(fields[0], round(size * float(fractions[1])), inside)
         return np.where(upper, np.uint8(present[1]), np.uint8(present[0]))
+    return np.asarray(present, np.uint8)[_shared_out(fields, np.rint(size * fractions).astype(np.int64), inside)]
+
+
+def _shared_out(fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
+    """The largest field of every voxel (uint8), each with the shift that wins it `counts` voxels, one field after the other
+    until no count is off by more than ties (the auction for a transport problem with few goods)."""
     counted = slice(None) if inside is None else inside
-    shift = np.zeros(len(present), np.float32)
-    rate = 100.0 * 256
-    kept, least = fields.argmax(0), np.inf
-    for _ in range(40):
-        winner = np.argmax([field + s for field, s in zip(fields, shift, strict=True)], axis=0)
-        excess = np.bincount(winner[counted].ravel(), minlength=len(present)) / max(1, size) - fractions
-        if np.abs(excess).max() < least:
-            kept, least = winner, np.abs(excess).max()
-        else:
-            rate /= 2  # overshot
-        shift = (shift - rate * excess).astype(np.float32)
-    return np.asarray(present, np.uint8)[kept]
+    fields = np.stack([mixed_with_neighbours(field) for field in fields]).astype(np.int32)
+    shift = np.zeros(len(fields), np.int32)
+    kept, least = np.zeros(fields.shape[1:], np.uint8), np.inf
+    for _ in range(_AUCTIONS):
+        for phase in range(len(fields)):
+            rivals = [field + s for q, (field, s) in enumerate(zip(fields, shift, strict=True)) if q != phase]
+            margin = np.max(rivals, axis=0)
+            margin -= fields[phase]
+            bids = margin[counted].ravel()  # what the phase has to be lifted by to win a voxel
+            wins = min(max(int(counts[phase]), 1), bids.size) - 1
+            shift[phase] = np.partition(bids, wins)[wins] if bids.size else 0
+        winner = np.argmax([field + s for field, s in zip(fields, shift, strict=True)], axis=0).astype(np.uint8)
+        excess = np.abs(np.bincount(winner[counted].ravel(), minlength=len(fields)) - counts).max()
+        if excess >= least:
+            break
+        kept, least = winner, excess
+    return kept
 
 
 def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None) -> np.ndarray:

@@ -142,7 +142,7 @@ def index_histogram(match: np.ndarray, count: int) -> np.ndarray:
 
 
 def reranked(
-    index: np.ndarray, distance: np.ndarray, histogram: np.ndarray, *, weight: float = 1.0
+    index: np.ndarray, distance: np.ndarray, histogram: np.ndarray, *, weight: float = 1.0, theta: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The best of `k` candidates by the modified distance w_d d, w_d = 1 + weight max(0, H(index) - theta).
 
@@ -154,10 +154,12 @@ def reranked(
     index, distance : (Q, k) int32, int64
         From `k_nearest`.
     histogram : (N,) float64
-        Of the round before, from `index_histogram`; theta is 1 / N.
+        Of the round before, from `index_histogram`.
     weight : float
         0 or more. 1 takes H and theta as the probabilities that the paper calls them; the number of queries turns them into
         counts; `w * N` makes a candidate chosen twice as often as even use cost `1 + w`.
+    theta : float, optional
+        The share that costs nothing. Default: 1 / N, even use of all N.
 
     Returns
     -------
@@ -170,7 +172,7 @@ def reranked(
     Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, section 4.2; Chen and Wang (2010),
     doi:10.1007/s00371-009-0408-3.
     """
-    excess = np.maximum(histogram - 1 / len(histogram), 0)
+    excess = np.maximum(histogram - (1 / len(histogram) if theta is None else theta), 0)
     best = np.argmin(distance * (1 + weight * excess[index]), axis=1)[:, None]
     return np.take_along_axis(index, best, 1)[:, 0], np.take_along_axis(distance, best, 1)[:, 0]
 

@@ -60,7 +60,7 @@ def balanced(
     weights = np.where(grid.active, weights, 0).astype(np.int32)
 
     votes = no_votes(grid.reach, channels=len(exemplar))
-    add_votes(votes, exemplar, chosen, weights, trim=trim, **where)
+    add_votes(votes, exemplar, chosen, weights, trim=trim, wraps=grid.region.wraps, **where)
     votes = fold_votes(votes, field.shape[1:])
     scale = balance.feedback.scale
     # lambda W + mu L = lambda (W + (mu / lambda) L): only their ratio moves the field.

@@ -74,7 +74,8 @@ def nearest_matches(
     queries = features[grid.active]
     index, distance = k_nearest(queries, candidates.prepared)
     shares = index_histogram(old[grid.active], len(candidates.features))
-    chosen, apart = reranked(index, distance, shares, weight=index_penalty * len(candidates.numbers))
+    count = len(candidates.numbers)
+    chosen, apart = reranked(index, distance, shares, weight=index_penalty * count, theta=1 / count)
     match, found = old.copy(), np.zeros(old.shape, np.int32)
     match[grid.active], found[grid.active] = chosen, apart
     return match, found

@@ -1,0 +1,42 @@
+"""`trabecula bench [CASE ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The cases, and where pictures go."""
+    parser.add_argument(
+        "cases", nargs="*", metavar="CASE", help="case, or how several begin, such as texture (default: all; minutes)"
+    )
+    parser.add_argument("--list", action="store_true", help="name the cases")
+    parser.add_argument(
+        "--out", metavar="FOLDER", help="where cases that draw put their pictures (default: none drawn)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run them in a process of their own, whose memory is theirs."""
+    words = [*options.cases, *(["--list"] if options.list else [])]
+    places = {} if options.out is None else {"TRABECULA_BENCH_OUT": os.path.abspath(options.out)}
+    command = [sys.executable, os.fspath(_script()), *words]
+    return subprocess.run(command, env={**os.environ, **places}, check=False).returncode
+
+
+def _script() -> Path:
+    """The benchmarks of the checkout that the package is installed from."""
+    import trabecula
+    from trabecula.core.errors import InputError
+
+    found = Path(trabecula.__file__).resolve().parents[2] / "benchmarks" / "run.py"
+    if not found.is_file():
+        raise InputError(
+            "the benchmarks live in the repository, not in the installed package: install from a checkout "
+            "(pip install --editable .) and run trabecula bench there"
+        )
+    return found

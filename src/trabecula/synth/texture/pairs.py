@@ -1,0 +1,145 @@
+"""Pairs of voxels by their distance, in fields of float32: the two-point function of values that are not 0 or 1.
+
+Unlike `measure.correlation`, which counts, this also correlates two fields and convolves one with a radial kernel, and keeps the
+transforms. Every line is transformed alone, so that threads change nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from trabecula.engine.tiles import for_slabs
+from trabecula.measure.fft import fast_side
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance.
+
+    `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free` (Z, Y, X) bool says which
+    voxels count (None: all).
+    """
+
+    shape: tuple[int, ...]
+    r_max: int
+    wraps: tuple[bool, ...] = (False, False, False)
+    edges: tuple[float, ...] = (1.0, 1.0, 1.0)
+    free: np.ndarray | None = None
+
+    @cached_property
+    def reach(self) -> tuple[int, ...]:
+        """The largest offset along every axis; what wraps is not counted twice."""
+        return tuple(
+            min(int((self.r_max + 0.5) / edge), (side - 1) // 2 if wrap else side - 1)
+            for side, edge, wrap in zip(self.shape, self.edges, self.wraps, strict=True)
+        )
+
+    @cached_property
+    def sides(self) -> tuple[int, ...]:
+        """Of the transform: open axes are continued by zeros."""
+        return tuple(
+            side if wrap else fast_side(side + far)
+            for side, far, wrap in zip(self.shape, self.reach, self.wraps, strict=True)
+        )
+
+    @cached_property
+    def offsets(self) -> tuple[np.ndarray, ...]:
+        """Along z only those that are not negative: the other half mirrors them."""
+        z, y, x = self.reach
+        return np.arange(z + 1), np.arange(-y, y + 1), np.arange(-x, x + 1)
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """The rounded length of every offset; r_max + 1 where it is longer."""
+        z, y, x = (offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True))
+        rounded = (np.sqrt((z**2)[:, None, None] + (y**2)[:, None] + x**2) + 0.5).astype(np.int64)
+        return np.asarray(np.minimum(rounded, self.r_max + 1))
+
+    @cached_property
+    def fits(self) -> np.ndarray:
+        """How many pairs there are at every distance, (r_max + 1,)."""
+        if self.free is not None:
+            spectrum = self.forward(self.free.astype(np.float32))
+            return np.maximum(self._by_length(np.rint(self._correlated(spectrum, spectrum))), 0)
+        z, y, x = (
+            np.full(len(offset), float(side)) if wrap else side - np.abs(offset).astype(float)
+            for offset, side, wrap in zip(self.offsets, self.shape, self.wraps, strict=True)
+        )
+        return self._by_length(z[:, None, None] * y[:, None] * x)
+
+    def forward(self, values: np.ndarray) -> np.ndarray:
+        """The transform of (Z, Y, X) float32, complex64."""
+        depth, height, width = self.sides
+        spectrum = np.empty((depth, height, width // 2 + 1), np.complex64)
+        spectrum[len(values) :] = 0
+
+        def planes(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                spectrum[z] = np.fft.fft(np.fft.rfft(values[z], width, axis=1), height, axis=0)
+
+        def lines(start: int, stop: int) -> None:
+            for y in range(start, stop):
+                spectrum[:, y] = np.fft.fft(spectrum[:, y], axis=0)
+
+        for_slabs(planes, len(values))
+        for_slabs(lines, height)
+        return spectrum
+
+    def curve(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """The mean product of two fields over all pairs of each distance, from their transforms: (r_max + 1,) float64."""
+        return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
+
+    def convolved(self, spectrum: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """The sum of a field around every voxel, weighted by distance (weights (r_max + 1,)): (Z, Y, X) float32.
+
+        Every axis has to wrap.
+        """
+        kernel = np.zeros(self.shape, np.float32)
+        half = np.append(weights, 0.0).astype(np.float32)[self.lengths]
+        across = np.ix_(self.offsets[1] % self.shape[1], self.offsets[2] % self.shape[2])
+        for dz in range(self.reach[0] + 1):
+            kernel[dz][across] = half[dz]
+            kernel[-dz % self.shape[0]][across] = half[dz]  # radial, so mirrored it is the same
+        spectra = self.forward(kernel)
+
+        def product(y: int) -> np.ndarray:
+            return spectrum[:, y] * spectra[:, y].real
+
+        return self._inverse(product, tuple(np.arange(side) for side in self.shape))
+
+    def _correlated(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Sums over all pairs of every offset, mean of both orders."""
+
+        def product(y: int) -> np.ndarray:
+            a, b = first[:, y], second[:, y]
+            return a.real * b.real + a.imag * b.imag
+
+        return self._inverse(product, self.offsets)
+
+    def _inverse(self, product, places: Sequence[np.ndarray]) -> np.ndarray:  # type: ignore[no-untyped-def]
+        """Back from the transform whose plane y is product(y), at some places along every axis only."""
+        depth, height, width = self.sides
+        kept = np.empty((len(places[0]), height, width // 2 + 1), np.complex64)
+        values = np.empty(tuple(len(place) for place in places), np.float32)
+
+        def lines(start: int, stop: int) -> None:
+            for y in range(start, stop):
+                kept[:, y] = np.fft.ifft(product(y), axis=0)[places[0] % depth]
+
+        def planes(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                rows = np.fft.ifft(kept[z], axis=0)[places[1] % height]
+                values[z] = np.fft.irfft(rows, width, axis=1)[:, places[2] % width]
+
+        for_slabs(lines, height)
+        for_slabs(planes, len(kept))
+        return values
+
+    def _by_length(self, sums: np.ndarray) -> np.ndarray:
+        twice = np.where(np.arange(len(sums)) > 0, 2.0, 1.0)[:, None, None]
+        counted = np.bincount(self.lengths.ravel(), weights=(sums * twice).ravel(), minlength=self.r_max + 2)
+        return np.asarray(counted[: self.r_max + 1])
