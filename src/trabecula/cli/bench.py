@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run them in a process of their own, whose memory is theirs."""
     words = [*options.cases, *(["--list"] if options.list else [])]
-    places = {} if options.out is None else {"TRABECULA_BENCH_OUT": os.path.abspath(options.out)}
+    places = {} if options.out is None else {"TRABECULA_BENCH_OUT": os.fspath(Path(options.out).absolute())}
     command = [sys.executable, os.fspath(_script()), *words]
     return subprocess.run(command, env={**os.environ, **places}, check=False).returncode
 

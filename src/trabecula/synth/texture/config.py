@@ -25,6 +25,10 @@ class TextureConfig:
     """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave room for a neighbourhood in
     the exemplar: the coarsest has to see its largest structures, or the density of the result drifts."""
 
+    novelty: float | None = None
+    """The dial between moving pieces of the exemplar (0) and copying no more than an independent sample of the material does
+    (1). Default: 0.8 for labels; 0 for grey and colour, and with the paper's search, field or energies, which know no other."""
+
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100 (section 5.1: up to 30)."""
 
@@ -92,6 +96,8 @@ class TextureConfig:
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
             self._keep(name, low, high)
+        if self.novelty is not None:
+            object.__setattr__(self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1))
         self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
         self._keep_several("rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]")
         for name, allowed in _CHOICES.items():
@@ -119,6 +125,22 @@ class TextureConfig:
         """Distance between neighbourhoods of a width."""
         return self.step or width // 2
 
+    def novelty_for(self, *, distances: bool) -> float:
+        """The dial, or its default for exemplars of distances or of other fields.
+
+        Raises
+        ------
+        InputError
+            Novelty is asked for where it does not go.
+        """
+        applies = distances and self.search == "coherent" and not self.energetic and self.histogram
+        if self.novelty and not applies:
+            raise InputError(
+                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance and no energies: give novelty=0, "
+                "or leave the others out"
+            )
+        return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
+
     @property
     def energetic(self) -> bool:
         """Whether rounds go by the energy of equation (1) rather than by the plain vote."""
@@ -130,6 +152,8 @@ class TextureConfig:
         return dict(_PRESETS[name])
 
 
+_NOVELTY = 0.8
+
 _CHOICES = {
     "field": ("distance", "indicator"),
     "search": ("coherent", "exact"),
@@ -137,8 +161,9 @@ _CHOICES = {
 }
 
 _PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"first_rounds": 14, "rounds": (2, 4, 6), "sweeps": 1, "tries": 2},
+    "fast": {"novelty": 0.0, "first_rounds": 14, "rounds": (2, 4, 6), "sweeps": 1, "tries": 2},
     "paper": {
+        "novelty": 0.0,
         "neighbourhood": (10, 8, 4),
         "step": 0,
         "levels": 2,

@@ -72,10 +72,27 @@ def slices_of(fields: Sequence[np.ndarray], *, width: int = 4, variance: float =
     features[:, :count] = rows
     back = np.zeros((size, len(basis.vectors)))
     back[:count] = np.rint(basis.vectors.T.astype(np.float64) * (_FINE / basis.scale))
-    mean = np.concatenate([field.reshape(len(field), -1) for field in fields], axis=1).mean(axis=1, dtype=np.float64)
     middle = (rows.sum(axis=0, dtype=np.float64) / len(rows)) @ back[:count] / (SCALE * _FINE)
-    rest = np.rint(UNIT * (mean - middle.reshape(len(mean), -1).mean(axis=1))).astype(np.int64)
+    rest = _mean_of_neighbourhoods(fields, width) - middle.reshape(len(fields[0]), -1).mean(axis=1)
+    rest = np.rint(UNIT * rest).astype(np.int64)
     return Slices(basis, features, back, rest)
+
+
+def _mean_of_neighbourhoods(fields: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """The mean (C,) of all values in all neighbourhoods: a voxel near a face lies in fewer of them."""
+    sums, count = np.zeros(len(fields[0])), 0
+    for field in fields:
+        covers = [
+            np.convolve(np.ones(side - width + 1, np.int64), np.ones(width, np.int64)) for side in field.shape[1:]
+        ]
+        for axis, cover in enumerate(covers):  # sums of whole numbers: exact
+            shape = [1, 1, 1]
+            shape[axis] = -1
+            covers[axis] = cover.reshape(shape)
+        weights = covers[0] * covers[1] * covers[2]
+        sums += [float(np.sum(channel * weights)) for channel in field]
+        count += int(weights.sum())
+    return np.asarray(sums / count)
 
 
 def sliced_round(

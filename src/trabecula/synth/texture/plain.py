@@ -1,0 +1,179 @@
+"""Search and vote from random patches to the finest level: the paper's way, and `novelty` 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.progress import track
+from trabecula.core.request import Request
+from trabecula.core.seeds import key
+from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.pyramid import double, fit_to
+from trabecula.synth.texture.balance import Balance, balanced
+from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.kernels import start_matches
+from trabecula.synth.texture.optimise import (
+    Grid,
+    State,
+    cast,
+    features_of,
+    joined_votes,
+    nearest_matches,
+    rematched,
+    robust_weights,
+    searched,
+)
+from trabecula.synth.texture.region import Region
+from trabecula.synth.texture.sources import Candidates, Stack, carried
+
+_WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
+_BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
+_SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
+_WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
+
+Level = tuple[Candidates, ...]
+"""The exemplars' neighbourhoods at one resolution, one entry per width of the config."""
+
+
+def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool) -> Level:
+    """Learn one level; `distances` says whether its field is smooth."""
+    made = []
+    for width in config.neighbourhood:
+        # On the finest level distances are so smooth that ten components hold them, and those of blocks are nearly the
+        # same ones; what varies within a block is missing from the variance that they share.
+        grain = 2 if index == 0 and distances and width >= _WIDE and width % 2 == 0 else 1
+        share = config.variance if grain == 1 else 1 - (1 - config.variance) * _BLOCKS_MISS
+        made.append(
+            Candidates.of(
+                stack,
+                width=width,
+                step=config.step_of(width),
+                variance=share,
+                most=config.components,
+                grain=grain,
+                k=config.nearest,
+            )
+        )
+    return tuple(made)
+
+
+def levels_for(shape: tuple[int, ...], most: int, config: TextureConfig) -> int:
+    """Resolutions at which the output is some neighbourhoods wide: else the first rounds would copy the exemplar whole."""
+    side = float(np.prod(shape, dtype=np.float64)) ** (1 / len(shape))
+    count = 1
+    while count < most and side / 2**count >= _WIDTHS * max(config.neighbourhood):
+        count += 1
+    return count
+
+
+def made_plain(
+    levels: Sequence[Level], regions: Sequence[Region], request: Request, config: TextureConfig, *, distances: bool
+) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds go by them.
+
+    Levels and regions are as many, finest first.
+    """
+    state: State | None = None
+    before: Candidates | None = None
+    told: list[dict[str, Any]] = []
+    used = len(regions)
+    for index in reversed(range(used)):
+        first = index == used - 1
+        for number, candidates in enumerate(levels[index]):
+            if first and 2**index >= _SPARSE_BELOW and config.step:
+                candidates = replace(candidates, step=1)
+            grid = Grid.over(regions[index], candidates)
+            stage = key(request.seed, f"texture/{index}" + (f"/{number}" if number else ""))
+            if state is None or before is None:
+                begin = partial(_started, grid, stage)
+            else:
+                begin = partial(_continued, grid, before, state, finer=number == 0, distances=distances)
+            rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
+            trims = _trims(grid, rounds, config, distances=distances) if index == 0 else [0] * rounds
+            state, trace = _optimised(grid, begin, stage, trims, config, said=f"level {used - index} of {used}")
+            told += [{"level": index, "width": candidates.basis.width, "energy": trace}] if trace else []
+            before = candidates
+    assert state is not None  # there is at least one level
+    return state.votes, told
+
+
+def _started(grid: Grid, stage: np.uint64) -> State:
+    """Random patches."""
+    candidates = grid.candidates
+    match = np.empty(grid.shape, np.int32)
+    start_matches(match, len(candidates.numbers), stage)
+    match = candidates.numbers[match].astype(np.int32)
+    return cast(grid, match, grid.active.astype(np.int32))
+
+
+def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, distances: bool) -> State:
+    """The result so far on the next grid: its field doubled (a distance doubles too), its matches moved along."""
+    field, region = state.field, grid.region
+    if finer:
+        field = double(field, region.wraps)
+        if distances:
+            field = np.clip(field.astype(np.int16) * 2, -FULL, FULL).astype(np.int8)
+    field = region.bounded(fit_to(field, region.shape))
+    match = carried(state.match, before, grid.candidates, grid.shape, factor=2 if finer else 1)
+    return State(match, field.astype(np.int16) * 256, field)
+
+
+def _trims(grid: Grid, rounds: int, config: TextureConfig, *, distances: bool) -> list[int]:
+    """How much of a neighbourhood's rim does not vote, round by round of the finest level."""
+    trims = [config.trim] * rounds
+    if not distances:
+        # A mean of grey values loses their grain: in the end every voxel takes one neighbourhood's.
+        trims[-2:] = [(grid.candidates.basis.width - grid.candidates.step) // 2] * len(trims[-2:])
+    return trims
+
+
+def _optimised(
+    grid: Grid,
+    begin: Callable[[], State],
+    stage: np.uint64,
+    trims: Sequence[int],
+    config: TextureConfig,
+    *,
+    said: str,
+) -> tuple[State, list[dict[str, Any]]]:
+    balance = Balance.at_first(config, len(trims))
+    state = begin()  # here, so that nobody else holds on to it
+    for number in track(range(len(trims)), said):
+        match, distance = _matched(grid, state, stage, number, config)
+        if config.energetic:
+            votes, balance = balanced(grid, state.field, match, balance, config, trim=trims[number])
+            del state
+            votes = joined_votes(grid, votes)
+            state = State(match, votes, rematched(grid, votes, histogram=config.histogram))
+            if balance.feedback.done:
+                break
+        else:
+            del state
+            weights = robust_weights(grid, distance, config.robustness)
+            state = cast(grid, match, weights, trim=trims[number], histogram=config.histogram)
+    return state, balance.trace()
+
+
+def _matched(
+    grid: Grid, state: State, stage: np.uint64, number: int, config: TextureConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    features = features_of(grid, state.field)
+    match = state.match
+    if config.search == "exact":
+        return nearest_matches(grid, match, features, index_penalty=config.index_penalty)
+    for sweep in range(config.sweeps):
+        match, distance = searched(
+            grid,
+            match,
+            features,
+            stage=stage,
+            sweep=number * config.sweeps + sweep + 1,
+            tries=config.tries,
+            index_penalty=config.index_penalty,
+        )
+    return match, distance

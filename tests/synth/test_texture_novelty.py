@@ -1,0 +1,226 @@
+"""Sliced rounds and correlation steps: against plain NumPy, against the measures, and against what is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import trabecula as tb
+from trabecula.core.seeds import key
+from trabecula.synth.shared.fields import FULL, phase_fields, quantise
+from trabecula.synth.texture.correlate import (
+    _least_squares,
+    corrected,
+    correlations_of,
+    misfit,
+)
+from trabecula.synth.texture.pairs import Pairs
+from trabecula.synth.texture.sliced import UNIT, rotation, sliced_round, slices_of
+from trabecula.synth.texture.sliced_kernels import transport
+
+OPEN, AROUND = (False, False, False), (True, True, True)
+HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
+
+
+def smooth(shape, seed, *, channels=1, radius=2):
+    """A wrapping random field in int8, smooth over a few voxels."""
+    noise = np.random.default_rng(seed).standard_normal((channels, *shape))
+    for axis in (1, 2, 3):
+        for _ in range(radius):
+            noise = noise + np.roll(noise, 1, axis) + np.roll(noise, -1, axis)
+    return np.clip(np.rint(noise / noise.std() * 50), -FULL, FULL).astype(np.int8)
+
+
+@pytest.mark.parametrize("size", [4, 32, 64])
+def test_a_rotation_keeps_angles_and_is_whole(size):
+    turn = rotation(key(1, "r"), 3, size)
+    assert np.array_equal(turn, np.rint(turn))
+    assert np.array_equal(turn @ turn.T, size**2 * np.eye(size))
+    assert not np.array_equal(turn, rotation(key(1, "r"), 4, size))
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), copies=st.integers(1, 4))
+def test_transport_brings_one_column_to_the_other(seed, copies):
+    """Where every value has a bin of its own, ours become theirs, rank for rank, in whatever numbers they come."""
+    rng = np.random.default_rng(seed)
+    theirs = rng.permutation(1000)[:50]
+    ours = rng.permutation(1000)[: 50 * copies]
+    moves = np.empty((len(ours), 1))
+    transport(ours[:, None].astype(np.float32), theirs[:, None].astype(np.float32), 1024, moves, 0, 1)
+    reached = ours + moves[:, 0]
+    assert np.array_equal(np.sort(reached), np.sort(np.repeat(theirs, copies)))
+    assert np.array_equal(np.argsort(ours), np.lexsort((ours, reached)))
+
+
+@pytest.mark.parametrize("periodic", [OPEN, AROUND, (True, False, True)])
+def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
+    """Known truth: 4^3 components of neighbourhoods of 4^3 voxels hold everything, so nothing changes but by rounding."""
+    field = smooth((13, 12, 15), 0)
+    votes = field.astype(np.int16) * UNIT
+    slices = slices_of([field], width=4, variance=1.0, most=64)
+    after = sliced_round(votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic)
+    assert np.abs(after.astype(int) - votes).max() <= 2 * UNIT
+
+
+def test_rounds_take_on_the_exemplars_neighbourhoods():
+    """From noise: the spread of every component comes to the exemplar's, and so does the two-point function."""
+    exemplar, field = smooth((24, 24, 24), 1), np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 28)) * UNIT
+    slices = slices_of([exemplar], width=4)
+    field = field.astype(np.int16)
+    for number in range(15):
+        field = sliced_round(field, slices, key=key(0, "s"), number=number)
+    target = correlations_of([exemplar], softness=40, r_max=6)
+    found = misfit(np.rint(field / UNIT).astype(np.int8), target)
+    assert abs(field.std() / UNIT / exemplar.std() - 1) < 0.1
+    assert np.linalg.norm(found) < 0.06 * np.linalg.norm(target.curves)
+
+
+def test_only_what_is_free_changes():
+    field = smooth((16, 16, 16), 3, channels=2)
+    other = smooth((16, 16, 16), 4, channels=2, radius=1)
+    free = np.zeros((16, 16, 16), bool)
+    free[3:9, 4:12, :] = True
+    votes = field.astype(np.int16) * UNIT
+    after = sliced_round(votes, slices_of([other], width=4), key=key(0, "s"), number=0, free=free)
+    assert np.array_equal(after[:, ~free], votes[:, ~free])
+    assert np.mean(after[:, free] != votes[:, free]) > 0.9
+    target = correlations_of([other], softness=60, r_max=5)
+    after = corrected(field, target, free=free)
+    assert np.array_equal(after[:, ~free], votes[:, ~free])
+    assert np.any(after[:, free] != votes[:, free])
+
+
+@pytest.mark.parametrize("periodic", [OPEN, AROUND])
+def test_threads_change_nothing(periodic):
+    field, exemplar = smooth((20, 22, 26), 5), smooth((20, 20, 20), 6)
+    slices, target = slices_of([exemplar], width=4), correlations_of([exemplar], softness=50, r_max=6)
+    made = []
+    for count in (1, 2, 3):
+        with tb.threads(count):
+            votes = sliced_round(field.astype(np.int16) * UNIT, slices, key=key(0, "s"), number=0, periodic=periodic)
+            made.append((votes, corrected(field, target, periodic=periodic)))
+    for votes, steps in made[1:]:
+        assert np.array_equal(votes, made[0][0])
+        assert np.array_equal(steps, made[0][1])
+
+
+def test_two_exemplars_count_as_one_of_both():
+    a, b = smooth((16, 16, 16), 7), smooth((16, 16, 16), 8, radius=1)
+    pairs = slices_of([a, b], width=3)
+    assert len(pairs.features) == 2 * 14**3
+    both = correlations_of([a, b], softness=40, r_max=5).curves
+    apart = [correlations_of([x], softness=40, r_max=5).curves for x in (a, b)]
+    assert np.allclose(both, np.mean(apart, axis=0))
+
+
+@pytest.mark.parametrize("edges", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0)])
+def test_a_hard_step_gives_the_two_point_function(edges):
+    field = smooth((14, 17, 20), 9)
+    image = tb.Image((field[0] > 0).astype(np.uint8), "labels", spacing=edges)
+    target = correlations_of([field], softness=HARD, r_max=7, edges=edges)
+    ties = field[0] == 0  # half in, half out
+    image = tb.Image((field[0] > 0).astype(np.uint8), "labels", spacing=edges)
+    field[0][ties] = -1
+    target = correlations_of([field], softness=HARD, r_max=7, edges=edges)
+    assert np.allclose(target.curves[0], tb.measure.two_point(image, r_max=7), atol=1e-6)
+
+
+def test_misfit_around_and_within_a_mask_is_that_of_the_measure():
+    field = smooth((14, 15, 16), 10)
+    field[field == 0] = 1
+    target = correlations_of([field], softness=HARD, r_max=6)
+    image = (field[0] > 0).astype(np.uint8)
+    mask = np.zeros(image.shape, bool)
+    mask[2:12, 1:14, 4:] = True
+    for settings_, measured in [
+        ({"periodic": AROUND}, tb.measure.two_point(image, r_max=6, periodic=True)),
+        ({"free": mask}, tb.measure.two_point(image, r_max=6, mask=mask)),
+    ]:
+        assert np.allclose(misfit(field, target, **settings_)[0] + target.curves[0], measured, atol=1e-6)
+
+
+def test_a_convolution_is_the_weighted_sum_around():
+    values = np.random.default_rng(11).random((9, 10, 11)).astype(np.float32)
+    pairs = Pairs(values.shape, 2, AROUND)
+    weights = np.array([0.5, -1.0, 0.25])
+    wanted = np.zeros(values.shape)
+    for offset in np.ndindex(5, 5, 5):
+        shift = np.array(offset) - 2
+        length = int(np.sqrt((shift**2).sum()) + 0.5)
+        if length <= 2:
+            wanted += weights[length] * np.roll(values, tuple(shift), (0, 1, 2))
+    assert np.allclose(pairs.convolved(pairs.forward(values), weights), wanted, atol=1e-5)
+
+
+def test_steps_bring_the_two_point_function_to_the_exemplars():
+    exemplar, field = smooth((28, 28, 28), 12, radius=2), smooth((30, 32, 36), 13, radius=3)
+    target = correlations_of([exemplar], softness=120, r_max=8)
+    size = [np.linalg.norm(misfit(field, target))]
+    for _ in range(4):
+        field = np.clip(np.rint(corrected(field, target) / UNIT), -FULL, FULL).astype(np.int8)
+        size.append(np.linalg.norm(misfit(field, target)))
+    assert size[1] < 0.65 * size[0]
+    assert size[-1] < 0.35 * size[0]
+
+
+def test_a_field_at_its_target_stays_and_debt_moves_the_target():
+    field = smooth((20, 20, 20), 14)
+    target = correlations_of([field], softness=60, r_max=6)
+    assert np.abs(corrected(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
+    debt = np.zeros((1, 7))
+    debt[0, 1:4] = 2e-3
+    moved = np.rint(corrected(field, target, debt=debt) / UNIT).astype(np.int8)
+    assert np.all(misfit(moved, target)[0, 1:4] < -5e-4), "below the target by about the debt"
+
+
+def test_no_place_is_special_where_axes_wrap():
+    field, exemplar = smooth((18, 20, 24), 15), smooth((20, 20, 20), 16, radius=1)
+    target = correlations_of([exemplar], softness=60, r_max=6)
+    shift = (5, 11, 17)
+    there = corrected(np.roll(field, shift, (1, 2, 3)), target, periodic=AROUND)
+    here = np.roll(corrected(field, target, periodic=AROUND), shift, (1, 2, 3))
+    assert np.abs(there.astype(int) - here).max() <= 2
+
+
+def test_open_faces_gather_no_phase():
+    """What a step adds, averaged over where the faces lie in an endless material, is the same at a face and far from it.
+
+    A direction that is cut off at the faces fails this: one phase piles up on them.
+    """
+    exemplar = quantise(phase_fields(tb.crop(tb.sample("bone"), 32))[0], clip=4.0)
+    target = correlations_of([exemplar], softness=60, r_max=10)
+    order = np.argsort(np.argsort(smooth((32, 32, 32), 0).ravel()))
+    field = np.sort(exemplar.ravel())[order].reshape(1, 32, 32, 32)
+    shell = np.ones((32, 32, 32), bool)
+    shell[3:-3, 3:-3, 3:-3] = False
+    pull = size = 0.0
+    for shift in np.random.default_rng(0).integers(0, 32, (24, 3)):
+        here = np.roll(field, tuple(shift), (1, 2, 3))
+        change = corrected(here, target)[0].astype(float) - here[0] * float(UNIT)
+        pull += change[shell].mean() - change[~shell].mean()
+        size += np.abs(change).mean()
+    assert abs(pull) < 0.2 * size, "cut off it is 0.74"
+
+
+def test_channels_are_corrected_one_by_one():
+    exemplar, field = smooth((18, 18, 18), 17, channels=2), smooth((18, 20, 22), 18, channels=2)
+    target = correlations_of([exemplar], softness=60, r_max=5)
+    both = corrected(field, target)
+    for c in range(2):
+        alone = correlations_of([exemplar[c : c + 1]], softness=60, r_max=5)
+        assert np.array_equal(corrected(field[c : c + 1], alone)[0], both[c])
+
+
+def test_nothing_moves_where_there_is_no_interface():
+    target = correlations_of([smooth((16, 16, 16), 19)], softness=40, r_max=5)
+    full = np.full((1, 12, 12, 12), FULL, np.int8)
+    assert np.array_equal(corrected(full, target), full.astype(np.int16) * UNIT)
+
+
+def test_least_squares_are_numpys():
+    rng = np.random.default_rng(20)
+    changes, excess, weights = rng.standard_normal((4, 12)), rng.standard_normal(12), rng.random(12)
+    root = np.sqrt(weights)
+    wanted = np.linalg.lstsq((changes * root).T, -excess * root, rcond=None)[0]
+    assert np.allclose(_least_squares(changes, excess, weights), wanted, rtol=0.02, atol=0.02)
