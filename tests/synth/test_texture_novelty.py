@@ -116,14 +116,29 @@ def test_two_exemplars_count_as_one_of_both():
 
 @pytest.mark.parametrize("edges", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0)])
 def test_a_hard_step_gives_the_two_point_function(edges):
+    """Over the three directions it is the radial one of the measure; along an axis it is nearer to that axis' own."""
     field = smooth((14, 17, 20), 9)
-    image = tb.Image((field[0] > 0).astype(np.uint8), "labels", spacing=edges)
-    target = correlations_of([field], softness=HARD, r_max=7, edges=edges)
     ties = field[0] == 0  # half in, half out
     image = tb.Image((field[0] > 0).astype(np.uint8), "labels", spacing=edges)
     field[0][ties] = -1
     target = correlations_of([field], softness=HARD, r_max=7, edges=edges)
-    assert np.allclose(target.curves[0], tb.measure.two_point(image, r_max=7), atol=1e-6)
+    fits = Pairs(image.shape, 7, edges=edges).fits
+    assert np.allclose(radial(target.curves[0], fits), tb.measure.two_point(image, r_max=7), atol=1e-6)
+
+
+def radial(curve, fits):
+    """The mean over directions of a curve by direction and distance."""
+    pairs = fits.reshape(3, -1)
+    return (curve.reshape(3, -1) * pairs).sum(axis=0) / pairs.sum(axis=0)
+
+
+def test_directions_are_told_apart():
+    """Layers across z: along z the two-point function falls to nothing and comes back, across it stays up."""
+    layers = np.broadcast_to(np.where(np.arange(24) % 8 < 4, 50, -50)[:, None, None], (24, 24, 24)).astype(np.int8)
+    along, down, across = correlations_of([layers[None]], softness=HARD, r_max=8).curves[0].reshape(3, -1)
+    assert along[4] < 0.15
+    assert down[4] > 0.3
+    assert np.allclose(down[1:], across[1:], atol=0.02)
 
 
 def test_misfit_around_and_within_a_mask_is_that_of_the_measure():
@@ -133,24 +148,26 @@ def test_misfit_around_and_within_a_mask_is_that_of_the_measure():
     image = (field[0] > 0).astype(np.uint8)
     mask = np.zeros(image.shape, bool)
     mask[2:12, 1:14, 4:] = True
-    for settings_, measured in [
-        ({"periodic": AROUND}, tb.measure.two_point(image, r_max=6, periodic=True)),
-        ({"free": mask}, tb.measure.two_point(image, r_max=6, mask=mask)),
+    for settings_, pairs, measured in [
+        ({"periodic": AROUND}, Pairs(image.shape, 6, AROUND), tb.measure.two_point(image, r_max=6, periodic=True)),
+        ({"free": mask}, Pairs(image.shape, 6, free=mask), tb.measure.two_point(image, r_max=6, mask=mask)),
     ]:
-        assert np.allclose(misfit(field, target, **settings_)[0] + target.curves[0], measured, atol=1e-6)
+        found = misfit(field, target, **settings_)[0] + target.curves[0]
+        assert np.allclose(radial(found, pairs.fits), measured, atol=1e-6)
 
 
 def test_a_convolution_is_the_weighted_sum_around():
     values = np.random.default_rng(11).random((9, 10, 11)).astype(np.float32)
     pairs = Pairs(values.shape, 2, AROUND)
-    weights = np.array([0.5, -1.0, 0.25])
+    weights = np.array([[0.5, -1.0, 0.25], [0.0, 2.0, 0.5], [0.0, 0.75, -0.25]])  # by direction and distance
     wanted = np.zeros(values.shape)
     for offset in np.ndindex(5, 5, 5):
         shift = np.array(offset) - 2
         length = int(np.sqrt((shift**2).sum()) + 0.5)
         if length <= 2:
-            wanted += weights[length] * np.roll(values, tuple(shift), (0, 1, 2))
-    assert np.allclose(pairs.convolved(pairs.forward(values), weights), wanted, atol=1e-5)
+            nearest = int(np.argmax(shift**2))  # the first of equals
+            wanted += weights[nearest, length] * np.roll(values, tuple(shift), (0, 1, 2))
+    assert np.allclose(pairs.convolved(pairs.forward(values), weights.ravel()), wanted, atol=1e-5)
 
 
 def test_steps_bring_the_two_point_function_to_the_exemplars():
@@ -168,10 +185,11 @@ def test_a_field_at_its_target_stays_and_debt_moves_the_target():
     field = smooth((20, 20, 20), 14)
     target = correlations_of([field], softness=60, r_max=6)
     assert np.abs(corrected(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
-    debt = np.zeros((1, 7))
-    debt[0, 1:4] = 2e-3
+    debt = np.zeros((1, 3, 7))
+    debt[0, :, 1:4] = 2e-3
+    debt = debt.reshape(1, -1)
     moved = np.rint(corrected(field, target, debt=debt) / UNIT).astype(np.int8)
-    assert np.all(misfit(moved, target)[0, 1:4] < -5e-4), "below the target by about the debt"
+    assert np.all(misfit(moved, target).reshape(3, 7)[:, 1:4] < -5e-4), "below the target by about the debt"
 
 
 def test_no_place_is_special_where_axes_wrap():

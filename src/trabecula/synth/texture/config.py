@@ -27,7 +27,7 @@ class TextureConfig:
 
     novelty: float | None = None
     """The dial between moving pieces of the exemplar (0) and copying no more than an independent sample of the material does
-    (1). Default: 0.8 for labels; 0 for grey and colour, and with the paper's search, field or energies, which know no other."""
+    (1). Default: 1 for labels; 0 for grey and colour, and with the paper's search, field or energies, which know no other."""
 
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100 (section 5.1: up to 30)."""
@@ -35,7 +35,7 @@ class TextureConfig:
     rounds: tuple[int, ...] = (4, 6, 8, 12)
     """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
 
-    clip: float = 5.0
+    clip: float = 4.2
     """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider pores, shorter resolves struts."""
 
     variance: float = 0.95
@@ -152,7 +152,7 @@ class TextureConfig:
         return dict(_PRESETS[name])
 
 
-_NOVELTY = 0.8
+_NOVELTY = 1.0
 
 _CHOICES = {
     "field": ("distance", "indicator"),

@@ -1,10 +1,12 @@
 """Steps that bring the two-point function of a field to an exemplar's, by moving its interfaces a little.
 
 The two-point function here is that of a soft indicator, which rises from 0 to 1 over `softness` around the interface, so that a
-small move changes it a little. A step is one of Gauss and Newton in as many directions as there are bands of distances:
-the direction of a band is the gradient of the squared misfit at these distances, a convolution of the field, kept on the
-interface and freed of its mean there (which would change the volume fraction). The convolution wraps around the faces even
-where the material does not: cut off there it would pile up one phase on them.
+small move changes it a little. Pairs are told apart by their distance and by the axis they lie nearest to: of distance
+alone, a material that is longer along one axis would come out longer still. A step is one of Gauss and Newton in as many
+directions as there are bands of distances: the direction of a band is the gradient of the squared misfit at these
+distances, a convolution of the field, kept on the interface and freed of its mean there (which would change the volume
+fraction). The convolution wraps around the faces even where the material does not: cut off there it would pile up one
+phase on them.
 
 The two-point function of a vote falls short of what the step before had reached, always on the same side. `debt`, the sum of
 such misfits, makes the step aim as far beyond (as the integral term of a controller does).
@@ -32,7 +34,8 @@ _LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 @dataclass(frozen=True)
 class Correlations:
-    """What to come to: `curves` (C, r_max + 1), the two-point function of every channel's soft indicator.
+    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft indicator, of pairs
+    nearest to z, then to y, then to x.
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel.
     """
@@ -44,7 +47,7 @@ class Correlations:
     @property
     def r_max(self) -> int:
         """The largest distance."""
-        return self.curves.shape[1] - 1
+        return self.curves.shape[1] // 3 - 1
 
 
 def correlations_of(
@@ -67,8 +70,8 @@ def correlations_of(
         Sides of a voxel.
     """
     steps = (float(edges[0]), float(edges[1]), float(edges[2]))
-    sums = np.zeros((len(fields[0]), r_max + 1))
-    fits = np.zeros(r_max + 1)
+    sums = np.zeros((len(fields[0]), 3 * (r_max + 1)))
+    fits = np.zeros(3 * (r_max + 1))
     for field in fields:
         pairs = Pairs(field.shape[1:], r_max, edges=steps)
         fits += pairs.fits
@@ -91,7 +94,7 @@ def misfit(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, r_max + 1); 0 where there are no pairs."""
+    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where there are no pairs."""
     pairs = _pairs(field, target, periodic, free)
     found = np.empty_like(target.curves)
     for c, channel in enumerate(field):
@@ -114,7 +117,7 @@ def corrected(
     ----------
     field : (C, Z, Y, X) int8
     target : Correlations
-    debt : (C, r_max + 1), optional
+    debt : (C, 3 (r_max + 1)), optional
         Misfit to aim beyond the target by: a field at target - debt is left as it is.
     periodic : three bools
         Whether pairs wrap around.
@@ -158,39 +161,42 @@ def _step(
     """How far the soft indicator moves, (Z, Y, X) float32; None where nothing can, or nothing has to."""
     soft = _soft(channel, target, free)
     interface = (soft > 0) & (soft < 1)
-    count = np.count_nonzero(interface)
-    if count == 0:
+    if not interface.any():
         return None
     spectrum = pairs.forward(soft)
-    r = np.arange(target.r_max + 1)
+    r = np.arange(pairs.bins) % (target.r_max + 1)
     weights = np.where((r > 0) & (pairs.fits > 0), 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
     excess = pairs.curve(spectrum, spectrum) - aim
     mean = np.float32(soft.sum(dtype=np.float64) / (soft.size if free is None else np.count_nonzero(free)))
-    centred = around.forward(soft - mean if free is None else np.where(free, soft - mean, np.float32(0)))
-
-    def direction(push: np.ndarray) -> np.ndarray:
-        move = np.where(interface, -around.convolved(centred, push / np.maximum(around.fits, 1)), np.float32(0))
-        move -= np.where(interface, np.float32(move.sum(dtype=np.float64) / count), np.float32(0))
-        return np.asarray(move)
+    centred = around.forward(np.subtract(soft, mean, out=soft, where=True if free is None else free))
+    del soft  # the peak is ahead
 
     pushes, changes = [], []
     for push in _bands(excess * weights):
-        spectra = pairs.forward(direction(push))
         pushes.append(push)
-        changes.append(2 * pairs.curve(spectrum, spectra))
+        changes.append(2 * pairs.curve(spectrum, pairs.forward(_direction(push, interface, centred, around))))
     if not pushes:
         return None
     shares = _least_squares(np.array(changes), excess, weights)
-    move = direction(np.sum([share * push for share, push in zip(shares, pushes, strict=True)], axis=0))
+    push = np.sum([share * push for share, push in zip(shares, pushes, strict=True)], axis=0)
+    move = _direction(push, interface, centred, around)
     change = np.sum([share * change for share, change in zip(shares, changes, strict=True)], axis=0)
     spectra = pairs.forward(move)
     length = _best_length(excess, change, pairs.curve(spectra, spectra), weights)
     return np.asarray(move * np.float32(length))
 
 
+def _direction(push: np.ndarray, interface: np.ndarray, centred: np.ndarray, around: Pairs) -> np.ndarray:
+    """What lowers the two-point function where it is pushed, on the interface, and leaves the mean as it is."""
+    move = around.convolved(centred, push / np.maximum(around.fits, 1))
+    move *= interface
+    mean = np.float32(move.sum(dtype=np.float64) / np.count_nonzero(interface))
+    return np.subtract(mean, move, out=move, where=interface)
+
+
 def _bands(push: np.ndarray) -> list[np.ndarray]:
     """What to push at every distance, one array a band, scaled to its largest; bands without any are left out."""
-    r = np.arange(len(push))
+    r = np.arange(len(push)) % (len(push) // 3)
     bands = []
     for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
         part = np.where((r >= low) & (r < high), push, 0.0)

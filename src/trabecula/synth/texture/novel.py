@@ -37,24 +37,34 @@ WIDTH = 6
 """Of the neighbourhoods of the passes, voxels: they keep interfaces and forget where these led."""
 
 _AROUND = (True, True, True)
-_SLICED_WIDTH = 4
+_SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
+_ROOM = 4
 _STRENGTH = 2.5
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
 _SOFTNESS = (1.6, 2.4, 2.4)  # voxels of the soft interface, by level
 _REACH = 30  # farthest distance of the two-point function, in voxels of the finest level
 _LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
+_MOVED, _WIDE_FROM = (
+    16,
+    5,
+)  # rounds on the coarsest level at hardly any novelty; from how many on neighbourhoods are wide
 _FIRST = 3  # times as many sweeps in the first round, which starts from random matches
 
 
 @dataclass(frozen=True)
 class Pass:
-    """Rounds of search and vote on one level, each followed by `steps` on the two-point function."""
+    """Rounds of search and vote on one level, each followed by `steps` on the two-point function.
+
+    `beyond` says how far the last round aims beyond the target, in what the rounds before fell short of it: the next pass
+    takes some of that back. Nothing comes after the last pass, which is on target.
+    """
 
     level: int
     width: int
     step: int
     rounds: int
     steps: int
+    beyond: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,8 +77,19 @@ class Aims:
 
 
 def passes(novelty: float, top: int) -> tuple[Pass, ...]:
-    """The passes below the level that sliced rounds lay out."""
-    return tuple(p for p in (Pass(1, WIDTH, 1, 5, 2), Pass(0, WIDTH, 2, 2, 1)) if p.level < top)
+    """The passes from the level that sliced rounds lay out to the finest one.
+
+    Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens those of finer levels.
+    """
+    moved = round(_MOVED * (1 - novelty))
+    wide = moved >= _WIDE_FROM
+    schedule = (
+        Pass(2, 8, 1, moved, 2),
+        Pass(1, 8 if wide else WIDTH, 1, 4, 4),
+        Pass(0, WIDTH if wide else 5, 2, 2, 2, beyond=1.7),
+        Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
+    )
+    return tuple(p for p in schedule if p.rounds and (p.level < top or p.level == COARSEST == top))
 
 
 def top_for(smallest: int) -> int:
@@ -110,7 +131,9 @@ def aims_of(
 
 def slices_for(fields: Sequence[np.ndarray]) -> Slices:
     """What the sliced rounds of the coarsest level aim at."""
-    return slices_of(fields, width=_SLICED_WIDTH)
+    shortest = min(min(field.shape[1:]) for field in fields)
+    fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
+    return slices_of(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
 
 
 def domain(shape: tuple[int, ...], periodic: tuple[bool, ...], level: int, top: int) -> tuple[int, ...]:
@@ -201,12 +224,10 @@ def _passed(
         weights = robust_weights(grid, distance, config.robustness)
         votes = voted(grid, match, weights, trim=1 if p.level == 0 else 0)
         field = rematched(grid, votes)
-        if p.level == 0 and round_ == p.rounds - 1:
-            debt = None
-        else:
-            now = misfit(field, target, periodic=periodic)
-            debt = now if debt is None else now + _LEAK * debt
+        now = misfit(field, target, periodic=periodic) if p.beyond else np.zeros_like(target.curves)
+        debt = now if debt is None else now + _LEAK * debt
+        aim = debt * p.beyond if round_ == p.rounds - 1 else debt
         for _ in range(p.steps):
-            votes = corrected(field, target, debt=debt, periodic=periodic)
+            votes = corrected(field, target, debt=aim, periodic=periodic)
             field = rematched(grid, votes)
     return field, votes

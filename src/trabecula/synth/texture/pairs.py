@@ -6,7 +6,7 @@ transforms. Every line is transformed alone, so that threads change nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from trabecula.measure.fft import fast_side
 
 @dataclass(frozen=True)
 class Pairs:
-    """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance.
+    """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance and the axis they lie nearest to.
 
     `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free` (Z, Y, X) bool says which
     voxels count (None: all).
@@ -52,16 +52,23 @@ class Pairs:
         z, y, x = self.reach
         return np.arange(z + 1), np.arange(-y, y + 1), np.arange(-x, x + 1)
 
+    @property
+    def bins(self) -> int:
+        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then to x."""
+        return 3 * (self.r_max + 1)
+
     @cached_property
-    def lengths(self) -> np.ndarray:
-        """The rounded length of every offset; r_max + 1 where it is longer."""
-        z, y, x = (offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True))
-        rounded = (np.sqrt((z**2)[:, None, None] + (y**2)[:, None] + x**2) + 0.5).astype(np.int64)
-        return np.asarray(np.minimum(rounded, self.r_max + 1))
+    def places(self) -> np.ndarray:
+        """The bin of every offset; `bins` where it is longer than r_max."""
+        steps = [offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True)]
+        z, y, x = np.meshgrid(*steps, indexing="ij", sparse=True)
+        rounded = (np.sqrt(z**2 + y**2 + x**2) + 0.5).astype(np.int64)
+        nearest = np.where((z**2 >= y**2) & (z**2 >= x**2), 0, np.where(y**2 >= x**2, 1, 2))
+        return np.where(rounded > self.r_max, self.bins, nearest * (self.r_max + 1) + rounded)
 
     @cached_property
     def fits(self) -> np.ndarray:
-        """How many pairs there are at every distance, (r_max + 1,)."""
+        """How many pairs there are in every bin, (bins,)."""
         if self.free is not None:
             spectrum = self.forward(self.free.astype(np.float32))
             return np.maximum(self._by_length(np.rint(self._correlated(spectrum, spectrum))), 0)
@@ -90,21 +97,22 @@ class Pairs:
         return spectrum
 
     def curve(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """The mean product of two fields over all pairs of each distance, from their transforms: (r_max + 1,) float64."""
+        """The mean product of two fields over all pairs of each bin, from their transforms: (bins,) float64."""
         return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
 
     def convolved(self, spectrum: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """The sum of a field around every voxel, weighted by distance (weights (r_max + 1,)): (Z, Y, X) float32.
+        """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X) float32.
 
         Every axis has to wrap.
         """
         kernel = np.zeros(self.shape, np.float32)
-        half = np.append(weights, 0.0).astype(np.float32)[self.lengths]
+        half = np.append(weights, 0.0).astype(np.float32)[self.places]
         across = np.ix_(self.offsets[1] % self.shape[1], self.offsets[2] % self.shape[2])
         for dz in range(self.reach[0] + 1):
             kernel[dz][across] = half[dz]
-            kernel[-dz % self.shape[0]][across] = half[dz]  # radial, so mirrored it is the same
+            kernel[-dz % self.shape[0]][across] = half[dz]  # a pair and its mirror image share a bin
         spectra = self.forward(kernel)
+        del kernel
 
         def product(y: int) -> np.ndarray:
             return spectrum[:, y] * spectra[:, y].real
@@ -120,7 +128,7 @@ class Pairs:
 
         return self._inverse(product, self.offsets)
 
-    def _inverse(self, product, places: Sequence[np.ndarray]) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def _inverse(self, product: Callable[[int], np.ndarray], places: Sequence[np.ndarray]) -> np.ndarray:
         """Back from the transform whose plane y is product(y), at some places along every axis only."""
         depth, height, width = self.sides
         kept = np.empty((len(places[0]), height, width // 2 + 1), np.complex64)
@@ -141,5 +149,5 @@ class Pairs:
 
     def _by_length(self, sums: np.ndarray) -> np.ndarray:
         twice = np.where(np.arange(len(sums)) > 0, 2.0, 1.0)[:, None, None]
-        counted = np.bincount(self.lengths.ravel(), weights=(sums * twice).ravel(), minlength=self.r_max + 2)
-        return np.asarray(counted[: self.r_max + 1])
+        counted = np.bincount(self.places.ravel(), weights=(sums * twice).ravel(), minlength=self.bins + 1)
+        return np.asarray(counted[: self.bins])

@@ -168,7 +168,7 @@ def _holding(free: np.ndarray, width: int, step: int) -> np.ndarray:
 def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
     """A random turn of `size` axes (a power of two) times `size`, in whole numbers: Hadamard's matrix twice, with random
     signs before, between and behind."""
-    matrix = np.ones((1, 1))
+    matrix: np.ndarray = np.ones((1, 1))
     while len(matrix) < size:
         matrix = np.block([[matrix, matrix], [matrix, -matrix]])
     signs = np.empty(3 * size)
@@ -188,46 +188,52 @@ def _moved(features: np.ndarray, slices: Slices, key: np.uint64, number: int, st
         moves = np.empty(ours.shape, np.float64)
         for_slabs(lambda a, b: transport(ours, theirs, _BINS, moves, a, b), size, least=1)
         # Turned back it is size**2 too large.
-        moved = np.rint((moves @ turn.T.astype(np.float64)) * (strength / size**2))
+        moved: np.ndarray = np.rint((moves @ turn.T.astype(np.float64)) * (strength / size**2))
     moved[:, :count] += features
-    return np.asarray(moved)
+    return moved
 
 
 def _put_back(
     moved: np.ndarray, active: np.ndarray, slices: Slices, channels: int, step: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sums (C, ...) int32 of the neighbourhoods that cover each voxel, in 1 / UNIT of an int8 step, and their number."""
-    width = slices.basis.width
-    covered = tuple((count - 1) * step + width for count in active.shape)
+    covered = tuple((count - 1) * step + slices.basis.width for count in active.shape)
     total, votes = np.zeros((channels, *covered), np.int32), np.zeros(covered, np.int32)
-    rank = np.cumsum(active.ravel()).reshape(active.shape) - 1
     planes = max(1, _BATCH // max(1, active.shape[1] * active.shape[2] * slices.back.shape[1]))
+    done = 0
     for first in range(0, len(active), planes):
         part = active[first : first + planes]
-        if not part.any():
-            continue
-        where = rank[first : first + planes][part]
-        blocks = np.empty((len(where), slices.back.shape[1]), np.int32)
-
-        def rebuild(a: int, b: int, blocks: np.ndarray = blocks, start: int = int(where[0])) -> None:
-            blocks[a:b] = np.rint(moved[start + a : start + b] @ slices.back * (UNIT / (SCALE * _FINE)))
-
-        for_slabs(rebuild, len(where), least=64)
-        numbers = np.where(part, rank[first : first + planes] - where[0], -1)
-        low, high = first * step, (first + len(part) - 1) * step + width
-
-        def collect(
-            a: int,
-            b: int,
-            blocks: np.ndarray = blocks,
-            numbers: np.ndarray = numbers,
-            first: int = first,
-            low: int = low,
-        ) -> None:
-            add(blocks, numbers, total, votes, step, width, first, low + a, low + b)
-
-        for_slabs(collect, high - low, least=4)
+        count = int(np.count_nonzero(part))
+        _put_planes_back(moved[done : done + count], part, first, slices, total, votes, step)
+        done += count
     return total, votes
+
+
+def _put_planes_back(
+    moved: np.ndarray,
+    part: np.ndarray,
+    first: int,
+    slices: Slices,
+    total: np.ndarray,
+    votes: np.ndarray,
+    step: int,
+) -> None:
+    """The same for a few planes of sites, of which `first` is the number of the first."""
+    if not len(moved):
+        return
+    width = slices.basis.width
+    numbers = np.where(part, np.cumsum(part).reshape(part.shape) - 1, -1)
+    blocks = np.empty((len(moved), slices.back.shape[1]), np.int32)
+    low, high = first * step, (first + len(part) - 1) * step + width
+
+    def rebuild(a: int, b: int) -> None:
+        blocks[a:b] = np.rint(moved[a:b] @ slices.back * (UNIT / (SCALE * _FINE)))
+
+    def collect(a: int, b: int) -> None:
+        add(blocks, numbers, total, votes, step, width, first, low + a, low + b)
+
+    for_slabs(rebuild, len(moved), least=64)
+    for_slabs(collect, high - low, least=4)
 
 
 def _folded(values: np.ndarray, axis: int, side: int) -> np.ndarray:
