@@ -2,26 +2,68 @@
 
 from __future__ import annotations
 
+import os
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 SCANS = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
+def pictures() -> Path | None:
+    """The folder for pictures, where TRABECULA_BENCH_OUT names one."""
+    named = os.environ.get("TRABECULA_BENCH_OUT")
+    if not named:
+        return None
+    folder = Path(named)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def unit() -> float:
     """Seconds of a fixed job: the real FFT of 128^3 in float32, best of five."""
     volume = np.random.default_rng(0).random((128, 128, 128), np.float32)
-    return min(timed(lambda: np.fft.rfftn(volume))[0] for _ in range(5))
+    return min(busy(lambda: np.fft.rfftn(volume))[0] for _ in range(5))
 
 
-def timed(job: Callable[[], object]) -> tuple[float, object]:
-    start = time.perf_counter()
+def timed(job: Callable[[], Any], *, clock: Callable[[], float] = time.perf_counter) -> tuple[float, Any]:
+    """Seconds by the clock on the wall, and what the job returned."""
+    start = clock()
     result = job()
-    return time.perf_counter() - start, result
+    return clock() - start, result
+
+
+def busy(job: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds that the processor spent, whatever else it did meanwhile, and what the job returned."""
+    return timed(job, clock=time.process_time)
+
+
+def peak(job: Callable[[], Any]) -> int:
+    """Bytes that the job held at most, its result among them, beyond what was held before."""
+    tracemalloc.start()
+    try:
+        job()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def tell(*cells: object) -> None:
+    """A line of cells at least eight wide."""
     print(" | ".join(f"{cell!s:>8}" for cell in cells), flush=True)
+
+
+def table(first: str, *heads: str, wide: int = 22) -> Callable[..., None]:
+    """Print the heads of a table, and give what prints a row below them; the first column is `wide`."""
+    widths = [max(12, len(head)) for head in heads]
+
+    def row(name: object, *cells: object) -> None:
+        right = (f"{cell!s:>{width}}" for cell, width in zip(cells, widths, strict=True))
+        print(" | ".join([f"{name!s:<{wide}}", *right]).rstrip(), flush=True)
+
+    row(first, *heads)
+    return row

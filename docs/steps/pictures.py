@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
+
 import trabecula as tb
 from trabecula.view.looks import LOOKS
 from trabecula.view.slices import montage
@@ -21,6 +23,7 @@ def draw(folder: Path) -> None:
     parts = [_INTRODUCTION]
     for name in tb.samples():
         parts.append(draw_sample(name, folder))
+    parts.append(draw_shapes(folder))
     parts.append(draw_looks(folder))
     (folder / "index.md").write_text("\n".join(parts), encoding="utf-8")
 
@@ -39,6 +42,31 @@ def draw_sample(name: str, folder: Path) -> str:
     return _SAMPLE.format(
         name=name, side=_SIDE, seed=_SEED, look=look, summary=tb.samples()[name].capitalize(), own=exemplar.shape[0]
     )
+
+
+def draw_shapes(folder: Path) -> str:
+    """A filled form cut open, a tile set beside itself, a repaired hole; the section that shows them."""
+    foam, bone = tb.sample("foam"), tb.sample("bone")
+    fill = tb.method("texture").fit(foam)
+    sides = (_SIDE // 2, 3 * _SIDE // 2, 3 * _SIDE // 2)
+    z, y, x = (index - (side - 1) / 2 for index, side in zip(np.indices(sides), sides, strict=True))
+    ring = np.hypot(np.hypot(y, x) - _SIDE / 2, z) < _SIDE / 4
+    filled = tb.finish.connect(fill.generate(sides, mask=ring, seed=_SEED))
+    tb.render(filled, folder / "shape-ring.png", look="foam", size=(640, 480), camera=(32, 45))
+
+    tile = fill.generate(56, periodic=True, seed=_SEED)
+    wall = tb.Image(np.tile(tile.values, (2, 2, 2)), "labels", spacing=tile.spacing, unit=tile.unit)
+    tb.render(wall, folder / "shape-tile.png", look="foam", size=(640, 480))
+
+    half = (*bone.shape[:2], bone.shape[2] // 2)
+    whole, other = tb.crop(bone, half, corner=(0, 0, 0)), tb.crop(bone, half, corner=(0, 0, half[2]))
+    hole = np.zeros(half, bool)
+    hole[34:62, 34:62, 10:38] = True
+    damaged = tb.Image(np.where(hole, 0, whole.values), "labels", spacing=bone.spacing, unit=bone.unit)
+    repaired = tb.method("texture").fit(other).generate(half, fixed=damaged, known=~hole, seed=_SEED)
+    names = ["a half of sample:bone", "with a hole of 28^3", "repaired after the other half"]
+    montage([whole, damaged, repaired], names, folder / "shape-repair.png", side=300)
+    return _SHAPES
 
 
 def draw_looks(folder: Path) -> str:
@@ -64,6 +92,19 @@ _INTRODUCTION = """# Gallery
 Drawn anew at every build of this documentation, from the samples that the package makes. The samples are stand-ins for
 scans: right in kind, wrong in detail. Nothing here is
 chosen: it is one seed, the first that was tried, and the [certificate](../howto/certificate.md) stands below it.
+"""
+
+_SHAPES = """## Forms, tiles, repairs
+
+How they are made: [fill a form, repeat, repair](../howto/shapes.md).
+
+| a ring filled with foam and connected, a corner cut out | a periodic tile of 56^3, set beside itself in a block of 2 x 2 x 2 |
+| --- | --- |
+| ![a ring of foam, cut open](shape-ring.png) | ![eight tiles of foam without a seam](shape-tile.png) |
+
+![slices of a bone, of the same with a hole, and of the repaired one](shape-repair.png)
+
+The exemplar of the repair is the half that has no hole: what comes into it is new, and meets what is around it.
 """
 
 _SAMPLE = """## {name}

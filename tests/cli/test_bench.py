@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from commands import attempt
 
 import trabecula as tb
+from commands import attempt
 
 _SCRIPT = """
 import os, sys

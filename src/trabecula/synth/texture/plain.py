@@ -126,7 +126,7 @@ def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, dis
 def _trims(grid: Grid, rounds: int, config: TextureConfig, *, distances: bool) -> list[int]:
     """How much of a neighbourhood's rim does not vote, round by round of the finest level."""
     trims = [config.trim] * rounds
-    if not distances:
+    if not distances and config.field != "indicator" and not config.energetic:
         # A mean of grey values loses their grain: in the end every voxel takes one neighbourhood's.
         trims[-2:] = [(grid.candidates.basis.width - grid.candidates.step) // 2] * len(trims[-2:])
     return trims
