@@ -10,7 +10,7 @@ SPEC = Spec(
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed"}),
     several=True,
-    presets=("fast", "paper"),
+    presets=("fast", "best", "paper"),
     scaling="sweep",
     target="trabecula.synth.texture.method:Texture",
 )

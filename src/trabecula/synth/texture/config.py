@@ -87,6 +87,10 @@ class TextureConfig:
     decrease: float = 0.3
     """epsilon_d, by how much lambda falls where the energy rose, 0 .. 0.9 (equation 2)."""
 
+    corrections: tuple[int, ...] = (0,)
+    """Steps towards the exemplar's two-point function after every round at novelty 0, finest level first, each 0 .. 10; the last
+    counts for the rest. With novelty they are part of it, beside fixed voxels there are none."""
+
     tolerance: float = 0.0
     """Relative change of the energy at which a level is left before its rounds are used up, 0 .. 0.1 (section 4.3); 0: never."""
 
@@ -99,6 +103,7 @@ class TextureConfig:
         if self.novelty is not None:
             object.__setattr__(self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1))
         self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
+        self._keep_several("corrections", 0, 10, "the steps of the finest level first, such as [1, 2]")
         self._keep_several("rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]")
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
@@ -162,6 +167,7 @@ _CHOICES = {
 
 _PRESETS: dict[str, dict[str, Any]] = {
     "fast": {"novelty": 0.0, "first_rounds": 14, "rounds": (2, 4, 6), "sweeps": 1, "tries": 2},
+    "best": {"novelty": 0.0, "first_rounds": 20, "rounds": (2, 6, 8), "sweeps": 1, "tries": 2, "corrections": (1,)},
     "paper": {
         "novelty": 0.0,
         "neighbourhood": (10, 8, 4),

@@ -27,6 +27,9 @@ from trabecula.synth.texture.sliced import UNIT
 BANDS = (1, 2, 3, 5, 8, 12)
 """Where the bands of distances begin, voxels; the last one reaches to r_max."""
 
+_SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
+_REACH, _NEAR = 30, 6  # farthest distance in voxels of the finest level, and at least so many of a level's own
+_LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
 _SHORT = 2.0  # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
 _RIDGE = 1e-3
 _LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
@@ -79,6 +82,29 @@ def correlations_of(
             spectrum = pairs.forward(soft_indicator(channel, softness))
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
     return Correlations(sums / np.maximum(fits, 1), softness, steps)
+
+
+def correlations_at(fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float) -> Correlations:
+    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that suit it.
+
+    `clip` is the distance in voxels of the level at which its int8 fields saturate.
+    """
+    reach = min(_REACH, min(min(field.shape[1:]) for field in fields) * 2**level // 2 - 1)
+    softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
+    return correlations_of(fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges)
+
+
+def owed(
+    debt: np.ndarray | None,
+    field: np.ndarray,
+    target: Correlations,
+    *,
+    periodic: Sequence[bool] = (False, False, False),
+    free: np.ndarray | None = None,
+) -> np.ndarray:
+    """The debt after a round of votes that left `field` (C, Z, Y, X) int8."""
+    now = misfit(field, target, periodic=periodic, free=free)
+    return now if debt is None else now + _LEAK * debt
 
 
 def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:

@@ -25,6 +25,7 @@ from trabecula.synth.shared.pyramid import halve
 from trabecula.synth.texture import SPEC, novel
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.content import Content, content_of
+from trabecula.synth.texture.correlate import Correlations, correlations_at
 from trabecula.synth.texture.orient import oriented, symmetries
 from trabecula.synth.texture.plain import Level, level_of, levels_for, made_plain
 from trabecula.synth.texture.region import Region, regions_of
@@ -87,6 +88,7 @@ class TextureModel(Model):
             self._own.append(own)
             fields = [halve(field) for field in fields]
         self.learnt: list[Level] | None = None
+        self.targets = self._targets() if any(config.corrections) and self.content.distances else []
         if self.top:
             self._learn_new()
         else:
@@ -105,6 +107,11 @@ class TextureModel(Model):
         return [
             level_of(stack, index, self.config, distances=self.content.distances) for index, stack in enumerate(stacks)
         ]
+
+    def _targets(self) -> list[Correlations]:
+        """The two-point functions of every level."""
+        edges = isotropic_scale(self.exemplars[0].spacing)
+        return [correlations_at(own, index, edges=edges, clip=self.config.clip) for index, own in enumerate(self._own)]
 
     def _learn_new(self) -> None:
         """What material that is not copied has to agree with."""
@@ -131,7 +138,7 @@ class TextureModel(Model):
             used = levels_for(request.shape, len(self.levels), self.config)
             regions = regions_of(request, used, self.content.bounds(request), self._quantised)
             votes, told = made_plain(
-                self.levels[:used], regions, request, self.config, distances=self.content.distances
+                self.levels[:used], regions, request, self.config, self.targets, distances=self.content.distances
             )
         inside = (slice(None), *(slice(side) for side in request.shape))
         votes = np.ascontiguousarray(votes[inside])
@@ -168,8 +175,9 @@ class TextureModel(Model):
             voxels * (4 * channels + 2 + parts) + sites * 12,
             voxels * (20 * channels + 10 if self.content.distances and channels > 1 else 6 * channels + 12),
         ]
-        if new:
-            moments.append(novel.step_bytes(self.aims, request) + voxels * 4 * channels)
+        correlations = self.aims[0].correlations if new else self.targets[0] if self.targets else None
+        if correlations is not None:
+            moments.append(novel.step_bytes(correlations, request, self.top) + voxels * 4 * channels)
         return Plan(
             memory={
                 "interpreter and kernels": _PROCESS,

@@ -19,7 +19,7 @@ from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import match_histogram
 from trabecula.synth.shared.pyramid import double, fit_to
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.correlate import Correlations, corrected, correlations_of, misfit
+from trabecula.synth.texture.correlate import Correlations, corrected, correlations_at, owed
 from trabecula.synth.texture.kernels import start_matches
 from trabecula.synth.texture.optimise import Grid, features_of, rematched, robust_weights, searched, voted
 from trabecula.synth.texture.pairs import Pairs
@@ -41,9 +41,6 @@ _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for
 _ROOM = 4
 _STRENGTH = 2.5
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
-_SOFTNESS = (1.6, 2.4, 2.4)  # voxels of the soft interface, by level
-_REACH = 30  # farthest distance of the two-point function, in voxels of the finest level
-_LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
 _MOVED, _WIDE_FROM = (
     16,
     5,
@@ -114,13 +111,7 @@ def aims_of(
     config: TextureConfig,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
-    reach = min(_REACH, min(min(field.shape[1:]) for field in fields) * 2**level // 2 - 1)
-    correlations = correlations_of(
-        fields,
-        softness=_SOFTNESS[level] * FULL / config.clip,
-        r_max=max(6, reach // 2**level),
-        edges=edges,
-    )
+    correlations = correlations_at(fields, level, edges=edges, clip=config.clip)
     made = [
         Candidates.of(stack, width=p.width, step=p.step, variance=config.variance, most=config.components)
         for p in schedule
@@ -163,10 +154,10 @@ def made_new(
     return votes
 
 
-def step_bytes(aims: Sequence[Aims], request: Request) -> int:
+def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
     """Memory of a step on the two-point function on the finest level: spectra and fields in float32."""
-    sides = domain(request.shape, request.periodic, 0, len(aims) - 1)
-    pairs = Pairs(sides, aims[0].correlations.r_max, request.periodic, aims[0].correlations.edges)
+    sides = domain(request.shape, request.periodic, 0, top)
+    pairs = Pairs(sides, correlations.r_max, request.periodic, correlations.edges)
     return 16 * int(np.prod(pairs.sides, dtype=np.int64)) + 20 * int(np.prod(sides, dtype=np.int64))
 
 
@@ -224,9 +215,9 @@ def _passed(
         weights = robust_weights(grid, distance, config.robustness)
         votes = voted(grid, match, weights, trim=1 if p.level == 0 else 0)
         field = rematched(grid, votes)
-        now = misfit(field, target, periodic=periodic) if p.beyond else np.zeros_like(target.curves)
-        debt = now if debt is None else now + _LEAK * debt
-        aim = debt * p.beyond if round_ == p.rounds - 1 else debt
+        if p.beyond:
+            debt = owed(debt, field, target, periodic=periodic)
+        aim = debt * p.beyond if debt is not None and round_ == p.rounds - 1 else debt
         for _ in range(p.steps):
             votes = corrected(field, target, debt=aim, periodic=periodic)
             field = rematched(grid, votes)

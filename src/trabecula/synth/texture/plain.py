@@ -16,6 +16,7 @@ from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.pyramid import double, fit_to
 from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.correlate import Correlations, corrected, owed
 from trabecula.synth.texture.kernels import start_matches
 from trabecula.synth.texture.optimise import (
     Grid,
@@ -72,11 +73,17 @@ def levels_for(shape: tuple[int, ...], most: int, config: TextureConfig) -> int:
 
 
 def made_plain(
-    levels: Sequence[Level], regions: Sequence[Region], request: Request, config: TextureConfig, *, distances: bool
+    levels: Sequence[Level],
+    regions: Sequence[Region],
+    request: Request,
+    config: TextureConfig,
+    targets: Sequence[Correlations] = (),
+    *,
+    distances: bool,
 ) -> tuple[np.ndarray, list[dict[str, Any]]]:
     """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds go by them.
 
-    Levels and regions are as many, finest first.
+    Levels and regions are as many, finest first, as are `targets` where `corrections` of the config step towards them.
     """
     state: State | None = None
     before: Candidates | None = None
@@ -95,7 +102,10 @@ def made_plain(
                 begin = partial(_continued, grid, before, state, finer=number == 0, distances=distances)
             rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
             trims = _trims(grid, rounds, config, distances=distances) if index == 0 else [0] * rounds
-            state, trace = _optimised(grid, begin, stage, trims, config, said=f"level {used - index} of {used}")
+            target = targets[index] if index < len(targets) and request.fixed is None else None
+            steps = config.corrections[min(index, len(config.corrections) - 1)] if target else 0
+            said = f"level {used - index} of {used}"
+            state, trace = _optimised(grid, begin, stage, trims, config, target, steps, finest=index == 0, said=said)
             told += [{"level": index, "width": candidates.basis.width, "energy": trace}] if trace else []
             before = candidates
     assert state is not None  # there is at least one level
@@ -138,11 +148,14 @@ def _optimised(
     stage: np.uint64,
     trims: Sequence[int],
     config: TextureConfig,
+    target: Correlations | None,
+    steps: int,
     *,
+    finest: bool,
     said: str,
 ) -> tuple[State, list[dict[str, Any]]]:
     balance = Balance.at_first(config, len(trims))
-    state = begin()  # here, so that nobody else holds on to it
+    state, debt = begin(), None  # here, so that nobody else holds on to it
     for number in track(range(len(trims)), said):
         match, distance = _matched(grid, state, stage, number, config)
         if config.energetic:
@@ -156,7 +169,22 @@ def _optimised(
             del state
             weights = robust_weights(grid, distance, config.robustness)
             state = cast(grid, match, weights, trim=trims[number], histogram=config.histogram)
+            if target is not None and steps:
+                last = finest and number == len(trims) - 1  # nothing comes after it that would take something back
+                debt = (
+                    None if last else owed(debt, state.field, target, periodic=grid.region.wraps, free=grid.region.free)
+                )
+                state = _corrected(grid, state, target, debt, steps)
     return state, balance.trace()
+
+
+def _corrected(grid: Grid, state: State, target: Correlations, debt: np.ndarray | None, steps: int) -> State:
+    """Steps on the two-point function, of the voxels that are made."""
+    votes, field, region = state.votes, state.field, grid.region
+    for _ in range(steps):
+        votes = corrected(field, target, debt=debt, periodic=region.wraps, free=region.free)
+        field = rematched(grid, votes)
+    return State(state.match, votes, field)
 
 
 def _matched(
