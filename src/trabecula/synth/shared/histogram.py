@@ -56,8 +56,7 @@ def match_histogram(field: np.ndarray, target: Histogram, inside: np.ndarray | N
     matched = np.empty(field.shape, table.dtype)
 
     def work(start: int, stop: int) -> None:
-        for z in range(start, stop):  # one plane at a time: an index is widened to 8 bytes
-            matched[z] = table[ranks[z]]
+        _look_up(table, ranks, matched, start, stop)
 
     for_slabs(work, len(field))
     return matched
@@ -113,6 +112,15 @@ def _ranked(field: np.ndarray, inside: np.ndarray | None) -> tuple[np.ndarray, n
 def _at(field, z, y, x):
     Z, Y, X = field.shape
     return np.int32(field[min(max(z, 0), Z - 1), min(max(y, 0), Y - 1), min(max(x, 0), X - 1)])
+
+
+@kernel
+def _look_up(table, ranks, matched, start, stop):
+    """In a kernel, since NumPy would widen every index to 8 bytes and let no other thread work meanwhile."""
+    for z in range(start, stop):
+        for y in range(ranks.shape[1]):
+            for x in range(ranks.shape[2]):
+                matched[z, y, x] = table[ranks[z, y, x]]
 
 
 @kernel

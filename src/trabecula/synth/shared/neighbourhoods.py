@@ -124,10 +124,19 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
             for first in range(0, len(sites), _ROWS):
                 chosen = sites[first : first + _ROWS]
                 gather(blocks, chosen, grid[2], z * step, step, width, grain, rows)
-                plane[chosen] = np.rint(rows[: len(chosen)] @ basis.vectors * factor)
+                store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
 
     for_slabs(work, grid[0], least=2)
     return features
+
+
+@kernel
+def store(products, factor, sites, plane):
+    """Products times `factor`, rounded to int16, to the sites' rows; in a kernel, so that other threads can work meanwhile."""
+    for n in range(len(sites)):
+        to = plane[sites[n]]
+        for d in range(products.shape[1]):
+            to[d] = np.int16(np.rint(products[n, d] * factor))
 
 
 @kernel

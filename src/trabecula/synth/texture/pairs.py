@@ -16,6 +16,14 @@ from trabecula.engine.tiles import for_slabs
 from trabecula.measure.fft import fast_side
 
 
+_WORTH = 1 << 19  # values that are worth a thread: transforms of less wait for the interpreter longer than they take
+
+
+def _enough(values: int) -> int:
+    """Planes of so many values that are worth a thread."""
+    return max(8, _WORTH // values)
+
+
 @dataclass(frozen=True)
 class Pairs:
     """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance and the axis they lie nearest to.
@@ -92,8 +100,8 @@ class Pairs:
             for y in range(start, stop):
                 spectrum[:, y] = np.fft.fft(spectrum[:, y], axis=0)
 
-        for_slabs(planes, len(values))
-        for_slabs(lines, height)
+        for_slabs(planes, len(values), least=_enough(height * width))
+        for_slabs(lines, height, least=_enough(depth * width))
         return spectrum
 
     def curve(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -143,8 +151,8 @@ class Pairs:
                 rows = np.fft.ifft(kept[z], axis=0)[places[1] % height]
                 values[z] = np.fft.irfft(rows, width, axis=1)[:, places[2] % width]
 
-        for_slabs(lines, height)
-        for_slabs(planes, len(kept))
+        for_slabs(lines, height, least=_enough(depth * width))
+        for_slabs(planes, len(kept), least=_enough(height * width))
         return values
 
     def _by_length(self, sums: np.ndarray) -> np.ndarray:
