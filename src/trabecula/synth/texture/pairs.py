@@ -15,7 +15,6 @@ import numpy as np
 from trabecula.engine.tiles import for_slabs
 from trabecula.measure.fft import fast_side
 
-
 _WORTH = 1 << 19  # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 
 
