@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from trabecula.engine.compile import inline, kernel
+from trabecula.engine.compile import kernel
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.labelling import label_components
 from trabecula.measure.smooth import gaussian
+from trabecula.measure.union import root_of
 
 _SOFT = 1.5
 """Voxels over which the direction of a surface is averaged: the faces of voxels know six directions only."""
@@ -80,14 +81,6 @@ def sealed(solid: np.ndarray) -> int:
     return int(_largest_cup(np.ascontiguousarray(void)))
 
 
-@inline
-def _root(parent, k):
-    while parent[k] != k:
-        parent[k] = parent[parent[k]]
-        k = parent[k]
-    return k
-
-
 @kernel
 def _largest_cup(void):
     """Union-find over the void, layer by layer; node 0 is the outside, which the margin of every layer belongs to."""
@@ -113,7 +106,7 @@ def _largest_cup(void):
                     else:
                         other = k - layer if z > 0 and void[z - 1, y, x] else -1
                     if other >= 0:
-                        a, b = _root(parent, k), _root(parent, other)
+                        a, b = root_of(parent, k), root_of(parent, other)
                         if a != b:
                             low, high = min(a, b), max(a, b)
                             parent[high] = low
@@ -122,7 +115,7 @@ def _largest_cup(void):
         for y in range(1, height - 1):
             for x in range(1, width - 1):
                 if z > 0 and void[z, y, x] and void[z - 1, y, x]:
-                    root = _root(parent, 1 + z * layer + y * width + x)
+                    root = root_of(parent, 1 + z * layer + y * width + x)
                     if root != 0 and size[root] > largest:
                         largest = size[root]
     return largest
