@@ -15,13 +15,11 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import match_histogram
-from trabecula.synth.shared.pyramid import double, fit_to
+from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.correlate import Correlations, corrected, correlations_at, owed
-from trabecula.synth.texture.kernels import start_matches
-from trabecula.synth.texture.optimise import Grid, features_of, rematched, robust_weights, searched, voted
+from trabecula.synth.texture.optimise import Grid, random_matches, refined, rematched, robust_weights, swept, voted
 from trabecula.synth.texture.pairs import Pairs
 from trabecula.synth.texture.region import Region
 from trabecula.synth.texture.sliced import UNIT, Slices, sliced_round, slices_of
@@ -41,10 +39,8 @@ _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for
 _ROOM = 4
 _STRENGTH = 2.5
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
-_MOVED, _WIDE_FROM = (
-    16,
-    5,
-)  # rounds on the coarsest level at hardly any novelty; from how many on neighbourhoods are wide
+_MOVED = 16  # rounds on the coarsest level at hardly any novelty
+_WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _FIRST = 3  # times as many sweeps in the first round, which starts from random matches
 
 
@@ -147,8 +143,7 @@ def made_new(
     for number, p in enumerate(schedule):
         while level > p.level:
             level -= 1
-            field = np.clip(double(field, _AROUND).astype(np.int16) * 2, -FULL, FULL).astype(np.int8)
-            field = fit_to(field, sides[level])
+            field = fit_to(refined(field, _AROUND, distances=True), sides[level])
         grid = Grid.over(Region(sides[level], _AROUND), unused[level].pop(0))
         field, votes = _passed(grid, field, p, number, aims[level].correlations, periodic, seed, config)
     return votes
@@ -195,23 +190,10 @@ def _passed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """One pass: the field, and the votes that it came from."""
     stage = key(seed, f"novel/pass {number}")
-    match = np.empty(grid.shape, np.int32)
-    start_matches(match, len(grid.candidates.numbers), stage)
-    match = grid.candidates.numbers[match].astype(np.int32)
-    debt = None
+    match, debt = random_matches(grid, stage), None
     for round_ in track(range(p.rounds), f"level {p.level}"):
-        features = features_of(grid, field)
-        for sweep in range(config.sweeps * (_FIRST if round_ == 0 else 1)):
-            match, distance = searched(
-                grid,
-                match,
-                features,
-                stage=stage,
-                sweep=100 * round_ + sweep + 1,
-                tries=config.tries,
-                index_penalty=config.index_penalty,
-            )
-        del features
+        count = config.sweeps * (_FIRST if round_ == 0 else 1)
+        match, distance = swept(grid, match, field, config, stage=stage, first=100 * round_ + 1, count=count)
         weights = robust_weights(grid, distance, config.robustness)
         votes = voted(grid, match, weights, trim=1 if p.level == 0 else 0)
         field = rematched(grid, votes)

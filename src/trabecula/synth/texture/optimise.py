@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.tiles import for_slabs
+from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram, match_histogram
 from trabecula.synth.shared.nearest import index_histogram, k_nearest, reranked
 from trabecula.synth.shared.neighbourhoods import SCALE, project
+from trabecula.synth.shared.pyramid import double
+from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.joints import joined, known_of, mixed_histograms, surroundings
-from trabecula.synth.texture.kernels import search, vote
+from trabecula.synth.texture.kernels import search, start_matches, vote
 from trabecula.synth.texture.region import Region
 from trabecula.synth.texture.sources import Candidates
 
@@ -79,6 +82,39 @@ def nearest_matches(
     match, found = old.copy(), np.zeros(old.shape, np.int32)
     match[grid.active], found[grid.active] = chosen, apart
     return match, found
+
+
+def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
+    """Random patches: an independent candidate per site."""
+    numbers = grid.candidates.numbers
+    chosen = np.empty(grid.shape, np.int32)
+    start_matches(chosen, len(numbers), stage)
+    return numbers[chosen].astype(np.int32)
+
+
+def refined(field: np.ndarray, wraps: tuple[bool, ...], *, distances: bool) -> np.ndarray:
+    """A field (C, Z, Y, X) int8 at twice the resolution; a distance, which counts in voxels, doubles too."""
+    doubled = double(field, wraps)
+    return np.clip(doubled.astype(np.int16) * 2, -FULL, FULL).astype(np.int8) if distances else doubled
+
+
+def swept(
+    grid: Grid,
+    match: np.ndarray,
+    field: np.ndarray,
+    config: TextureConfig,
+    *,
+    stage: np.uint64,
+    first: int,
+    count: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and their distances."""
+    features = features_of(grid, field)
+    for sweep in range(first, first + count):
+        match, distance = searched(
+            grid, match, features, stage=stage, sweep=sweep, tries=config.tries, index_penalty=config.index_penalty
+        )
+    return match, distance
 
 
 def searched(

@@ -12,12 +12,10 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.pyramid import double, fit_to
+from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.correlate import Correlations, corrected, owed
-from trabecula.synth.texture.kernels import start_matches
 from trabecula.synth.texture.optimise import (
     Grid,
     State,
@@ -25,9 +23,11 @@ from trabecula.synth.texture.optimise import (
     features_of,
     joined_votes,
     nearest_matches,
+    random_matches,
+    refined,
     rematched,
     robust_weights,
-    searched,
+    swept,
 )
 from trabecula.synth.texture.region import Region
 from trabecula.synth.texture.sources import Candidates, Stack, carried
@@ -114,20 +114,14 @@ def made_plain(
 
 def _started(grid: Grid, stage: np.uint64) -> State:
     """Random patches."""
-    candidates = grid.candidates
-    match = np.empty(grid.shape, np.int32)
-    start_matches(match, len(candidates.numbers), stage)
-    match = candidates.numbers[match].astype(np.int32)
-    return cast(grid, match, grid.active.astype(np.int32))
+    return cast(grid, random_matches(grid, stage), grid.active.astype(np.int32))
 
 
 def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, distances: bool) -> State:
     """The result so far on the next grid: its field doubled (a distance doubles too), its matches moved along."""
     field, region = state.field, grid.region
     if finer:
-        field = double(field, region.wraps)
-        if distances:
-            field = np.clip(field.astype(np.int16) * 2, -FULL, FULL).astype(np.int8)
+        field = refined(field, region.wraps, distances=distances)
     field = region.bounded(fit_to(field, region.shape))
     match = carried(state.match, before, grid.candidates, grid.shape, factor=2 if finer else 1)
     return State(match, field.astype(np.int16) * 256, field)
@@ -190,18 +184,8 @@ def _corrected(grid: Grid, state: State, target: Correlations, debt: np.ndarray 
 def _matched(
     grid: Grid, state: State, stage: np.uint64, number: int, config: TextureConfig
 ) -> tuple[np.ndarray, np.ndarray]:
-    features = features_of(grid, state.field)
-    match = state.match
     if config.search == "exact":
-        return nearest_matches(grid, match, features, index_penalty=config.index_penalty)
-    for sweep in range(config.sweeps):
-        match, distance = searched(
-            grid,
-            match,
-            features,
-            stage=stage,
-            sweep=number * config.sweeps + sweep + 1,
-            tries=config.tries,
-            index_penalty=config.index_penalty,
-        )
-    return match, distance
+        features = features_of(grid, state.field)
+        return nearest_matches(grid, state.match, features, index_penalty=config.index_penalty)
+    first = number * config.sweeps + 1
+    return swept(grid, state.match, state.field, config, stage=stage, first=first, count=config.sweeps)
