@@ -1,0 +1,85 @@
+"""What every method from pictures has in common: views of one, two or three pictures, and what they have to hold."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError, RequestError
+from trabecula.core.image import Image
+from trabecula.core.request import Request
+from trabecula.exemplar.views import View, spacing_of, views_of
+from trabecula.synth.base import Method, Model
+
+ROOM = 4
+"""Positions that a neighbourhood needs along an axis of a picture, at least."""
+
+
+class PictureModel(Model):
+    """A model that has seen a material in some views."""
+
+    def __init__(self, config: Any, exemplars: Sequence[Image], views: Sequence[View]) -> None:
+        super().__init__(config, exemplars)
+        self.views = tuple(views)
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        spacing, unit = spacing_of(self.views), self.exemplars[0].unit
+        if request.fixed is not None and (request.fixed.spacing, request.fixed.unit) != (spacing, unit):
+            raise RequestError(
+                f"the fixed voxels are {request.fixed.spacing} {request.fixed.unit}, those of the views {spacing} {unit}: give "
+                "the spacing of both, or resample one"
+            )
+
+    def _result_fields(self) -> dict[str, Any]:
+        return {**super()._result_fields(), "spacing": spacing_of(self.views)}
+
+
+class PictureMethod(Method):
+    """A method that learns from pictures; its config has a field `views`."""
+
+    def _check_exemplars(self, images: Sequence[Image]) -> None:
+        for image in images:
+            self._check_exemplar(image)
+            self._check_picture(image)
+        first = images[0]
+        for image in images[1:]:
+            for name in ("kind", "phases", "unit"):
+                if getattr(image, name) != getattr(first, name):
+                    raise InputError(
+                        f"pictures of one material agree in {name}: got {getattr(first, name)} and {getattr(image, name)}; "
+                        "convert or rename them first"
+                    )
+
+    def _check_picture(self, image: Image) -> None:
+        least = self._width() + ROOM
+        if min(image.shape) < least:
+            raise InputError(
+                f"the picture is {image.shape}, a neighbourhood of {self._width()} needs at least {least} pixels along every "
+                "side: give a larger picture, or a smaller neighbourhood"
+            )
+        if image.kind != "labels" and (image.values == image.values[0, 0]).all():
+            raise InputError("the picture holds one value only: give one with structure")
+
+    def _fit(self, exemplars: Sequence[Image]) -> PictureModel:
+        return self._learn(exemplars, views_of(exemplars, self.config.views))
+
+    @abstractmethod
+    def _width(self) -> int:
+        """Pixels a side of the largest neighbourhood."""
+
+    @abstractmethod
+    def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> PictureModel: ...
+
+
+def as_volume(view: View, values: np.ndarray) -> np.ndarray:
+    """A volume (Z, Y, X, ...) with the axis that the view is seen across first: its slices are (rows, columns)."""
+    return np.ascontiguousarray(np.moveaxis(values, view.axis, 0))
+
+
+def from_volume(view: View, values: np.ndarray) -> np.ndarray:
+    """`as_volume` backwards, not copied."""
+    return np.moveaxis(values, 0, view.axis)
