@@ -13,6 +13,10 @@ import inspect
 import sys
 from collections.abc import Callable
 
+import image
+import image_paper
+import image_speed
+import image_truth
 import texture
 import texture_speed
 import trabecula as tb
@@ -55,6 +59,10 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_energy": texture.energy,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
+    "image_likeness": image.image_likeness,
+    "image_paper": image_paper.image_paper,
+    "image_truth": image_truth.image_truth,
+    "image_speed": image_speed.image_speed,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,
@@ -96,6 +104,9 @@ def main(words: list[str]) -> int:
                 CASES[name]()
     except KeyboardInterrupt:
         return 130
+    except TrabeculaError as error:
+        fail(str(error))
+        return 2
     return 0
 
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from common import busy, table
 from trabecula.engine.compile import kernel
+from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.optimise import Grid
 
 STAGES = {
     "sliced": ("sliced_round",),
@@ -30,7 +30,9 @@ STAGES = {
     "histogram": ("rematched", "match_histogram"),
     "choice": ("brightest",),
 }
-"""Stage -> functions of `synth.texture` by their names. What one spends inside another counts for the inner."""
+"""Stage -> functions of `texture` and `shared` by their names. What one spends inside another counts for the inner."""
+
+_ROOMS = ("trabecula.synth.texture.", "trabecula.synth.shared.")
 
 
 @dataclass
@@ -99,9 +101,9 @@ def _additions(profile: Profile, grid: Grid) -> float:
     return _sites(grid) * len(grid.candidates.stack.field) * grid.candidates.basis.width**3
 
 
-def _passes(profile: Profile, subject: Grid | np.ndarray) -> float | None:
+def _passes(profile: Profile, subject: Any) -> float | None:
     """Bytes: votes read to count them, read again to map them, the field written."""
-    if isinstance(subject, Grid):
+    if not isinstance(subject, np.ndarray):
         return None  # counted where it matches each channel
     return subject.size * (2 + 2 + 1)
 
@@ -119,7 +121,7 @@ COUNTED = {
 def watched(config: TextureConfig) -> Iterator[Profile]:
     """Time the stages of what runs inside the block."""
     profile = Profile(config)
-    modules = [m for name, m in list(sys.modules.items()) if name.startswith("trabecula.synth.texture.")]
+    modules = [m for name, m in list(sys.modules.items()) if name.startswith(_ROOMS)]
     replaced = [(np.fft, name, getattr(np.fft, name)) for name in ("fft", "ifft", "rfft", "irfft")]
     for module, name, function in replaced:
         setattr(module, name, _transform(function, profile))

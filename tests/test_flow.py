@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula import flow
+from trabecula import flow, loading
 from trabecula.core.recipe import Recipe, digest
 from trabecula.errors import FileError, InputError, NotReproducedError, UnknownNameError
 
@@ -17,7 +17,8 @@ SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 def place(tmp_path, monkeypatch, bone):
     """A working folder with a small scan, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(flow, "sample", lambda name: bone)
+    for room in (flow, loading):
+        monkeypatch.setattr(room, "sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 24).values)
     np.save("grey.npy", tb.crop(bone, 24).values * np.uint8(90) + np.arange(24, dtype=np.uint8))
     return tmp_path
@@ -162,3 +163,28 @@ def test_a_missing_exemplar_is_told(place):
         flow.replay(Recipe.from_json(steps), folder=place)
     with pytest.raises(FileError, match=r"there is no file grye\.npy"):
         flow.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
+
+
+def test_a_target_field_is_found_again(tmp_path, monkeypatch):
+    """The recipe of a field stands in that of the result."""
+
+    class Method:
+        def fit(self, exemplar):
+            return self
+
+        def generate(self, request):
+            return tb.Image(request.target["porosity"] > 0.5, "labels")
+
+    monkeypatch.setattr("trabecula.replay.method", lambda name, **settings: Method())
+    np.save(tmp_path / "field.npy", np.linspace(0, 1, 27).reshape(3, 3, 3))
+    field, exemplar = tb.read(tmp_path / "field.npy"), tb.sample("foam")
+    values = (field.values > 0.5).astype(np.uint8)
+    step = {"method": "any", "settings": {}, "exemplars": [exemplar.recipe.to_json()]}
+    request = tb.Request(3, target={"porosity": field})
+    recipe = tb.Recipe().then("generate", values, request=request.to_json(), **step)
+    assert np.array_equal(flow.replay(recipe, folder=tmp_path).values, values)
+    (tmp_path / "field.npy").rename(tmp_path / "moved.npy")
+    with pytest.raises(FileError, match="--target"):
+        flow.replay(recipe, folder=tmp_path)
+    again = flow.replay(recipe, folder=tmp_path, target=tmp_path / "moved.npy")
+    assert np.array_equal(again.values, values)

@@ -32,7 +32,7 @@ _ROOMS = {
     "mesh": "Surfaces",
     "view": "Pictures",
     "flow": "From file to file",
-    "engine": "Memory and threads",
+    "engine": "Memory, threads and long runs",
 }
 # What public functions return or take, and is no name of `trabecula` itself.
 _ALSO = {

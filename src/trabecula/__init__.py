@@ -22,6 +22,7 @@ _HOMES = {
     "Request": "core.request",
     "Recipe": "core.recipe",
     "threads": "engine.tiles",
+    "kept_at": "engine.checkpoint",
     "read": "io.files",
     "write": "io.files",
     "crop": "exemplar.crop",

@@ -11,7 +11,7 @@ from typing import Any
 from trabecula import finish
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
-from trabecula.core.image import Image
+from trabecula.core.image import Image, declared
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
 from trabecula.exemplar.crop import crop
@@ -65,6 +65,7 @@ def rerun(
     mask: AnyPath | None = None,
     fixed: AnyPath | None = None,
     known: AnyPath | None = None,
+    target: AnyPath | None = None,
 ) -> Image:
     """Make a file's voxels again from the recipe in it.
 
@@ -73,7 +74,7 @@ def rerun(
     path : path
     exemplar : path or sequence of path, optional
         Where the files that the recipe starts from lie now, if they have moved; several in the order of the exemplars.
-    mask, fixed, known : path, optional
+    mask, fixed, known, target : path, optional
         The same for the other files that the request named.
 
     Raises
@@ -92,7 +93,7 @@ def rerun(
     if digest(image.values) != steps[-1].get("sha256"):
         raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
     folder = Path(path).absolute().parent
-    return replay(image.recipe, folder=folder, exemplar=exemplar, mask=mask, fixed=fixed, known=known)
+    return replay(image.recipe, folder=folder, exemplar=exemplar, mask=mask, fixed=fixed, known=known, target=target)
 
 
 def replay(
@@ -174,6 +175,10 @@ def _generate_again(image: Image | None, step: Mapping[str, Any], places: Places
     for name in PARTS:
         if name in request:
             request[name] = _replayed(Recipe.from_json(request[name]), places.of(name))
+    request["target"] = {
+        name: _replayed(Recipe.from_json(value), places.of("target")) if isinstance(value, list) else value
+        for name, value in dict(request.get("target", {})).items()
+    }
     learner: Any = method(step["method"], **step["settings"])
     return learner.fit(sources if len(sources) > 1 else sources[0]).generate(Request(**request))
 
@@ -197,8 +202,11 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Places], Image]] = 
     "sample": lambda image, step, places: sample(step["name"]),
     "voxelise": _voxelise_again,
     "crop": lambda image, step, places: crop(_given(image), step["size"], corner=step["corner"]),
-    "place": lambda image, step, places: place(_given(image), step["shape"], corner=step["corner"]),
+    "place": lambda image, step, places: place(
+        _given(image), step["shape"], corner=step["corner"], plane=step.get("plane"), across=step.get("across", 1.0)
+    ),
     "block": lambda image, step, places: block(step["size"], step["shape"], corner=step["corner"]),
+    "declare": lambda image, step, places: declared(_given(image), **step["fields"]),
     "segment": lambda image, step, places: segment(_given(image), step["threshold"], phases=step["phases"]),
     "generate": _generate_again,
     "finish": _finish_again,

@@ -1,5 +1,6 @@
 """`trabecula bench`: which cases run, from where, and what is refused."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,15 @@ def test_cases_and_folder_are_passed_on_and_the_status_comes_back(checkout, capf
     output = attempt("bench", "one", "two", "--out", checkout / "pictures")
     assert output.status == 3
     assert capfd.readouterr().out.split() == ["one", "two", str(checkout / "pictures")]
+
+
+def test_parts_of_a_case_are_passed_on(checkout, monkeypatch, capfd):
+    """By name, so that a case need not be run whole."""
+    script = "import json, os; print(json.dumps({k[16:]: v for k, v in os.environ.items() if k.startswith('TRABECULA_BENCH_')}))"
+    (checkout / "benchmarks" / "run.py").write_text(script)
+    monkeypatch.delenv("TRABECULA_BENCH_OUT", raising=False)
+    attempt("bench", "image", "--only", "bread 2", "rods", "--methods", "mrf:fast", "--side", 32)
+    assert json.loads(capfd.readouterr().out) == {"ONLY": "bread 2;rods", "METHODS": "mrf:fast", "SIDE": "32"}
 
 
 def test_an_installed_package_says_where_the_benchmarks_are(checkout):

@@ -33,6 +33,7 @@ def made(tmp_path_factory, bone):
     tb.write(np.pad(ball(18), ((0, 0), (0, 2), (1, 1))), folder / "form.tif")
     tb.write(np.ones((20, 20, 20), np.uint8), folder / "full.npy")
     tb.write(tb.Image(np.arange(8000.0).reshape(20, 20, 20), "grey"), folder / "grey.npy")
+    tb.write(tb.Image(scan.values[5], "labels"), folder / "picture.png")
     known = np.zeros((28, 28, 28), np.uint8)
     known[:, :, :14] = 1
     tb.write(known, folder / "known.tif")
@@ -165,6 +166,18 @@ def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.parametrize(("words", "axes"), [(("--at", 12, 0, 2), "yx"), (("--at", 3, 12, 0, "--view", "xz"), "xz")])
+def test_a_picture_is_a_slice(place, words, axes):
+    """A larger one is cut at the shape's end, and says so."""
+    picture = tb.read("scan.zarr").values[5]
+    image, output = generate("--fixed", "picture.png", *words, "--shape", 24, 24, 26)
+    slab = image.values[12, :, 2:] if axes == "yx" else image.values[3:, 12].T
+    assert slab.shape == ((24, 24) if axes == "yx" else (26, 21))
+    np.testing.assert_array_equal(slab, picture[: slab.shape[0], : slab.shape[1]])
+    assert "pixels lie in the shape" in output.err
+    assert image.values[:12].any() and trabecula("rerun", "made.zarr").sha256 == output.sha256
+
+
 @pytest.mark.parametrize(
     ("words", "axes"),
     [
@@ -211,12 +224,23 @@ BAD = [
     (("--mask", "ball.stl", "--mask-scale", 1e9), "2**48 voxels"),
     (("--mask", "part.stp", "--shape", 20), "part.stp"),
     (("--shape", 20, "--mask-scale", 2), "--mask-scale without --mask"),
-    (("--shape", 40, "--known", "known.tif"), "--known and --at say where --fixed lies"),
-    (("--shape", 40, "--at", 0, 0, 0), "--known and --at say where --fixed lies"),
+    (("--shape", 40, "--known", "known.tif"), "--known, --at and --view say where --fixed lies"),
+    (("--shape", 40, "--at", 0, 0, 0), "--known, --at and --view say where --fixed lies"),
     (("--shape", 40, "--fixed", "scan.zarr"), "needs to be told where it is known"),
     (("--fixed", "scan.zarr", "--at", 0, 0, 0), "give --shape"),
     (("--shape", 20, "--fixed", "scan.zarr", "--at", 0, 0, 0), "does not lie inside (20, 20, 20)"),
     (("--shape", 40, "--fixed", "scan.zarr", "--at", 0, 0, "x"), "--at 0 0 x: give one whole number or three"),
+    (("--shape", 40, "--view", "yx"), "--known, --at and --view say where --fixed lies"),
+    (("--shape", 40, "--fixed", "picture.png", "--at", 0, 0, 0, "--view", "yy"), "unknown view 'yy'"),
+    (("--shape", 40, "--fixed", "picture.png", "--at", 40, 0, 0), "does not lie inside (40, 40, 40)"),
+    (("--shape", 40, "--target", "porosity"), "write --target porosity=0.25"),
+    (("--shape", 40, "--target", "porosty=0.2"), "unknown target 'porosty': did you mean 'porosity'"),
+    (("--shape", 40, "--target", "porosity=1.2"), "outside 0 .. 1"),
+    (("--shape", 40, "--target", "porosity=0.2", "--target", "porosity=0.3"), "given twice"),
+    (("--shape", 40, "--target", "porosity=field.npy"), "there is no file field.npy"),
+    (("--shape", 40, "--target", "porosity=grey.npy"), "has shape (20, 20, 20), the request (40, 40, 40)"),
+    (("--shape", 20, "--target", "porosity=grey.npy"), "runs from 0 to 7999"),
+    (("--shape", 40, "--target", "porosity=0.2"), "cannot honour target"),
     (("--shape", 28, "--fixed", "scan.zarr", "--at", 0, 0, 0), "every voxel is known, nothing is left to make"),
     (("--fixed", "scan.zarr", "--known", "full.npy"), "known has shape (20, 20, 20), the request (28, 28, 28)"),
     (
@@ -314,3 +338,10 @@ def test_check_prints_a_table_or_json(made, monkeypatch):
 def test_check_refuses(made, monkeypatch, words, says):
     monkeypatch.chdir(made)
     assert says in refused("check", *words)
+
+
+def test_what_a_fixed_scan_takes_from_the_exemplar_is_in_the_recipe(place):
+    np.save("plain.npy", tb.read("scan.zarr").values[:10])
+    image, output = generate("--fixed", "plain.npy", "--at", 0, 0, 0, "--shape", 24, 28, 28)
+    assert image.spacing == (40.0,) * 3
+    assert trabecula("rerun", "made.zarr").sha256 == output.sha256

@@ -150,3 +150,55 @@ def test_refused(fields, says):
 def test_a_request_does_not_change():
     with pytest.raises(dataclasses.FrozenInstanceError):
         tb.Request(5).seed = 1
+
+
+def test_a_target_is_a_number_or_a_field():
+    field = np.linspace(0, 1, 24).reshape(2, 3, 4)
+    assert tb.Request((2, 3, 4), target={"porosity": np.float32(0.25)}).target == {"porosity": 0.25}
+    for given in (field, tb.Image(field, "grey")):
+        kept = tb.Request((2, 3, 4), target={"porosity": given}).target["porosity"]
+        assert kept.dtype == np.float32 and np.array_equal(kept, field.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ({"porosty": 0.3}, "did you mean 'porosity'"),
+        ({"porosity": 1.2}, r"1\.2, outside 0 \.\. 1"),
+        ({"porosity": -0.1}, "outside"),
+        ({"porosity": np.nan}, "NaN"),
+        ({"porosity": "much"}, "give a number"),
+        ({"porosity": True}, "give a number"),
+        ({"porosity": None}, "give a number"),
+        ({"porosity": np.full((2, 2, 3), 0.5)}, r"shape \(2, 2, 3\), the request \(2, 2, 2\)"),
+        ({"porosity": np.full((2, 2, 2), 55)}, "rescale"),
+        ({"porosity": np.full((2, 2, 2), np.inf)}, "infinite"),
+        ({"porosity": tb.Image(np.ones((2, 2, 2), np.uint8), "labels")}, "field of numbers"),
+        (0.3, "give names with values"),
+    ],
+)
+def test_a_target_that_says_nothing_is_refused(target, words):
+    with pytest.raises(InputError, match=words):
+        tb.Request(2, target=target)
+
+
+def test_targets_are_told():
+    field = np.full((2, 2, 2), 0.5)
+    assert "target" not in tb.Request(2).to_json()
+    assert tb.Request(2, target={"porosity": 0.3}).to_json()["target"] == {"porosity": 0.3}
+    told = tb.Request(2, target={"porosity": field}).to_json()
+    assert [step["verb"] for step in told["target"]["porosity"]] == ["array"]
+    assert told["target"]["porosity"][0]["sha256"] == digest(field) and "target.porosity" not in told
+
+
+def test_fixed_voxels_have_the_spacing_of_the_result():
+    picture = tb.Image(np.eye(4, dtype=int), "labels", (2.0, 2.0), "um")
+    for spacing, unit, good in (((2.0,) * 3, "um", True), ((3.0, 2.0, 2.0), "um", False), ((2.0,) * 3, "mm", False)):
+        request = tb.Request(
+            4, fixed=tb.Image(np.eye(4, dtype=int)[None].repeat(4, 0), "labels", spacing, unit), known=half()
+        )
+        if good:
+            check_exemplar(request, picture, spacing=(2.0,) * 3)
+        else:
+            with pytest.raises(RequestError, match="spacing"):
+                check_exemplar(request, picture, spacing=(2.0,) * 3)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.errors import InputError
-from trabecula.exemplar.place import block, place
+from trabecula.errors import InputError, UnknownNameError
+from trabecula.exemplar.place import as_slab, block, place
 
 
 @given(st.data())
@@ -40,3 +40,35 @@ def test_a_place_outside_is_refused(corner):
         place(tb.Image(np.ones((3, 3, 3), int), "labels"), 4, corner=corner)
     with pytest.raises(InputError, match="has 2 numbers"):
         block((3, 3, 3), 4, corner=(0, 0))
+
+
+@pytest.mark.parametrize("plane", ["yx", "zx", "zy", "xy", "xz", "yz"])
+def test_a_picture_lies_in_the_plane_of_the_axes_that_are_named(plane):
+    picture = tb.Image(np.arange(6).reshape(2, 3), "labels", (5.0, 7.0), "um", tuple("abcdef"))
+    corner = (1, 2, 0)
+    volume = place(picture, (6, 7, 8), corner=corner, plane=plane, across=3.0)
+    rows, columns = ("zyx".index(axis) for axis in plane)
+    for (row, column), value in np.ndenumerate(picture.values):
+        at = list(corner)
+        at[rows] += row
+        at[columns] += column
+        assert volume.values[tuple(at)] == value
+    assert volume.values.sum() == 15
+    assert (volume.spacing[rows], volume.spacing[columns]) == (5.0, 7.0) and sorted(volume.spacing) == [3.0, 5.0, 7.0]
+    known = block(as_slab(picture, plane).shape, (6, 7, 8), corner=corner)
+    assert known.values.sum() == 6 and volume.values[known.values == 0].sum() == 0
+
+
+def test_a_picture_of_colour_stays_colour():
+    picture = tb.Image(np.arange(24, dtype=np.uint8).reshape(2, 4, 3), "colour")
+    assert np.array_equal(as_slab(picture, "xz").values[:, 0], picture.values.swapaxes(0, 1))
+
+
+def test_planes_that_are_none_and_volumes_are_refused():
+    picture = tb.Image(np.eye(3, dtype=int), "labels")
+    with pytest.raises(UnknownNameError, match="view 'zz'"):
+        place(picture, (4, 4, 4), corner=(0, 0, 0), plane="zz")
+    with pytest.raises(InputError, match="for a picture"):
+        place(tb.Image(np.ones((2, 2, 2), int), "labels"), 4, corner=(0, 0, 0), plane="yx")
+    with pytest.raises(InputError, match="has 3 numbers"):
+        place(picture, (4, 4, 4), corner=(0, 0, 0))

@@ -111,3 +111,18 @@ def test_other_mistakes_are_named():
         views_of([a] * 4)
     with pytest.raises(InputError, match="a view is a picture"):
         views_of([tb.Image(np.eye(8, dtype=np.uint8)[None].repeat(8, 0), "labels")])
+
+
+@pytest.mark.parametrize(
+    "values", [np.zeros((1, 1), int), np.zeros((9, 9), int), np.eye(2, dtype=int), np.eye(3, 30, dtype=int)]
+)
+def test_a_picture_with_little_in_it_contradicts_nobody(values):
+    picture = tb.Image(values, "labels")
+    assert len(views_of([picture])) == 3
+
+
+def test_pictures_of_which_one_lacks_a_phase_are_compared_in_the_others():
+    rng = np.random.default_rng(0)
+    three = tb.Image(np.minimum(rng.integers(0, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
+    two = tb.Image(np.minimum(rng.integers(1, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
+    assert len(views_of([three, two])) == 3

@@ -11,7 +11,7 @@ from trabecula.core.seeds import key
 from trabecula.errors import InputError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance import counts_by_offset, fitted_filter, joint_probability
+from trabecula.synth.noise.covariance import averaged, counts_by_offset, fitted_filter, joint_probability
 from trabecula.synth.noise.kernels import white_plane
 
 
@@ -165,3 +165,27 @@ def test_settings_out_of_range_are_refused():
 def test_a_thin_exemplar_is_refused(shape):
     with pytest.raises(InputError, match="8 voxels"):
         tb.method("noise").fit(np.random.default_rng(0).integers(0, 2, shape))
+
+
+def test_averaged_keeps_what_depends_on_length_alone_and_forgets_direction():
+    z, y, x = (part.astype(float) for part in np.ogrid[-6:7, -6:7, -6:7])
+    length = np.sqrt(z**2 + y**2 + x**2)
+    found = averaged(0.5 - length * 0.01, np.ones(length.shape), (6, 6, 6))
+    near = length < 10  # beyond the mean length of the last bin S2 stays as it is there
+    np.testing.assert_allclose(found[near], (0.5 - length * 0.01)[near], atol=1e-9)
+    plane = averaged((0.5 - length * 0.01)[6:7] * 3, np.full((1, 13, 13), 3.0), (4, 4, 4))
+    assert plane.shape == (9, 9, 9) and plane[4, 4, 6] == pytest.approx(0.48) == pytest.approx(plane[6, 4, 4])
+    leaning = averaged(np.broadcast_to(x, (13, 13, 13)) ** 2, np.ones((13, 13, 13)), (6, 6, 6))
+    np.testing.assert_allclose(leaning, leaning.transpose(2, 0, 1))
+
+
+def test_a_picture_gives_a_volume_where_all_directions_are_alike():
+    picture = exponential((256, 256), scale=4, seed=3, fraction=0.4)
+    volume = tb.method("noise", isotropic=True).fit(picture[None]).generate(96, seed=1)
+    own = two_point(picture, r_max=20)
+    for axis in range(3):
+        assert relative(two_point(volume, r_max=20, axis=axis), own) < 0.03
+    layers = tb.method("noise").fit(picture[None]).generate(96, seed=1)
+    assert relative(two_point(layers, r_max=20, axis=0), own) > 0.1
+    with pytest.raises(InputError, match="isotropic"):
+        tb.method("noise", isotropic=2)

@@ -116,8 +116,9 @@ def test_fit_to_keeps_the_near_corner(have, want):
 
 @given(side=st.integers(1, 50), width=st.integers(4, 10), step=st.integers(1, 5))
 def test_a_grid_covers_its_shape_with_less_than_a_step_to_spare(side, width, step):
-    grid = grid_shape((side,) * 3, width=width, step=step)
-    covered = covered_shape(grid, width=width, step=step)[0]
+    cube = {"box": (width,) * 3, "steps": (step,) * 3}
+    grid = grid_shape((side,) * 3, **cube)
+    covered = covered_shape(grid, **cube)[0]
     assert covered >= side
     assert covered - max(side, width) < step
 

@@ -6,8 +6,8 @@ import pytest
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.errors import InputError
+from trabecula.synth.shared.matching.kernels import search, start_matches, vote
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.kernels import search, start_matches, vote
 
 
 def test_the_search_finds_what_numpy_finds():
@@ -23,7 +23,21 @@ def test_the_search_finds_what_numpy_finds():
     active[1, 1, 1] = False
     wraps = (False, True, False)
     search(
-        features, exemplar, penalty, active, old, match, distance, shape, ratio, wraps, key(0, "test"), 1, 0, 0, grid[0]
+        features,
+        exemplar,
+        penalty,
+        active,
+        old,
+        match,
+        distance,
+        shape,
+        (ratio,) * 3,
+        wraps,
+        key(0, "test"),
+        1,
+        0,
+        0,
+        grid[0],
     )
 
     assert match[1, 1, 1] == old[1, 1, 1]
@@ -58,7 +72,23 @@ def test_random_candidates_reach_the_best_in_the_end():
         old, match = match, np.empty_like(match)
         penalty = np.ones(64, np.float32)
         active, wraps = np.ones(grid, bool), (False,) * 3
-        search(features, exemplar, penalty, active, old, match, distance, shape, 1, wraps, key(3, "s"), sweep, 8, 0, 2)
+        search(
+            features,
+            exemplar,
+            penalty,
+            active,
+            old,
+            match,
+            distance,
+            shape,
+            (1,) * 3,
+            wraps,
+            key(3, "s"),
+            sweep,
+            8,
+            0,
+            2,
+        )
     assert distance.max() == 0
 
 
@@ -77,7 +107,8 @@ def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
     domain = tuple(a if wrap else r for a, r, wrap in zip(around, reach, wraps, strict=True))
     plane = np.empty((channels + 1, *reach[1:]), np.int32)
     result = np.empty((channels, *domain), np.int16)
-    vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, result, 0, domain[0])
+    cubes = ((side,) * 3 for side in (stride, step, width, trim))
+    vote(field, match, weight, shape, *cubes, wraps, plane, result, 0, domain[0])
 
     above, below = np.zeros((channels, *domain), np.int64), np.zeros(domain, np.int64)
     for site in np.ndindex(grid):

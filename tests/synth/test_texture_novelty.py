@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.synth.shared.fields import FULL, phase_fields, quantise
-from trabecula.synth.texture.correlate import (
+from trabecula.synth.shared.statistics.correlate import (
     _least_squares,
     corrected,
     correlations_of,
     misfit,
 )
-from trabecula.synth.texture.pairs import Pairs
-from trabecula.synth.texture.sliced import UNIT, rotation, sliced_round, slices_of
-from trabecula.synth.texture.sliced_kernels import transport
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import UNIT, rotation, sliced_round, slices_of
+from trabecula.synth.shared.statistics.sliced_kernels import transport
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels

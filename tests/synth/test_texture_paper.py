@@ -8,10 +8,10 @@ from scipy.ndimage import map_coordinates
 
 from trabecula.engine.tiles import threads
 from trabecula.errors import InputError, UnknownNameError
+from trabecula.synth.shared.matching.kernels import vote
+from trabecula.synth.shared.orient import SETS, oriented, symmetries
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch
 from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
-from trabecula.synth.texture.kernels import vote
-from trabecula.synth.texture.orient import SETS, oriented, symmetries
 from trabecula.synth.texture.poisson import solve_votes
 
 WIDTH = 4
@@ -102,7 +102,8 @@ def test_without_gradients_it_is_the_plain_vote(trim, wraps):
     shape = tuple(2 * n if w else c for n, w, c in zip(match.shape, wraps, covered(match.shape, 2), strict=True))
     plane = np.empty((3, *covered(match.shape, 2)[1:]), np.int32)
     plain = np.empty((2, *shape), np.int16)
-    vote(field, match, weight, SHAPE, 1, 2, WIDTH, trim, wraps, plane, plain, 0, shape[0])
+    cubes = ((side,) * 3 for side in (1, 2, WIDTH, trim))
+    vote(field, match, weight, SHAPE, *cubes, wraps, plane, plain, 0, shape[0])
     made = solve_votes(fold_votes(cast(field, match, weight, step=2, trim=trim, wraps=wraps), shape), mu=0)
     assert np.abs(made.astype(int) - plain).max() <= 1  # one is rounded down, the other to the nearest
 

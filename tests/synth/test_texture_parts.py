@@ -5,8 +5,8 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, RequestError
-from trabecula.synth.texture.region import Region
-from trabecula.synth.texture.sources import Candidates, Stack, carried
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
 
 QUICK = {"novelty": 0, "rounds": (2, 3), "first_rounds": 8, "sweeps": 1, "tries": 2}
 
@@ -187,9 +187,10 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
     rng = np.random.default_rng(4)
     free = rng.random((13, 14, 15)) < 0.004
     region = Region(free.shape, wraps, free)
-    grid = region.grid(width=6, step=2)
-    covered = region.covered(width=6, step=2)
-    active = covered.active(grid, width=6, step=2)
+    cubes = {"box": (6,) * 3, "steps": (2,) * 3}
+    grid = region.grid(**cubes)
+    covered = region.covered(**cubes)
+    active = covered.active(grid, **cubes)
     for site in np.ndindex(grid):
         cells = [
             np.arange(s * 2, s * 2 + 6) % side if wrap else np.arange(s * 2, s * 2 + 6)

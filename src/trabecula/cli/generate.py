@@ -60,7 +60,7 @@ def prepare(options: argparse.Namespace) -> tuple[Any, Any, Any]:
     seed = as_seed(shared.integer(options.seed, name="--seed"))
     periodic = shared.periodic(options.periodic)
     exemplars = [shared.load_exemplar(source, options) for source in options.exemplars]
-    parts = shared.load_parts(options, exemplars[0], shape)
+    parts = shared.load_parts(options, exemplars, shape, getattr(chosen.config, "views", ()))
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
@@ -68,9 +68,10 @@ def prepare(options: argparse.Namespace) -> tuple[Any, Any, Any]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Generate and write."""
+    """Generate and write; a run that was interrupted goes on from what it left beside --out."""
+    from trabecula.engine.checkpoint import kept_at
     from trabecula.engine.tiles import thread_count, threads
-    from trabecula.flow import check_target
+    from trabecula.flow import check_target, part_of
     from trabecula.io.files import write
 
     check_target(options.out)
@@ -79,8 +80,9 @@ def run(options: argparse.Namespace) -> int:
         model = method.fit(exemplar, memory=options.memory)
         plan = model.plan(request)
         check_target(options.out, size=plan.disk)
-        material = model.generate(request, memory=options.memory)
-    write(material, options.out)
+        with kept_at(part_of(options.out)):
+            material = model.generate(request, memory=options.memory)
+            write(material, options.out)
     digest = material.recipe.steps[-1]["sha256"]
     if options.json:
         terminal.show_json(

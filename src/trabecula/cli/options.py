@@ -33,10 +33,22 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--periodic", nargs="*", metavar="AXIS", help="repeat without a seam along z, y, x (no word: all of them)"
     )
-    group.add_argument("--fixed", metavar="FILE", help="scan whose voxels are kept and continued")
+    group.add_argument("--fixed", metavar="FILE", help="scan or picture (a slice) whose voxels are kept and continued")
     group.add_argument("--known", metavar="FILE", help="volume: where --fixed was measured (void: to be made)")
     group.add_argument(
         "--at", nargs=3, metavar=("Z", "Y", "X"), help="corner of --fixed in --shape; all around it is made"
+    )
+    group.add_argument(
+        "--view",
+        metavar="PLANE",
+        help="of a picture that is --fixed: axes along its rows and columns, yx (default), zx, zy, xy, xz or yz",
+    )
+    group.add_argument(
+        "--target",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="descriptor that the result is to have: porosity=0.25, or porosity=FILE (a field of the result's shape)",
     )
 
 
@@ -52,24 +64,47 @@ def periodic(words: list[str] | None) -> tuple[bool, ...]:
     return tuple(axis in named for axis in "zyx")
 
 
-def load_parts(options: argparse.Namespace, exemplar: Any, shape: tuple[int, ...] | None) -> dict[str, Any]:
-    """Mask, fixed and known of a request, from their files."""
+def load_parts(
+    options: argparse.Namespace, exemplars: list[Any], shape: tuple[int, ...] | None, views: Any = ()
+) -> dict[str, Any]:
+    """Mask, fixed, known and target of a request, from their files; `views` are those that pictures are."""
     from trabecula.core.errors import InputError
-    from trabecula.flow import load_fixed, load_mask
+    from trabecula.flow import load_fixed, load_mask, voxels_of
 
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"target": load_targets(options.target)}
+    exemplar = exemplars[0]
+    spacing = None if options.mask is None and options.fixed is None else voxels_of(exemplars, views)
     scale = None if options.mask_scale is None else numbers([options.mask_scale], name="--mask-scale")[0]
     if options.mask is not None:
-        found["mask"] = load_mask(options.mask, exemplar, shape=shape, scale=scale)
+        found["mask"] = load_mask(options.mask, exemplar, shape=shape, scale=scale, spacing=spacing)
         shape = found["mask"].shape if shape is None else shape
     elif scale is not None:
         raise InputError("--mask-scale without --mask: give the surface that is scaled")
     if options.fixed is not None:
         corner = None if options.at is None else integers(options.at, name="--at")
-        fixed, known = load_fixed(options.fixed, exemplar, shape=shape, corner=corner, known=options.known)
-        found |= {"fixed": fixed, "known": known}
-    elif options.known is not None or options.at is not None:
-        raise InputError("--known and --at say where --fixed lies: give --fixed FILE as well")
+        where = {"shape": shape, "corner": corner, "known": options.known, "view": options.view or "yx"}
+        found["fixed"], found["known"] = load_fixed(options.fixed, exemplar, spacing=spacing, **where)
+    elif options.known is not None or options.at is not None or options.view is not None:
+        raise InputError("--known, --at and --view say where --fixed lies: give --fixed FILE as well")
+    return found
+
+
+def load_targets(pairs: list[str]) -> dict[str, Any]:
+    """`NAME=VALUE` words, where the value is a number or the file of a field."""
+    from trabecula.core.errors import InputError
+    from trabecula.flow import load
+
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, value = pair.partition("=")
+        if not (name and sign and value):
+            raise InputError(f"--target {pair}: write --target porosity=0.25, or --target porosity=FILE")
+        if name in found:
+            raise InputError(f"--target {name} is given twice: give one")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = load(value, threshold="none")
     return found
 
 

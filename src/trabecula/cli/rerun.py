@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exemplar", nargs="+", metavar="FILE", help="where the recipe's first files lie now, if they have moved"
     )
-    for part in ("mask", "fixed", "known"):
+    for part in ("mask", "fixed", "known", "target"):
         parser.add_argument(f"--{part}", metavar="FILE", help=f"where the file that was --{part} lies now")
 
 
@@ -20,6 +20,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.core.recipe import digest
     from trabecula.flow import rerun
 
-    image = rerun(options.file, exemplar=options.exemplar, mask=options.mask, fixed=options.fixed, known=options.known)
+    moved = {name: getattr(options, name) for name in ("exemplar", "mask", "fixed", "known", "target")}
+    image = rerun(options.file, **moved)
     print(f"{options.file}: the same voxels\nsha256 {digest(image.values)}")
     return 0

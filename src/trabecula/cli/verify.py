@@ -1,4 +1,4 @@
-"""`trabecula verify EXEMPLAR FILE ... [--quick | --full] [--json] [--report HTML]`."""
+"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ...] [--quick | --full] [--json] [--report HTML]`."""
 
 from __future__ import annotations
 
@@ -18,24 +18,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)"
     )
+    group = parser.add_argument_group("volumes held against pictures")
+    group.add_argument(
+        "--pictures",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="further pictures, where EXEMPLAR is one: of other planes",
+    )
+    group.add_argument(
+        "--views",
+        nargs="+",
+        default=[],
+        metavar="PLANE",
+        help="plane of each picture, EXEMPLAR's first: yx (seen across z), zx, zy, xy, xz, yz; or of one picture all of them",
+    )
     shared.add_level(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an error: status 0."""
-    from trabecula.flow import check_page, load_like, write_page
+    from trabecula.flow import check_page, load_like, voxels_of, write_page
     from trabecula.report.certificate import verify
 
     if options.report:
         check_page(options.report)
-    exemplar = shared.load_exemplar(options.exemplar, options)
-    images = [load_like(file, exemplar) for file in options.files]
+    sources = [options.exemplar, *options.pictures]
+    exemplars = [shared.load_exemplar(source, options) for source in sources]
+    views = [plane for word in options.views for plane in word.split(",")]
+    images = [load_like(file, exemplars[0], spacing=lambda: voxels_of(exemplars, views)) for file in options.files]
     names = [Path(file).name for file in options.files]
-    found = verify(exemplar, *images, r_max=options.r_max, names=names, level=options.level, box=options.box)
+    wanted = {"r_max": options.r_max, "names": names, "level": options.level, "box": options.box, "views": views}
+    found = verify(exemplars if len(exemplars) > 1 else exemplars[0], *images, **wanted)
     certificates = found if isinstance(found, list) else [found]
     if options.report:
-        write_page(options.report, exemplar, images, certificates)
+        write_page(options.report, exemplars, images, certificates)
     if options.json:
         verdicts = [certificate.to_json() for certificate in certificates]
         terminal.show_json(verdicts if len(verdicts) > 1 else verdicts[0])

@@ -234,6 +234,12 @@ def with_values(image: Image, values: np.ndarray, *, recipe: Recipe | None = Non
     return replace(image, values=values, recipe=image.recipe if recipe is None else recipe, **changes)
 
 
+def declared(image: Image, **fields: Any) -> Image:
+    """The same voxels with a spacing, a unit or names of phases that their file does not state; the recipe tells."""
+    recipe = image.recipe.then("declare", image.values, fields=fields)
+    return replace(image, recipe=recipe, **fields)
+
+
 def describe_fields(image: Image) -> Mapping[str, Any]:
     """The fields beside the values, as plain JSON (for metadata of files)."""
     return {

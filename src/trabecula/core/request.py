@@ -13,6 +13,7 @@ from trabecula.core.checks import as_seed, as_shape
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
+from trabecula.core.target import Target, as_target, origins_of
 
 _AXES = "zyx"
 
@@ -32,8 +33,10 @@ class Request:
     mask : (Z, Y, X) bool array or Image of labels, optional
         The form to fill; outside it the result is void. Of an Image, everything but the phase "void" (label 0 where none
         has that name) is filled. Kept as a bool array.
-    target : mapping of str to (Z, Y, X) float array
-        Descriptor fields to follow, by the descriptor's name.
+    target : mapping of str to float or (Z, Y, X) float array or grey Image
+        Descriptors to have, by name: one number for the whole result, or a field of what each place is to have around it.
+        Today "porosity", the share of the phase "void" (label 0 where none has that name), 0 .. 1, inside the mask where
+        there is one. Fields are kept as float32 arrays.
     fixed : Image, (Z, Y, X), optional
         Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere does not matter.
     known : (Z, Y, X) bool array or Image of labels, optional
@@ -42,13 +45,15 @@ class Request:
     Attributes
     ----------
     origins : mapping of str to Recipe
-        How mask, fixed and known came to be, for the recipe of the result.
+        How mask, fixed and known came to be, for the recipe of the result; fields of `target` as "target.NAME".
 
     Raises
     ------
     InputError
-        A mask, a fixed image or known voxels of another shape or type; a mask without a voxel; nothing known, or nothing
-        left to make.
+        A mask, a fixed image, known voxels or a target of another shape or type; a mask without a voxel; nothing known, or
+        nothing left to make; a target out of range.
+    UnknownNameError
+        A target of a descriptor that cannot be asked for.
     RequestError
         Parts that contradict each other: known voxels at both ends of a periodic axis.
 
@@ -65,13 +70,14 @@ class Request:
     seed: int = 0
     periodic: tuple[bool, ...] = (False, False, False)
     mask: np.ndarray | None = None
-    target: Mapping[str, np.ndarray] = field(default_factory=dict)
+    target: Mapping[str, Target] = field(default_factory=dict)
     fixed: Image | None = None
     known: np.ndarray | None = None
     origins: Mapping[str, Recipe] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}
+        origins |= {f"target.{name}": recipe for name, recipe in origins_of(self.target).items()}
         object.__setattr__(self, "origins", {name: recipe for name, recipe in origins.items() if recipe is not None})
         object.__setattr__(self, "mask", _as_region(self.mask, name="mask"))
         object.__setattr__(self, "known", _as_region(self.known, name="known"))
@@ -82,6 +88,7 @@ class Request:
         object.__setattr__(self, "shape", as_shape(self.shape))
         object.__setattr__(self, "seed", as_seed(self.seed))
         object.__setattr__(self, "periodic", _as_periodic(self.periodic))
+        object.__setattr__(self, "target", as_target(self.target, self.shape))
         _check_mask(self.mask, self.shape)
         _check_fixed(self)
 
@@ -93,12 +100,22 @@ class Request:
 
     def to_json(self) -> dict[str, Any]:
         """What a result's recipe holds of the request: plain values, and of its arrays how they came to be."""
-        plain = {"shape": list(self.shape), "seed": self.seed, "periodic": list(self.periodic)}
-        return {**plain, **{name: recipe.to_json() for name, recipe in self.origins.items()}}
+        plain: dict[str, Any] = {"shape": list(self.shape), "seed": self.seed, "periodic": list(self.periodic)}
+        made = {name: recipe.to_json() for name, recipe in self.origins.items()}
+        if self.target:
+            plain["target"] = {name: made.pop(f"target.{name}", value) for name, value in self.target.items()}
+        return {**plain, **made}
 
 
-def check_exemplar(request: Request, exemplar: Image) -> None:
+def check_exemplar(request: Request, exemplar: Image, *, spacing: Sequence[float] | None = None) -> None:
     """Raise where the fixed voxels of a request are not of the exemplar's material.
+
+    Parameters
+    ----------
+    request : Request
+    exemplar : Image
+    spacing : three floats, optional
+        Of the result's voxels. Default: the exemplar's, of a picture none (nothing is compared).
 
     Raises
     ------
@@ -112,9 +129,10 @@ def check_exemplar(request: Request, exemplar: Image) -> None:
         raise RequestError(
             f"the fixed voxels are {fixed.kind}, the exemplar is {exemplar.kind}: segment both alike, or neither"
         )
-    if exemplar.ndim == 3 and (fixed.spacing, fixed.unit) != (exemplar.spacing, exemplar.unit):
+    edges = spacing or (exemplar.spacing if exemplar.ndim == 3 else fixed.spacing)
+    if fixed.unit != exemplar.unit or not np.allclose(fixed.spacing, edges, rtol=1e-6):
         raise RequestError(
-            f"the fixed voxels are {fixed.spacing} {fixed.unit}, the exemplar's {exemplar.spacing} {exemplar.unit}: "
+            f"the fixed voxels are {fixed.spacing} {fixed.unit}, the result's {tuple(edges)} {exemplar.unit}: "
             "give the spacing of both, or resample one"
         )
     if fixed.kind != "labels":

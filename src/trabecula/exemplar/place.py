@@ -1,4 +1,4 @@
-"""Put a scan into a larger image, of which it is the known part."""
+"""Put a scan, or a picture, into a larger image, of which it is the known part."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from trabecula.core.checks import as_shape
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
 from trabecula.core.recipe import Recipe
+from trabecula.exemplar.views import as_axis, check_plane
 
 
-def place(image: Image, shape: int | Sequence[int], *, corner: Sequence[int]) -> Image:
+def place(
+    image: Image, shape: int | Sequence[int], *, corner: Sequence[int], plane: str | None = None, across: float = 1.0
+) -> Image:
     """An image of `shape` that holds `image` at `corner`, and 0 elsewhere.
 
     Parameters
@@ -22,17 +25,53 @@ def place(image: Image, shape: int | Sequence[int], *, corner: Sequence[int]) ->
         Voxels of the larger image along every axis.
     corner : sequence of int
         Where the first voxel of `image` comes to lie.
+    plane : str, optional
+        Of a picture that is put into a volume: the volume's axes along its rows and columns, "yx", "zx", "zy", or turned
+        "xy", "xz", "yz".
+    across : float
+        Edge of a voxel across that plane, in the picture's unit.
 
     Raises
     ------
     InputError
-        The image does not lie inside the larger one there.
+        The image does not lie inside the larger one there; a picture for a volume without a plane.
+    UnknownNameError
+        No such plane.
+
+    Examples
+    --------
+    >>> picture = Image(np.ones((2, 3), int), "labels")
+    >>> place(picture, (4, 4, 4), corner=(1, 0, 0), plane="yx").values.sum(axis=(1, 2)).tolist()
+    [0, 6, 0, 0]
     """
-    sides, box = _box(image.shape, shape, corner)
-    values = np.zeros(sides + image.values.shape[image.ndim :], image.values.dtype)
-    values[box] = image.values
+    flat = image if plane is None else as_slab(image, plane, across=across)
+    sides, box = _box(flat.shape, shape, corner)
+    values = np.zeros(sides + flat.values.shape[flat.ndim :], flat.values.dtype)
+    values[box] = flat.values
     first = [part.start for part in box]
-    return with_values(image, values, recipe=image.recipe.then("place", values, shape=sides, corner=first))
+    turned = {} if plane is None else {"plane": plane, "across": across}
+    return with_values(flat, values, recipe=image.recipe.then("place", values, shape=sides, corner=first, **turned))
+
+
+def as_slab(picture: Image, plane: str, *, across: float = 1.0) -> Image:
+    """A picture as a volume one voxel thick; `plane` and `across` as in `place`.
+
+    Raises
+    ------
+    InputError
+        Not a picture.
+    UnknownNameError
+        No such plane.
+    """
+    check_plane(plane)
+    if picture.ndim != 2:
+        raise InputError(f"a plane ({plane}) is for a picture, got {picture.ndim} axes of shape {picture.shape}")
+    axis = as_axis(plane)
+    ordered = plane[0] > plane[1]  # z, y, x is the order of the axes: rows along the slower one come first
+    values = picture.values if ordered else picture.values.swapaxes(0, 1)
+    edges = list(picture.spacing if ordered else picture.spacing[::-1])
+    edges.insert(axis, across)
+    return with_values(picture, np.ascontiguousarray(np.expand_dims(values, axis)), spacing=tuple(edges))
 
 
 def block(size: Sequence[int], shape: int | Sequence[int], *, corner: Sequence[int]) -> Image:

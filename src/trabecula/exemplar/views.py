@@ -27,6 +27,9 @@ _AXES = "zyx"
 _FRACTION = 0.2  # by which pictures of one material may differ in a fraction, or in mean grey over its range
 _LINE = 0.75  # by which their covariances along a shared axis may differ, relative; strangers differ by .8 to 1
 _SPACING = 1e-6
+_ALIKE = (
+    0.5  # by which covariances along rows and columns of an isotropic sample may differ, relative; real ones: up to .48
+)
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,11 @@ def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
     return planes
 
 
+def check_plane(plane: str) -> None:
+    """Raise where a plane is not named by two axes of a volume."""
+    check_name(plane, _NAMES, name="view")
+
+
 def as_axis(plane: str) -> int:
     """The axis that a plane is seen across: 0 for z, 1 for y, 2 for x."""
     return next(axis for axis, name in enumerate(_AXES) if name not in plane)
@@ -170,6 +178,18 @@ def check_views(views: Sequence[View]) -> None:
         )
 
 
+def is_isotropic(image: Image) -> bool:
+    """Whether a picture may be alike in all directions: square pixels, and covariances along rows and along columns that
+    differ no more than those of a sample do."""
+    if abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
+        return False
+    reach, phases = max(1, min(image.shape) // 5), sorted(_partly(image))
+    if image.kind == "labels" and not phases:
+        return False
+    along, down = (_lines(image, axis, reach, phases) for axis in (1, 0))
+    return all(_relative(x, y) <= _ALIKE for x, y in zip(along, down, strict=True))
+
+
 def _contradiction(first: View, second: View) -> str | None:
     """The statistic in which two views contradict each other."""
     a, b = first.image, second.image
@@ -177,10 +197,13 @@ def _contradiction(first: View, second: View) -> str | None:
         for name, have, other in _amounts(a, b):
             if abs(have - other) > _FRACTION:
                 return f"{name} is {have:.2f} in one and {other:.2f} in the other"
-    axis = _shared(first, second)
-    lines = [_lines(view.image, view.across.index(axis)) for view in (first, second)]
-    far = min(line.shape[1] for line in lines)
-    apart = max(_relative(x, y) for x, y in zip(lines[0][:, :far], lines[1][:, :far], strict=True))
+    axis, phases = _shared(first, second), sorted(_partly(a) & _partly(b))
+    reach = min(*a.shape, *b.shape) // 3
+    if reach < 1 or (a.kind == "labels" and not phases):
+        return None  # nothing to compare: methods say what a picture has to hold
+    chosen = phases[1:] if len(phases) == 2 else phases
+    lines = [_lines(view.image, view.across.index(axis), reach, chosen) for view in (first, second)]
+    apart = max(_relative(x, y) for x, y in zip(*lines, strict=True))
     if apart > _LINE:
         return f"their covariances along {_AXES[axis]} differ by {apart:.0%}"
     return None
@@ -196,16 +219,19 @@ def _amounts(a: Image, b: Image) -> list[tuple[str, float, float]]:
     return [("the mean over the range", *means)]
 
 
-def _lines(image: Image, axis: int) -> np.ndarray:
-    """Covariances along an axis, from 1 at distance 0, as far as a third of the shorter side: (phases or 1, r + 1)."""
-    reach = max(1, min(image.shape) // 3)
+def _partly(image: Image) -> set[int]:
+    """Phases that are in a picture, and not alone."""
+    if image.kind != "labels":
+        return set()
+    counts = np.bincount(image.values.ravel())
+    return {int(phase) for phase in np.flatnonzero((counts > 0) & (counts < image.values.size))}
+
+
+def _lines(image: Image, axis: int, reach: int, phases: Sequence[int]) -> np.ndarray:
+    """Covariances along an axis, from 1 at distance 0: (phases or 1, reach + 1)."""
     if image.kind != "labels":
         return autocorrelation_lines(image, lags=reach)["yx"[axis]][None]
-    phases = [
-        phase for phase in range(len(image.phases)) if 0 < np.count_nonzero(image.values == phase) < image.values.size
-    ]
-    chosen = phases[1:] if len(phases) == 2 else phases
-    return np.array([covariance_form(two_point(image, r_max=reach, phase=phase, axis=axis)) for phase in chosen])
+    return np.array([covariance_form(two_point(image, r_max=reach, phase=phase, axis=axis)) for phase in phases])
 
 
 def _relative(first: np.ndarray, second: np.ndarray) -> float:

@@ -15,6 +15,7 @@ from trabecula.measure.components import (
 )
 from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
 from trabecula.measure.correlation import (
+    axis_preference,
     correlation_length,
     covariance_form,
     cross_correlation,
@@ -43,6 +44,7 @@ __all__ = [
     "Stiffness",
     "anisotropy",
     "autocorrelation",
+    "axis_preference",
     "chord_length",
     "coherence",
     "coherent_patches",

@@ -16,15 +16,23 @@ DRAWS = 4000
 CONFIDENCE = 0.95
 
 
-def parts(exemplar: Image) -> Iterator[Image]:
+def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Image]:
     """Halves of the exemplar along every axis whose halves are long enough; none where no axis is.
 
     Every part has the same shape: of an odd side the middle slice is left out.
+
+    Parameters
+    ----------
+    exemplar : Image
+    shape : sequence of int, optional
+        Voxels of a part, where that is less than half of a side: then as many beside each other as fit, evenly spread.
     """
     choices = []
-    for side in exemplar.shape:
-        half = side // 2
-        choices.append([slice(0, half), slice(side - half, side)] if half >= LEAST_PART else [slice(0, side)])
+    for side, wanted in zip(exemplar.shape, exemplar.shape if shape is None else shape, strict=True):
+        width = max(LEAST_PART, min(side // 2, wanted))
+        count = side // width if side // 2 >= LEAST_PART else 1
+        starts = [n * (side - width) // (count - 1) for n in range(count)] if count > 1 else []
+        choices.append([slice(start, start + width) for start in starts] or [slice(0, side)])
     if all(len(choice) == 1 for choice in choices):
         return
     for box in product(*choices):

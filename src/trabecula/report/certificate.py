@@ -8,7 +8,7 @@ exemplar than the exemplar is from itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, overload
 
@@ -18,25 +18,24 @@ from numpy.typing import ArrayLike
 from trabecula.core import progress
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, describe_fields
+from trabecula.core.image import Image, as_image
 from trabecula.measure.amount import porosity
 from trabecula.measure.copying import diversity
-from trabecula.measure.correlation import decay_length
 from trabecula.measure.describe import LEVELS
-from trabecula.measure.physics import physics_notes
-from trabecula.report.band import LEAST_PART, parts
+from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
-from trabecula.report.metric import Certificate, Metric
+from trabecula.report.metric import Certificate, Metric, about_image
+from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
 from trabecula.report.sticks import LabelStick, Measured, Stick, TextureStick
+from trabecula.report.volumes import check_pictures, judge_volumes
 
-LONG_RANGE = 6
-"""An exemplar shorter than this many correlation lengths holds too little of its material to judge by."""
+Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
 
 
 @overload
 def verify(
-    exemplar: Image | ArrayLike,
+    exemplar: Exemplar,
     image: Image | ArrayLike,
     /,
     *,
@@ -44,29 +43,32 @@ def verify(
     names: Sequence[str] | None = ...,
     level: str = ...,
     box: int | None = ...,
+    views: Sequence[str] = ...,
 ) -> Certificate: ...
 
 
 @overload
 def verify(
-    exemplar: Image | ArrayLike,
+    exemplar: Exemplar,
     /,
     *images: Image | ArrayLike,
     r_max: int = ...,
     names: Sequence[str] | None = ...,
     level: str = ...,
     box: int | None = ...,
+    views: Sequence[str] = ...,
 ) -> list[Certificate]: ...
 
 
 def verify(
-    exemplar: Image | ArrayLike,
+    exemplar: Exemplar,
     /,
     *images: Image | ArrayLike,
     r_max: int = 50,
     names: Sequence[str] | None = None,
     level: str = "default",
     box: int | None = None,
+    views: Sequence[str] = (),
 ) -> Certificate | list[Certificate]:
     """Judge whether images are of the same material as the exemplar.
 
@@ -74,7 +76,7 @@ def verify(
     ----------
     exemplar, *images : Image or array of labels, (Z, Y, X) or (Y, X)
         Of the same phases, spacing and unit; sizes may differ. Or all grey, or all colour: then their textures are
-        compared.
+        compared. Volumes may be held against a picture, or against a list of two or three Images, one for each view.
     r_max : int
         Largest distance of the curves in voxels; lowered to half the smallest side of either image, and to what fits
         into a part of the exemplar.
@@ -85,6 +87,9 @@ def verify(
         and stiffness.
     box : int, optional
         At level "full": edge of the centre box, voxels, that transport and stiffness are solved in.
+    views : sequence of str
+        Of pictures: the planes of a volume that each is, "yx" (seen across z), "zx", "zy", or turned "xy", "xz", "yz", as in
+        the methods that learn from pictures.
 
     Returns
     -------
@@ -112,19 +117,37 @@ def verify(
     voxels whose source in the exemplar moves along over 4 voxels; its band is that of parts of the exemplar searched
     in other parts.
 
+    Of a volume held against a picture, slices are measured, eight a plane: figures are their means, `two_point_axial` and
+    `axis_preference` those of the worst plane. Parts of the picture are then no larger than the slices.
+    `axis_preference` compares lines along the axes with lines along diagonals (see `measure.axis_preference`), over three
+    correlation lengths; `coherence` is that of a slice a plane, halfway to the middle. Names that end with a plane
+    (`porosity_zx`) are of that plane, or of those planes that one of several pictures is for; names with `_3d` are of the
+    volume itself and are not judged.
+
     The baseline is a thresholded Gaussian field with the exemplar's fraction and two-point function (`noise`): where
     it passes as well, a figure says little.
     """
-    exemplar = as_image(exemplar, name="exemplar")
+    pictures: list[Any] = (
+        list(exemplar) if isinstance(exemplar, (list, tuple)) and _are_images(exemplar) else [exemplar]
+    )
+    exemplars = [as_image(picture, name="exemplar") for picture in pictures]
+    exemplar = exemplars[0]
     check_name(level, LEVELS, name="level")
     if not images:
         raise InputError("verify needs an image to compare with the exemplar: verify(exemplar, image)")
     if r_max < 1:
         raise InputError(f"r_max {r_max} must be at least 1 voxel")
-    if exemplar.kind == "labels" and not 0 < porosity(exemplar) < 1:
-        raise InputError("the exemplar is all void or holds none: there is nothing to compare; check its threshold")
+    for picture in exemplars:
+        if picture.kind == "labels" and not 0 < porosity(picture) < 1:
+            raise InputError("the exemplar is all void or holds none: there is nothing to compare; check its threshold")
+    check_pictures(exemplars)
     others = [as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
     names = _names(names, len(others))
+    if len(exemplars) > 1 or views or (exemplar.ndim == 2 and any(image.ndim == 3 for image in others)):
+        for image, name in zip(others, names, strict=True):
+            _check_same_kind(exemplar, image, name)
+        found = judge_volumes(exemplars, others, names, views=views, r_max=r_max, level=level, box=box)
+        return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):
         _check_corresponds(exemplar, image, name)
     reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
@@ -150,23 +173,34 @@ def _names(names: Sequence[str] | None, count: int) -> Sequence[str]:
     return names
 
 
+def _are_images(given: Sequence[Any]) -> bool:
+    return bool(given) and all(isinstance(each, Image) for each in given)
+
+
 def _check_corresponds(exemplar: Image, image: Image, name: str) -> None:
-    if image.kind != exemplar.kind:
-        raise InputError(
-            f"{name} is {image.kind}, the exemplar {exemplar.kind}: segment the one that is not labels (tb.segment, or "
-            "--threshold), or give both as grey (--threshold none)"
-        )
+    _check_same_kind(exemplar, image, name)
     if image.ndim != exemplar.ndim:
-        raise InputError(f"{name} is {image.ndim}-D, the exemplar {exemplar.ndim}-D: compare images of equal dimension")
-    if set(image.phases) != set(exemplar.phases):
         raise InputError(
-            f"phases do not correspond: {name} has {', '.join(image.phases)}, the exemplar "
-            f"{', '.join(exemplar.phases)}; give both the same names (tb.Image(..., phases=...))"
+            f"{name} is {image.ndim}-D, the exemplar {exemplar.ndim}-D: compare images of equal dimension, or volumes with a "
+            "picture"
         )
     if image.unit != exemplar.unit or not np.allclose(image.spacing, exemplar.spacing, rtol=1e-4):
         raise InputError(
             f"voxels do not correspond: {name} has {_voxel(image)}, the exemplar {_voxel(exemplar)}; give both their "
             "spacing, or resample one"
+        )
+
+
+def _check_same_kind(exemplar: Image, image: Image, name: str) -> None:
+    if image.kind != exemplar.kind:
+        raise InputError(
+            f"{name} is {image.kind}, the exemplar {exemplar.kind}: segment the one that is not labels (tb.segment, or "
+            "--threshold), or give both as grey (--threshold none)"
+        )
+    if set(image.phases) != set(exemplar.phases):
+        raise InputError(
+            f"phases do not correspond: {name} has {', '.join(image.phases)}, the exemplar "
+            f"{', '.join(exemplar.phases)}; give both the same names (tb.Image(..., phases=...))"
         )
 
 
@@ -193,79 +227,13 @@ def _certificate(
     measured = reference.measure(image)
     metrics = reference.judge(image, measured)
     curves = {"exemplar": reference.own.curves, "image": measured.curves, "parts": [p.curves for p in reference.parts]}
-    about = {"exemplar": _about(reference.exemplar), "image": _about(image), "level": level}
+    about = {"exemplar": about_image(reference.exemplar), "image": about_image(image), "level": level}
     if measured.details:
         about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
     if baseline:
         curves["baseline"] = baseline[1].curves
-    notes = (*_notes(reference), *_image_notes(reference.exemplar, image, metrics, measured))
+    notes = (*exemplar_notes(reference), *image_notes(reference.exemplar, image, metrics, measured))
     return Certificate(metrics, notes, name, curves, about, baseline[0] if baseline else None)
-
-
-def _about(image: Image) -> dict[str, Any]:
-    return {"shape": list(image.shape), **describe_fields(image)}
-
-
-def _notes(reference: Reference) -> Iterable[str]:
-    exemplar, count = reference.exemplar, len(reference.parts)
-    if count == 0:
-        yield (
-            f"The exemplar ({_size(exemplar)}) is too small for parts of {LEAST_PART} voxels a side: no band says what "
-            "real material differs by, so nothing is judged."
-        )
-    elif count < 4:
-        yield f"The band comes from {count} parts of the exemplar only: it is narrower than the material's own spread."
-    if exemplar.kind == "labels":
-        yield from _range_note(exemplar, reference.own)
-    if reference.own.details and reference.parts:
-        yield (
-            f"Transport and stiffness of the parts are those of boxes of at most {_size(reference.parts[0])} voxels: cut "
-            "struts bear nothing, so the band of stiffness lies low."
-        )
-    bare = [
-        f"{end} {axis}"
-        for n, axis in enumerate("zyx"[3 - exemplar.ndim :])
-        for end, at in (("first", 0), ("last", -1))
-        if np.ptp(exemplar.values.take(at, axis=n)) == 0
-    ]
-    if bare:
-        yield (
-            f"The outermost slices of the exemplar hold one phase alone ({', '.join(bare)}): a margin of the scan? "
-            "Crop them, or they count as material and hide percolation."
-        )
-
-
-def _range_note(exemplar: Image, own: Measured) -> Iterable[str]:
-    length = decay_length(own.curves["two_point"])
-    shortest = min(np.array(exemplar.shape) * np.array(exemplar.spacing)) / min(exemplar.spacing)
-    if shortest < LONG_RANGE * length:
-        reach = f"over {length:.0f} voxels" if np.isfinite(length) else "further than the curves run"
-        yield (
-            f"The exemplar is correlated {reach}, its shortest side is {shortest:.0f}: it holds too little of the "
-            "material to say what is typical; bands are wide, and a larger scan may differ from all of this."
-        )
-
-
-def _image_notes(exemplar: Image, image: Image, metrics: Mapping[str, Metric], measured: Measured) -> Iterable[str]:
-    if np.prod(image.shape) < np.prod(exemplar.shape) / 8:
-        yield "The image is smaller than an eighth of the exemplar: it may leave the band by chance."
-    if exemplar.kind != "labels":
-        return
-    floating = metrics["floating"]
-    if floating.exemplar > 10 and floating.value < floating.exemplar / 10:
-        yield (
-            f"The exemplar has {floating.exemplar:.0f} floating parts in this volume, the image {floating.value}. "
-            "Specks change mean curvature, Euler number and pore size: to leave them out, verify against "
-            "finish.connect(exemplar, reach=0)."
-        )
-    broken = [axis for axis, holds in metrics["percolates"].value.items() if not holds]
-    if broken:
-        yield f"The solid does not span the image along {', '.join(broken)}."
-    yield from physics_notes(measured.details)
-
-
-def _size(image: Image | Measured) -> str:
-    return " x ".join(map(str, image.shape))
 
 
 def _with_diversity(certificates: list[Certificate], images: Sequence[Image]) -> list[Certificate]:

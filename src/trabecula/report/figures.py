@@ -54,6 +54,7 @@ FIGURES = (
     Figure("two_point_relative", "Two-point function, relative", "two-point", DISTANCE),
     Figure("two_point_covariance", "Two-point function, covariance form", "two-point", DISTANCE),
     Figure("two_point_axial", "Two-point function, covariance form, worst axis", "two-point", DISTANCE),
+    Figure("axis_preference", "Covariance, axes against diagonals", "two-point", AT_MOST),
     Figure("lineal_path_distance", "Lineal path, relative", "shape", DISTANCE),
     Figure("specific_surface", "Specific surface", "shape", power=-1),
     Figure("mean_curvature", "Mean curvature, integral per volume", "shape", power=-2),
@@ -77,6 +78,7 @@ FIGURES = (
     Figure("conductivity", "Effective conductivity of the solid", "physics", share=True),
     Figure("permeability", "Permeability of the void", "physics", power=2),
     Figure("stiffness", "Young's modulus over the solid's own", "physics", share=True),
+    Figure("texture_preference", "Autocorrelation, axes against diagonals", "texture", AT_MOST),
     Figure("mean", "Mean value", "texture"),
     Figure("standard_deviation", "Standard deviation", "texture"),
     Figure("histogram_divergence", "Histogram, Kullback-Leibler divergence", "texture", DISTANCE),
@@ -88,14 +90,36 @@ FIGURES = (
 _PLACE = {figure.name: place for place, figure in enumerate(FIGURES)}
 
 
+VOLUME = "3d"
+"""Suffix of what is told of a volume whose exemplar is a picture."""
+
+
 def figure_of(name: str) -> Figure:
-    """The figure of a name, or of one with a suffix: of an axis (`diffusivity_z`), of a phase (`fraction_binder`)."""
+    """The figure of a name, or of one with a suffix: of an axis (`diffusivity_z`), of a phase (`fraction_binder`), of planes
+    (`porosity_yx_zx`), of the volume beside a picture (`components_3d`)."""
     stem, suffix = _split(name)
     figure = FIGURES[_PLACE[stem]]
     if not suffix:
         return figure
-    joint = "along" if suffix in ("z", "y", "x") else "of"
-    return replace(figure, name=name, title=f"{figure.title}, {joint} {suffix}")
+    if stem == "fraction":  # any word may be the name of a phase
+        return replace(figure, name=name, title=f"{figure.title}, of {suffix}")
+    first, *others = suffix.split("_")
+    if first == VOLUME:
+        what = "".join(f", {_joint(part)}" for part in others)
+        return replace(figure, name=name, title=f"{figure.title}, in 3-D{what}", rule=TOLD)
+    title = figure.title + "".join(f"{' and' if n else ','} {_joint(part)}" for n, part in enumerate((first, *others)))
+    return replace(figure, name=name, title=title)
+
+
+def _joint(part: str) -> str:
+    if part in ("z", "y", "x"):
+        return f"along {part}"
+    return f"in {part}" if len(part) == 2 and set(part) < set("zyx") else f"of {part}"
+
+
+def stem_of(name: str) -> str:
+    """The name of a figure without its suffix."""
+    return _split(name)[0]
 
 
 def in_order(names: Iterable[str]) -> list[str]:

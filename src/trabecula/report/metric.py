@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from trabecula.core.image import Image, describe_fields
 from trabecula.report.figures import GROUPS, figure_of
 
 
@@ -100,6 +101,11 @@ class Certificate:
         if path is not None:
             write_page(html, path)
         return html
+
+
+def about_image(image: Image) -> dict[str, Any]:
+    """Shape and fields of an image, as plain JSON."""
+    return {"shape": list(image.shape), **describe_fields(image)}
 
 
 def group_verdicts(metrics: Mapping[str, Metric]) -> dict[str, bool | None]:

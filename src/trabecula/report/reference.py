@@ -33,11 +33,13 @@ class Reference:
         How it is measured.
     copying : bool
         Also search where every image was taken from.
+    shape : sequence of int, optional
+        Of parts, where they are to be smaller than halves.
     """
 
-    def __init__(self, exemplar: Image, stick: Stick, *, copying: bool) -> None:
+    def __init__(self, exemplar: Image, stick: Stick, *, copying: bool, shape: Sequence[int] | None = None) -> None:
         self.exemplar, self.stick, self.copying = exemplar, stick, copying
-        pieces = list(parts(exemplar))
+        pieces = list(parts(exemplar, shape=shape))
         self.own = stick.measure(exemplar)
         self.parts = [
             stick.measure(piece, part=True) for piece in progress.track(pieces, "measuring the exemplar's parts")
@@ -55,6 +57,17 @@ class Reference:
     def judge(self, image: Image, measured: Measured, *, copying: bool | None = None) -> dict[str, Metric]:
         """Every figure of an image with its band and verdict, in the order of the table; whether it is a copy only where
         that is asked for."""
+        found = self.judged(measured)
+        if self.copying if copying is None else copying:
+            found["coherence"] = self.judged_coherence(coherence_of(self.exemplar, image))
+        return {name: found[name] for name in in_order(found)}
+
+    def judged_coherence(self, share: float | None) -> Metric:
+        """The share of voxels that are copies, with its band and verdict."""
+        return self._judged("coherence", share, self.spread["coherence"], None)
+
+    def judged(self, measured: Measured) -> dict[str, Metric]:
+        """Every figure that is measured, with its band and verdict."""
         found = {
             name: self._judged(name, value, self.spread.get(name, []), 0.0)
             for name, value in self.stick.distances(measured, self.own).items()
@@ -63,17 +76,14 @@ class Reference:
             value = measured.numbers.get(name)
             spread = [part.numbers.get(name) for part in self.parts]
             if figure_of(name).rule == COUNT:
-                size = image.values.size
+                size = np.prod(measured.shape)
                 spread = [
                     None if n is None else n * size / np.prod(part.shape)
                     for n, part in zip(spread, self.parts, strict=True)
                 ]
                 own = None if own is None else own * size / self.exemplar.values.size
             found[name] = self._judged(name, value, spread, own)
-        if self.copying if copying is None else copying:
-            share = coherence_of(self.exemplar, image)
-            found["coherence"] = self._judged("coherence", share, self.spread["coherence"], None)
-        return {name: found[name] for name in in_order(found)}
+        return found
 
     def _judged(self, name: str, value: Any, spread: Sequence[float | None], own: Any) -> Metric:
         figure = figure_of(name)

@@ -65,7 +65,7 @@ class LabelStick:
         physics = describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
         return Measured(
             image.shape,
-            _numbers_of(found, physics, self.level),
+            numbers_of(found, physics, self.level),
             _curves_of(curves),
             component_sizes(image) / image.values.size,
             physics,
@@ -149,7 +149,7 @@ class TextureStick:
         return found
 
 
-def _numbers_of(found: Mapping[str, Any], physics: Mapping[str, Any], level: str) -> dict[str, Any]:
+def numbers_of(found: Mapping[str, Any], physics: Mapping[str, Any], level: str) -> dict[str, Any]:
     """Flat: one name a number. A property that has one value an axis gives its mean and each of them."""
     numbers = {figure.name: found[figure.name] for figure in FIGURES if figure.name in found}
     if level == "quick":

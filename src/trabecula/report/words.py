@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trabecula.report.figures import AT_LEAST, AT_MOST, COUNT, DISTANCE, GROUPS, figure_of
+from trabecula.report.figures import AT_LEAST, AT_MOST, COUNT, DISTANCE, GROUPS, figure_of, stem_of
 from trabecula.report.metric import Certificate, Metric
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}
@@ -32,7 +32,7 @@ def sentences(certificate: Certificate) -> list[str]:
         if passed is False:
             wrong = [name for name in certificate.failed if figure_of(name).group == group]
             lead = GROUPS[group]
-            if _BROKEN & set(wrong):
+            if _BROKEN & {stem_of(name) for name in wrong}:
                 lead += ": BROKEN, though its two-point function matches" if verdicts.get("two-point") else ": BROKEN"
             elif group == "copying":
                 lead += ": COPIED from the exemplar"

@@ -18,7 +18,9 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request, check_exemplar
+from trabecula.engine import checkpoint
 from trabecula.engine.plan import Plan, check_budget
+from trabecula.exemplar.target import check_target_porosity
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,8 @@ class Model(ABC):
         """
         request = _as_request(shape, seed, parts)
         check_budget(self.plan(request), budget=memory)
-        made = self._generate(request)
+        with checkpoint.running(self.spec.name, asdict(self.config), request, self.exemplars):
+            made = self._generate(request)
         values, report = made if isinstance(made, tuple) else (made, {})
         return Image(values, **self._result_fields(), recipe=self._recipe(request, values, report))
 
@@ -108,7 +111,8 @@ class Model(ABC):
             can = ", ".join(sorted(self.spec.honours)) or "shape and seed alone"
             raise RequestError(f"method {self.spec.name!r} cannot honour {', '.join(refused)}: it honours {can}")
         if self.exemplars:
-            check_exemplar(request, self.exemplars[0])
+            check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
+            check_target_porosity(request.target, self.exemplars, mask=request.mask)
 
     def _result_fields(self) -> dict[str, Any]:
         first = self.exemplars[0]

@@ -9,8 +9,10 @@ from trabecula.measure.correlation.clusters import two_point_cluster
 from trabecula.measure.correlation.length import correlation_length, covariance_form, decay_length
 from trabecula.measure.correlation.paths import lineal_path
 from trabecula.measure.correlation.points import cross_correlation, two_point
+from trabecula.measure.correlation.preference import axis_preference
 
 __all__ = [
+    "axis_preference",
     "correlation_length",
     "covariance_form",
     "cross_correlation",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trabecula.core.checks import as_number, check_name
+from trabecula.core.errors import InputError
 
 KINDS = ("gaussian",)
 
@@ -23,8 +24,14 @@ class NoiseConfig:
     corrections: int = 20
     """Rounds of fitting the spectrum once its negative part is cut off, 0 .. 200."""
 
+    isotropic: bool = False
+    """Whether all directions are alike: the two-point function is averaged over them. A picture as a flat exemplar (1, Y, X)
+    then gives a volume. Voxel edges count as equal."""
+
     def __post_init__(self) -> None:
         check_name(self.kind, KINDS, name="kind of noise")
+        if self.isotropic not in (True, False):
+            raise InputError(f"isotropic={self.isotropic!r} should be true or false")
         object.__setattr__(self, "reach", as_number(self.reach, name="reach", low=4, high=200, whole=True))
         object.__setattr__(
             self, "corrections", as_number(self.corrections, name="corrections", low=0, high=200, whole=True)

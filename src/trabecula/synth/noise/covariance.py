@@ -52,18 +52,34 @@ def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
     return np.rint(sums_by_offset(inside, reach))
 
 
-def fitted_filter(two_point: np.ndarray, fraction: float, *, corrections: int) -> Filter:
+def averaged(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
+    """S2 as a mean over directions, at every offset -reach .. reach; beyond the longest that is known, its last value.
+
+    Offsets are gathered by their length, rounded, and S2 runs straight between the mean lengths of neighbours.
+    """
+    length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(hits.shape)))
+    bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
+    count = np.bincount(bins, weight)
+    known = count > 0
+    mean = np.bincount(bins, hits.ravel())[known] / count[known]
+    place = np.bincount(bins, weight * length.ravel())[known] / count[known]
+    wide = tuple(2 * far + 1 for far in reach)
+    return np.interp(np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(wide))), place, mean)
+
+
+def fitted_filter(two_point: np.ndarray, fraction: float, *, corrections: int, isotropic: bool = False) -> Filter:
     """The filter for S2 at every offset (odd sides, offset 0 in the middle).
 
-    The covariance fades out over the outer half of every axis, where few pairs fit. Its spectrum then still has a negative part,
-    since a finite image's S2 is uncertain and not every S2 belongs to a Gaussian field. Cutting that off adds white noise,
-    felt most at the shortest offsets; so the nearest spectrum without negative part is sought, in least squares over offsets
-    with weights that fall with distance, by projected gradients with momentum (Beck and Teboulle 2009, FISTA,
-    doi:10.1137/080716542).
+    The covariance fades out over the outer half of every axis (of every direction, where `isotropic`), where few pairs fit.
+    Its spectrum then still has a negative part, since a finite image's S2 is uncertain and not every S2 belongs to a
+    Gaussian field. Cutting that off adds white noise, felt most at the shortest offsets; so the nearest spectrum without
+    negative part is sought, in least squares over offsets with weights that fall with distance, by projected gradients with
+    momentum (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
     """
     angle, table = joint_probability(fraction)
     covariance = np.sin(np.interp(two_point, table, angle))
-    wanted = np.fft.ifftshift(covariance * _fading(two_point.shape)).astype(np.float32)
+    fading = _fading_around(two_point.shape) if isotropic else _fading(two_point.shape)
+    wanted = np.fft.ifftshift(covariance * fading).astype(np.float32)
     weight = np.fft.ifftshift(_weight(two_point.shape)).astype(np.float32)
     axes = (0, 1, 2)
     raw = np.fft.rfftn(wanted, axes=axes).real
@@ -92,6 +108,13 @@ def _fading(shape: tuple[int, ...]) -> np.ndarray:
         along = np.clip(2 * part / (side // 2 + 1) - 1, 0, 1)
         window *= 0.5 + 0.5 * np.cos(np.pi * along)
     return window
+
+
+def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
+    """The same along every direction."""
+    z, y, x = _axes(shape)
+    along = np.clip(2 * np.sqrt(z**2 + y**2 + x**2) / (min(shape) // 2 + 1) - 1, 0, 1)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * along))
 
 
 def _weight(shape: tuple[int, ...]) -> np.ndarray:

@@ -20,7 +20,7 @@ from trabecula.measure.fft import fast_side
 from trabecula.synth.base import Method, Model
 from trabecula.synth.noise import SPEC
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance import Filter, counts_by_offset, fitted_filter
+from trabecula.synth.noise.covariance import Filter, averaged, counts_by_offset, fitted_filter
 from trabecula.synth.noise.kernels import white_plane
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -139,7 +139,9 @@ class NoiseModel(Model):
 
 
 def _reach(shape: tuple[int, ...], config: NoiseConfig) -> tuple[int, ...]:
-    return tuple(min(config.reach, (side - 1) // 2) for side in shape)
+    reach = tuple(min(config.reach, (side - 1) // 2) for side in shape)
+    # In a flat exemplar, what it does not show along its normal is what it shows across.
+    return (min(far for far in reach if far),) * 3 if config.isotropic and any(reach) else reach
 
 
 def _filter(inside: np.ndarray, left: np.ndarray, reach: tuple[int, ...], config: NoiseConfig) -> Filter:
@@ -148,11 +150,15 @@ def _filter(inside: np.ndarray, left: np.ndarray, reach: tuple[int, ...], config
         # Either side of the threshold tells the covariance. The rarer does so far better: the chance surplus of a phase
         # at some offset is in proportion to its fraction.
         inside, fraction = left & ~inside, 1 - fraction
-    pairs = counts_by_offset(left, reach)
-    hits = counts_by_offset(inside, reach)
-    hits /= np.maximum(pairs, 1)
-    hits[pairs < 1] = fraction**2
-    return fitted_filter(hits, fraction, corrections=config.corrections)
+    seen = tuple(min(far, side - 1) for far, side in zip(reach, left.shape, strict=True))
+    pairs = counts_by_offset(left, seen)
+    hits = counts_by_offset(inside, seen)
+    if config.isotropic:
+        hits = averaged(hits, pairs, reach)
+    else:
+        hits /= np.maximum(pairs, 1)
+        hits[pairs < 1] = fraction**2
+    return fitted_filter(hits, fraction, corrections=config.corrections, isotropic=config.isotropic)
 
 
 def _highest(values: np.ndarray, count: int) -> np.ndarray:

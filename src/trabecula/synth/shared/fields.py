@@ -25,17 +25,25 @@ def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
     return tuple(int(label) for label in np.unique(np.concatenate([np.unique(image.values) for image in images])))
 
 
-def phase_fields(image: Image, present: tuple[int, ...] | None = None) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Signed distances in voxels, (C, Z, Y, X) float32, and the labels that they stand for.
+def phase_fields(
+    image: Image, present: tuple[int, ...] | None = None, *, unit: float | None = None
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that they stand for.
 
-    With two labels present the one channel stands for the second. Distances follow the image's spacing, scaled so that
-    the geometric mean of a voxel's edges is 1. A label of `present` that does not occur lies infinitely far.
+    With two labels present the one channel stands for the second. Distances follow the image's spacing; `unit` is the length
+    that counts as one, by default the geometric mean of a voxel's edges. A label of `present` that does not occur lies
+    infinitely far.
     """
     present = phases_present([image]) if present is None else present
-    spacing = isotropic_scale(image.spacing)
+    spacing = isotropic_scale(image.spacing) if unit is None else tuple(edge / unit for edge in image.spacing)
     channels = present[1:] if len(present) == 2 else present
     fields = [_distance_of(image.values == label, spacing) for label in channels]
     return np.stack(fields).astype(np.float32, copy=False), present
+
+
+def mean_edge(spacing: Sequence[float]) -> float:
+    """The geometric mean of a voxel's edges."""
+    return float(np.exp(np.mean(np.log(np.asarray(spacing)))))
 
 
 def isotropic_scale(spacing: Sequence[float]) -> tuple[float, ...]:
@@ -56,7 +64,7 @@ def quantise(field: np.ndarray, *, clip: float) -> np.ndarray:
 
 
 def value_fields(image: Image, *, low: float, high: float) -> np.ndarray:
-    """Grey or colour as (C, Z, Y, X) float32, -127 at `low` and 127 at `high`."""
+    """Grey or colour as (C, Z, Y, X) or (C, Y, X) float32, -127 at `low` and 127 at `high`."""
     channels = np.moveaxis(image.values, -1, 0) if image.kind == "colour" else image.values[None]
     return (channels.astype(np.float32) - np.float32(low)) * np.float32(2 * FULL / (high - low)) - np.float32(FULL)
 

@@ -7,6 +7,7 @@ their six neighbours' mixed in.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from trabecula.engine.tiles import for_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
 _BINS = 1 << 16
+_PARTS = 1 << 20  # resolution of a histogram that leans
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,26 @@ class Histogram:
         """Of an array of any type and shape."""
         present, counts = np.unique(values, return_counts=True)
         return cls(present, np.cumsum(counts))
+
+    @classmethod
+    def pooled(cls, histograms: Sequence[Histogram]) -> Histogram:
+        """Of several of one type of values, as of one sample in which each counts alike."""
+        present = np.unique(np.concatenate([histogram.values for histogram in histograms]))
+        parts = np.zeros(len(present), np.int64)
+        for histogram in histograms:
+            counts = np.diff(histogram.up_to, prepend=0)
+            size = int(counts.sum())
+            parts[np.searchsorted(present, histogram.values)] += (counts * _PARTS + size // 2) // size
+        return cls(present, np.cumsum(parts))
+
+    @classmethod
+    def leaning(cls, target: Histogram, positive: float, negative: float) -> Histogram:
+        """A target of numbers whose values above zero weigh `positive` times as much, and those below `negative` times."""
+        counts = np.diff(target.up_to, prepend=0) / target.up_to[-1]
+        counts = counts * np.where(target.values > 0, positive, np.where(target.values < 0, negative, 1.0))
+        parts = np.rint(counts / counts.sum() * _PARTS).astype(np.int64)
+        present = parts > 0
+        return cls(target.values[present], np.cumsum(parts[present]))
 
     def ranked(self, middle: np.ndarray, size: int) -> np.ndarray:
         """The values at these places of a ranking of `size`."""

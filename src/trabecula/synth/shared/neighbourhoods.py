@@ -1,4 +1,4 @@
-"""Neighbourhood vectors: cubes of w^3 voxels, projected on their principal components, exactly.
+"""Neighbourhood vectors: cubes of w^3 voxels, or squares of w^2 across the first axis, on their principal components, exactly.
 
 The fields are int8 and the basis is rounded to integers small enough that every partial sum of a projection stays below
 2^24, so float32 matrix products are exact: whatever the BLAS, its threads and the size of the batch, the bits agree.
@@ -7,7 +7,7 @@ Distances between int16 features then are exact int32.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,13 +25,17 @@ _SAMPLES = 8192
 _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
 
 
+Triple = tuple[int, int, int]
+
+
 @dataclass(frozen=True)
 class Basis:
     """Principal components of the neighbourhoods of an exemplar.
 
-    `vectors` is (C * (w / grain)^3, D) float32 holding integers; `scale` is what an orthonormal vector was multiplied by;
-    `explained` the share of variance kept, 0..1. With a `grain` of 2 a neighbourhood is described by the sums over its
-    2 x 2 x 2 blocks, at an eighth of the work: enough where the field is smooth.
+    `vectors` is (C * n, D) float32 holding integers, with n = (w / grain)^3, or its square where neighbourhoods are `flat`;
+    `scale` is what an orthonormal vector was multiplied by; `explained` the share of variance kept, 0..1. With a `grain` of
+    2 a neighbourhood is described by the sums over its blocks of 2 voxels a side, at an eighth (a quarter) of the work:
+    enough where the field is smooth.
     """
 
     vectors: np.ndarray
@@ -39,24 +43,49 @@ class Basis:
     width: int
     explained: float
     grain: int = 1
+    flat: bool = False
+
+    @property
+    def box(self) -> Triple:
+        """The sides of a neighbourhood."""
+        return box_of(self.width, flat=self.flat)
+
+
+def box_of(width: int, *, flat: bool) -> Triple:
+    """The sides (z, y, x) of a cube of `width` voxels, or of a square across z."""
+    return (1 if flat else width, width, width)
+
+
+def steps_of(step: int, *, flat: bool) -> Triple:
+    """How far apart neighbourhoods lie along each axis: squares lie in every plane."""
+    return (1 if flat else step, step, step)
 
 
 def principal_basis(
-    field: np.ndarray, allowed: np.ndarray | None = None, *, width: int, variance: float, most: int, grain: int = 1
+    field: np.ndarray,
+    allowed: np.ndarray | None = None,
+    *,
+    width: int,
+    variance: float,
+    most: int,
+    grain: int = 1,
+    flat: bool = False,
 ) -> Basis:
     """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain `variance`, up to `most`.
 
     The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed` ((gz, gy, gx) bool, by
-    their first corner; default all), summed exactly. `grain` 2 needs an even width.
+    their first corner; default all), summed exactly. `grain` 2 needs an even width. `flat` neighbourhoods are squares of one
+    plane z.
     """
-    grid = tuple(side - width + 1 for side in field.shape[1:])
+    box, grains = box_of(width, flat=flat), box_of(grain, flat=flat)
+    grid = tuple(side - reach + 1 for side, reach in zip(field.shape[1:], box, strict=True))
     ones = np.arange(np.prod(grid)) if allowed is None else np.flatnonzero(allowed)
     chosen = ones[_spread(len(ones))]
-    sample = np.empty((len(chosen), len(field) * (width // grain) ** 3), np.float32)
-    blocks = block_sums(field, grain)
+    sample = np.empty((len(chosen), len(field) * int(np.prod(box) // np.prod(grains))), np.float32)
+    blocks = block_sums(field, grains)
     for z, sites, rows in _by_plane(chosen, grid):
         part = np.empty((len(sites), sample.shape[1]), np.float32)
-        gather(blocks, sites, grid[2], z, 1, width, grain, part)
+        gather(blocks, sites, grid[2], z, 1, box, grains, part)
         sample[rows] = part
     total = sample.sum(0, dtype=np.float64)
     with one_blas_thread():
@@ -68,16 +97,16 @@ def principal_basis(
     kept = vectors[:, :count]
     # An eigenvector's sign is arbitrary: the entry of largest size is made positive.
     kept = kept * np.where(kept[np.abs(kept).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
-    scale = _EXACT / np.sqrt(len(kept)) / grain**3
-    return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain)
+    scale = _EXACT / np.sqrt(len(kept)) / int(np.prod(grains))
+    return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain, flat)
 
 
-def block_sums(field: np.ndarray, grain: int) -> np.ndarray:
-    """Sums over the blocks of `grain` (1 or 2) voxels a side that begin at each voxel of (C, Z, Y, X) int8, in int16."""
-    if grain == 1:
+def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
+    """Sums over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y, X) int8, in int16."""
+    if max(grains) == 1:
         return field
     sums = field.astype(np.int16)
-    for axis in (1, 2, 3):
+    for axis in (axis for axis, grain in enumerate(grains, start=1) if grain == 2):
         near, far = [slice(None)] * 4, [slice(None)] * 4
         near[axis], far[axis] = slice(None, -1), slice(1, None)
         sums = sums[tuple(near)] + sums[tuple(far)]
@@ -105,16 +134,18 @@ def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
 
 
 def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None) -> np.ndarray:
-    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8.
+    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8, flat ones in every
+    plane.
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
-    width, grain, (length, count) = basis.width, basis.grain, basis.vectors.shape
-    grid = tuple((side - width) // step + 1 for side in field.shape[1:])
+    length, count = basis.vectors.shape
+    box, grains, steps = basis.box, box_of(basis.grain, flat=basis.flat), steps_of(step, flat=basis.flat)
+    grid = tuple((side - reach) // t + 1 for side, reach, t in zip(field.shape[1:], box, steps, strict=True))
     features = np.empty((*grid, count), np.int16)
     # The sum over a block of n equal values has n times their value, but only sqrt(n) times their norm.
-    factor = np.float32(SCALE / basis.scale / grain**1.5)
-    blocks = block_sums(field, grain)
+    factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
+    blocks = block_sums(field, grains)
 
     def work(start: int, stop: int) -> None:
         rows = np.empty((min(_ROWS, grid[1] * grid[2]), length), np.float32)
@@ -123,7 +154,7 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
             plane = features[z].reshape(-1, count)
             for first in range(0, len(sites), _ROWS):
                 chosen = sites[first : first + _ROWS]
-                gather(blocks, chosen, grid[2], z * step, step, width, grain, rows)
+                gather(blocks, chosen, grid[2], z * steps[0], step, box, grains, rows)
                 store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
 
     for_slabs(work, grid[0], least=2)
@@ -140,15 +171,19 @@ def store(products, factor, sites, plane):
 
 
 @kernel
-def gather(field, sites, across, z0, step, width, grain, rows):
-    """Rows (n, C * (w / grain)^3) of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0."""
+def gather(field, sites, across, z0, step, box, grains, rows):
+    """Rows of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0.
+
+    box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two agree.
+    """
+    width, grain = box[2], grains[2]
     length = width // grain
     for n in range(len(sites)):
         y0 = sites[n] // across * step
         x0 = sites[n] % across * step
         at = 0
         for c in range(field.shape[0]):
-            for z in range(z0, z0 + width, grain):
+            for z in range(z0, z0 + box[0], grains[0]):
                 for y in range(y0, y0 + width, grain):
                     line = field[
                         c, z, y, x0 : x0 + width - grain + 1
@@ -174,14 +209,16 @@ def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
     return min(_ROWS, grid[1] * grid[2]) * (4 * length + 16 * count)
 
 
-def grid_shape(shape: tuple[int, ...], *, width: int, step: int) -> tuple[int, ...]:
-    """How many neighbourhoods, `step` apart, cover `shape`; the last may reach past its end."""
-    return tuple(-(-(max(side, width) - width) // step) + 1 for side in shape)
+def grid_shape(shape: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
+    """How many neighbourhoods, `steps` apart, cover `shape`; the last may reach past its end."""
+    z, y, x = (-(-(max(side, w) - w) // t) + 1 for side, w, t in zip(shape, box, steps, strict=True))
+    return z, y, x
 
 
-def covered_shape(grid: tuple[int, ...], *, width: int, step: int) -> tuple[int, ...]:
+def covered_shape(grid: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
     """The voxels that a grid of neighbourhoods covers."""
-    return tuple((count - 1) * step + width for count in grid)
+    z, y, x = ((count - 1) * t + w for count, w, t in zip(grid, box, steps, strict=True))
+    return z, y, x
 
 
 def _spread(count: int) -> np.ndarray:

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.errors import InputError, RequestError
+from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.core.request import Request
 from trabecula.exemplar.views import View, spacing_of, views_of
 from trabecula.synth.base import Method, Model
 
@@ -24,15 +23,6 @@ class PictureModel(Model):
     def __init__(self, config: Any, exemplars: Sequence[Image], views: Sequence[View]) -> None:
         super().__init__(config, exemplars)
         self.views = tuple(views)
-
-    def _check_request(self, request: Request) -> None:
-        super()._check_request(request)
-        spacing, unit = spacing_of(self.views), self.exemplars[0].unit
-        if request.fixed is not None and (request.fixed.spacing, request.fixed.unit) != (spacing, unit):
-            raise RequestError(
-                f"the fixed voxels are {request.fixed.spacing} {request.fixed.unit}, those of the views {spacing} {unit}: give "
-                "the spacing of both, or resample one"
-            )
 
     def _result_fields(self) -> dict[str, Any]:
         return {**super()._result_fields(), "spacing": spacing_of(self.views)}

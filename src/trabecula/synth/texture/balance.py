@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.synth.shared.matching.grid import Grid, wrapped
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch
 from trabecula.synth.texture.gradient import add_votes, fold_votes, no_votes
-from trabecula.synth.texture.optimise import Grid, wrapped
 from trabecula.synth.texture.poisson import solve_votes
 
 _UNIT = 64  # the integer weight that stands for 1

@@ -19,17 +19,17 @@ from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import thread_count
 from trabecula.synth.base import Method, Model
+from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
+from trabecula.synth.shared.matching.region import Region, regions_of
+from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes
+from trabecula.synth.shared.orient import oriented, symmetries
 from trabecula.synth.shared.pyramid import halve
+from trabecula.synth.shared.statistics.correlate import Correlations, correlations_at
 from trabecula.synth.texture import SPEC, novel
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.content import Content, content_of
-from trabecula.synth.texture.correlate import Correlations, correlations_at
-from trabecula.synth.texture.orient import oriented, symmetries
 from trabecula.synth.texture.plain import Level, level_of, levels_for, made_plain
-from trabecula.synth.texture.region import Region, regions_of
-from trabecula.synth.texture.sources import Stack
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
@@ -162,8 +162,8 @@ class TextureModel(Model):
         finest = self.aims[0].candidates[-1] if new else self.levels[0][-1]
         kept = [c for aim in self.aims for c in aim.candidates] if new else [c for level in self.levels for c in level]
         region = Region(request.shape, request.periodic)
-        width, step = finest.basis.width, finest.step
-        grid, shape = region.grid(width=width, step=step), region.covered(width=width, step=step).shape
+        box, steps = finest.basis.box, finest.steps
+        grid, shape = region.grid(box=box, steps=steps), region.covered(box=box, steps=steps).shape
         voxels = int(np.prod(shape, dtype=np.int64))
         sites = int(np.prod(grid, dtype=np.int64))
         channels, dimensions = len(finest.stack.field), finest.features.shape[1]

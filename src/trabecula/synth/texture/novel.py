@@ -16,14 +16,15 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.synth.shared.histogram import match_histogram
+from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.rounds import refined, rematched, robust_weights, voted
+from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.statistics.correlate import Correlations, corrected, correlations_at, owed
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import UNIT, Slices, sliced_round, slices_of
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.correlate import Correlations, corrected, correlations_at, owed
-from trabecula.synth.texture.optimise import Grid, random_matches, refined, rematched, robust_weights, swept, voted
-from trabecula.synth.texture.pairs import Pairs
-from trabecula.synth.texture.region import Region
-from trabecula.synth.texture.sliced import UNIT, Slices, sliced_round, slices_of
-from trabecula.synth.texture.sources import Candidates, Stack
 
 COARSEST = 2
 """The level that sliced rounds lay out, at most: 4 times coarser than the result."""
@@ -193,14 +194,23 @@ def _passed(
     match, debt = random_matches(grid, stage), None
     for round_ in track(range(p.rounds), f"level {p.level}"):
         count = config.sweeps * (_FIRST if round_ == 0 else 1)
-        match, distance = swept(grid, match, field, config, stage=stage, first=100 * round_ + 1, count=count)
+        match, distance = swept(
+            grid,
+            match,
+            field,
+            stage=stage,
+            first=100 * round_ + 1,
+            count=count,
+            tries=config.tries,
+            index_penalty=config.index_penalty,
+        )
         weights = robust_weights(grid, distance, config.robustness)
         votes = voted(grid, match, weights, trim=1 if p.level == 0 else 0)
-        field = rematched(grid, votes)
+        field = rematched(grid.region, votes, grid.targets)
         if p.beyond:
             debt = owed(debt, field, target, periodic=periodic)
         aim = debt * p.beyond if debt is not None and round_ == p.rounds - 1 else debt
         for _ in range(p.steps):
             votes = corrected(field, target, debt=aim, periodic=periodic)
-            field = rematched(grid, votes)
+            field = rematched(grid.region, votes, grid.targets)
     return field, votes

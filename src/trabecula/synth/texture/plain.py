@@ -12,25 +12,14 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.synth.shared.matching.grid import Grid, features_of, nearest_matches, random_matches, swept
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.rounds import State, cast, joined_votes, refined, rematched, robust_weights
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
 from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.statistics.correlate import Correlations, corrected, owed
 from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.correlate import Correlations, corrected, owed
-from trabecula.synth.texture.optimise import (
-    Grid,
-    State,
-    cast,
-    features_of,
-    joined_votes,
-    nearest_matches,
-    random_matches,
-    refined,
-    rematched,
-    robust_weights,
-    swept,
-)
-from trabecula.synth.texture.region import Region
-from trabecula.synth.texture.sources import Candidates, Stack, carried
 
 _WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
 _BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
@@ -155,8 +144,8 @@ def _optimised(
         if config.energetic:
             votes, balance = balanced(grid, state.field, match, balance, config, trim=trims[number])
             del state
-            votes = joined_votes(grid, votes)
-            state = State(match, votes, rematched(grid, votes, histogram=config.histogram))
+            votes = joined_votes(grid.region, votes)
+            state = State(match, votes, rematched(grid.region, votes, grid.targets if config.histogram else None))
             if balance.feedback.done:
                 break
         else:
@@ -177,7 +166,7 @@ def _corrected(grid: Grid, state: State, target: Correlations, debt: np.ndarray 
     votes, field, region = state.votes, state.field, grid.region
     for _ in range(steps):
         votes = corrected(field, target, debt=debt, periodic=region.wraps, free=region.free)
-        field = rematched(grid, votes)
+        field = rematched(region, votes, grid.targets)
     return State(state.match, votes, field)
 
 
@@ -188,4 +177,13 @@ def _matched(
         features = features_of(grid, state.field)
         return nearest_matches(grid, state.match, features, index_penalty=config.index_penalty)
     first = number * config.sweeps + 1
-    return swept(grid, state.match, state.field, config, stage=stage, first=first, count=config.sweeps)
+    return swept(
+        grid,
+        state.match,
+        state.field,
+        stage=stage,
+        first=first,
+        count=config.sweeps,
+        tries=config.tries,
+        index_penalty=config.index_penalty,
+    )

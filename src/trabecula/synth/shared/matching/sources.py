@@ -1,5 +1,7 @@
 """What is copied from: the exemplars at one resolution, stacked along z to one volume, and its neighbourhoods as features.
 
+A picture is a volume of one plane, and its neighbourhoods are flat.
+
 Several exemplars, and rotated or mirrored copies of them, are one flat list of candidates with gaps: a neighbourhood that
 would reach over the seam between two volumes is not allowed.
 """
@@ -15,7 +17,7 @@ import numpy as np
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.nearest import Candidates as Nearest
 from trabecula.synth.shared.nearest import candidates
-from trabecula.synth.shared.neighbourhoods import Basis, principal_basis, project
+from trabecula.synth.shared.neighbourhoods import Basis, Triple, box_of, principal_basis, project, steps_of
 
 _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
 
@@ -45,11 +47,12 @@ class Stack:
         histograms = tuple(Histogram.of(np.concatenate([part.ravel() for part in channel])) for channel in channels)
         return cls(whole, starts[:-1], sides, histograms)
 
-    def allowed(self, width: int) -> np.ndarray:
+    def allowed(self, box: Triple) -> np.ndarray:
         """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz, gy, gx) bool."""
-        within = np.zeros([side - width + 1 for side in self.field.shape[1:]], bool)
-        for start, (z, y, x) in zip(self.starts, self.sides, strict=True):
-            within[start : start + z - width + 1, : y - width + 1, : x - width + 1] = True
+        within = np.zeros([side - w + 1 for side, w in zip(self.field.shape[1:], box, strict=True)], bool)
+        for start, sides in zip(self.starts, self.sides, strict=True):
+            z, y, x = (int(side) - w + 1 for side, w in zip(sides, box, strict=True))
+            within[start : start + z, :y, :x] = True
         return within
 
 
@@ -69,15 +72,35 @@ class Candidates:
     allowed: np.ndarray  # (N,) bool
     k: int = 10  # nearest ones that the exact search looks at
 
+    @property
+    def steps(self) -> Triple:
+        """How far apart the output's neighbourhoods are along each axis."""
+        return steps_of(self.step, flat=self.basis.flat)
+
+    @property
+    def strides(self) -> Triple:
+        """How far apart the cells are along each axis."""
+        return steps_of(self.stride, flat=self.basis.flat)
+
     @classmethod
     def of(
-        cls, stack: Stack, *, width: int, step: int, variance: float, most: int, grain: int = 1, k: int = 10
+        cls,
+        stack: Stack,
+        *,
+        width: int,
+        step: int,
+        variance: float,
+        most: int,
+        grain: int = 1,
+        k: int = 10,
+        flat: bool = False,
     ) -> Candidates:
         """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2 million."""
-        within = stack.allowed(width)
-        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most, grain=grain)
+        within = stack.allowed(box_of(width, flat=flat))
+        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat)
         stride = step if np.count_nonzero(within) > _MANY else 1
-        allowed = within[::stride, ::stride, ::stride]
+        every_z, every_y, every_x = steps_of(stride, flat=flat)
+        allowed = within[::every_z, ::every_y, ::every_x]
         features = project(stack.field, basis, step=stride, active=None if allowed.all() else allowed)
         features = features.reshape(-1, features.shape[-1])
         return cls(stack, basis, features, allowed.shape, stride, step, np.ascontiguousarray(allowed).ravel(), k)
@@ -94,17 +117,17 @@ class Candidates:
 
     def corners(self, match: np.ndarray) -> list[np.ndarray]:
         """The first voxel of each candidate, along z, y, x of the stack."""
-        return [cell * self.stride for cell in np.unravel_index(match, self.shape)]
+        return [cell * stride for cell, stride in zip(np.unravel_index(match, self.shape), self.strides, strict=True)]
 
     def at(self, corners: Sequence[np.ndarray], volume: np.ndarray) -> np.ndarray:
         """The allowed candidates of a volume that begin nearest to these voxels (z counted within the volume)."""
         cells = []
-        for axis, corner in enumerate(corners):
-            most = self.stack.sides[volume, axis] - self.basis.width
+        for axis, (corner, width, stride) in enumerate(zip(corners, self.basis.box, self.strides, strict=True)):
+            most = self.stack.sides[volume, axis] - width
             start = self.stack.starts[volume] if axis == 0 else 0
             # The stride need not divide a volume's start: its first and last cells are rounded inwards.
-            first, last = -(-start // self.stride), (start + most) // self.stride
-            cells.append(np.clip((np.clip(corner, 0, most) + start) // self.stride, first, last))
+            first, last = -(-start // stride), (start + most) // stride
+            cells.append(np.clip((np.clip(corner, 0, most) + start) // stride, first, last))
         return np.ravel_multi_index(cells, self.shape).astype(np.int32)
 
     def volumes(self, z: np.ndarray) -> np.ndarray:
@@ -118,11 +141,11 @@ def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int
     `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
     """
     sites, offsets = [], []
-    for count, have in zip(grid, match.shape, strict=True):
-        corner = np.arange(count) * new.step
-        site = np.minimum(corner // (factor * old.step), have - 1)
+    for count, have, coarse, fine in zip(grid, match.shape, old.steps, new.steps, strict=True):
+        corner = np.arange(count) * fine
+        site = np.minimum(corner // (factor * coarse), have - 1)
         sites.append(site)
-        offsets.append(corner - factor * site * old.step)
+        offsets.append(corner - factor * site * coarse)
     z, y, x = old.corners(match[np.ix_(*sites)])
     volume = old.volumes(z)
     local = (z - old.stack.starts[volume], y, x)

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.synth.shared.fields import FULL
-from trabecula.synth.texture.pairs import Pairs
-from trabecula.synth.texture.sliced import UNIT
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import UNIT
 
 BANDS = (1, 2, 3, 5, 8, 12)
 """Where the bands of distances begin, voxels; the last one reaches to r_max."""
@@ -40,12 +40,14 @@ class Correlations:
     """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft indicator, of pairs
     nearest to z, then to y, then to x.
 
-    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel.
+    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel; `held` (bool) says
+    for which of them the exemplars hold any pairs.
     """
 
     curves: np.ndarray
     softness: float
     edges: tuple[float, ...]
+    held: np.ndarray
 
     @property
     def r_max(self) -> int:
@@ -61,6 +63,8 @@ def correlations_of(
     edges: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Correlations:
     """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of them counted alike.
+
+    A picture is a volume of one plane across the axis that it is seen across: it says nothing of pairs along that axis.
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ def correlations_of(
         for c, channel in enumerate(field):
             spectrum = pairs.forward(soft_indicator(channel, softness))
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
-    return Correlations(sums / np.maximum(fits, 1), softness, steps)
+    return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
 
 
 def correlations_at(fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float) -> Correlations:
@@ -89,7 +93,8 @@ def correlations_at(fields: Sequence[np.ndarray], level: int, *, edges: Sequence
 
     `clip` is the distance in voxels of the level at which its int8 fields saturate.
     """
-    reach = min(_REACH, min(min(field.shape[1:]) for field in fields) * 2**level // 2 - 1)
+    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)  # a picture has no depth
+    reach = min(_REACH, shortest * 2**level // 2 - 1)
     softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
     return correlations_of(fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges)
 
@@ -126,7 +131,7 @@ def misfit(
     for c, channel in enumerate(field):
         spectrum = pairs.forward(_soft(channel, target, free))
         found[c] = pairs.curve(spectrum, spectrum) - target.curves[c]
-    return np.where(pairs.fits > 0, found, 0.0)
+    return np.where((pairs.fits > 0) & target.held, found, 0.0)
 
 
 def corrected(
@@ -191,7 +196,7 @@ def _step(
         return None
     spectrum = pairs.forward(soft)
     r = np.arange(pairs.bins) % (target.r_max + 1)
-    weights = np.where((r > 0) & (pairs.fits > 0), 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
+    weights = np.where((r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
     excess = pairs.curve(spectrum, spectrum) - aim
     mean = np.float32(soft.sum(dtype=np.float64) / (soft.size if free is None else np.count_nonzero(free)))
     centred = around.forward(np.subtract(soft, mean, out=soft, where=True if free is None else free))

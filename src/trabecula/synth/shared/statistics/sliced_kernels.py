@@ -69,26 +69,26 @@ def transport(ours, theirs, bins, moves, start, stop):
 
 
 @kernel
-def add(blocks, numbers, total, votes, step, width, first, start, stop):
+def add(blocks, numbers, total, votes, steps, box, first, start, stop):
     """Add the neighbourhoods of a few planes of sites, the first of which is `first`, to voxel planes start..stop.
 
-    blocks (n, C * w^3) int32; numbers (planes, y, x) the row of each site in it, or -1.
+    blocks (n, C * voxels) int32; numbers (planes, y, x) the row of each site in it, or -1; steps, box (3,) int.
     """
-    cube = width * width * width
+    width, voxels = box[2], box[0] * box[1] * box[2]
     for z in range(start, stop):
         for sz in range(numbers.shape[0]):
-            dz = z - (first + sz) * step
-            if dz < 0 or dz >= width:
+            dz = z - (first + sz) * steps[0]
+            if dz < 0 or dz >= box[0]:
                 continue
             for sy in range(numbers.shape[1]):
                 for sx in range(numbers.shape[2]):
                     row = numbers[sz, sy, sx]
                     if row < 0:
                         continue
-                    for dy in range(width):
-                        y, x0 = sy * step + dy, sx * step
+                    for dy in range(box[1]):
+                        y, x0 = sy * steps[1] + dy, sx * steps[2]
                         for c in range(total.shape[0]):
-                            at = c * cube + (dz * width + dy) * width
+                            at = c * voxels + (dz * box[1] + dy) * width
                             to = total[c, z, y]
                             for dx in range(width):
                                 to[x0 + dx] += blocks[row, at + dx]

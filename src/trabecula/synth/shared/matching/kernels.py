@@ -1,7 +1,8 @@
 """Search and vote: plain functions on arrays.
 
 Glossary: S the neighbourhoods of the output on a grid, E those of the exemplar as a flat list; `match` the index into E per
-site of S. `ratio` is the grid's step over that of E, so that a neighbour's match moves by `ratio` cells of E.
+site of S. `ratios` are the grid's steps over those of E along each axis, so that a neighbour's match moves by as many
+cells of E; of squares in adjacent planes (box[0] = 1) it does not move.
 Sites that are not `active` are neither searched nor do they vote.
 Both kernels read old arrays and write new ones over a slab (Jacobi), so tiles and threads do not matter.
 """
@@ -76,12 +77,12 @@ def _better(site, exemplar, penalty, candidate, best, least):
 
 @kernel
 def search(
-    features, exemplar, penalty, active, old, match, distance, shape, ratio, wraps, key, sweep, tries, start, stop
+    features, exemplar, penalty, active, old, match, distance, shape, ratios, wraps, key, sweep, tries, start, stop
 ):
     """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for sites start..stop.
 
     features (Z, Y, X, D) int16; exemplar (N, D) int16; penalty (N,) float32 factors, infinite where E has a gap; active
-    (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised; wraps (3,) bool. Of the
+    (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised; ratios, wraps (3,). Of the
     `tries` pairs of random candidates one is anywhere and one around the best, in a shrinking radius.
     """
     Z, Y, X = old.shape
@@ -105,7 +106,8 @@ def search(
                             if not wraps[axis]:
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
-                        candidate = _moved(np.int64(old[nz, ny, nx]), shape, -dz * ratio, -dy * ratio, -dx * ratio)
+                        mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
+                        candidate = _moved(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
                         if candidate >= 0 and candidate != best:
                             best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):
@@ -118,12 +120,13 @@ def search(
 
 
 @kernel
-def vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, result, start, stop):
+def vote(field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop):
     """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in int16; 0 where none is.
 
-    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0 does not vote; stride of
-    E in voxels; wraps (3,) bool; plane (C + 1, y, x) int32 scratch, as wide as the grid covers; result (C, ...) int16.
-    The rim of `trim` voxels of a neighbourhood does not vote, except at a border that does not wrap.
+    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0 does not vote; strides of
+    E, steps of S, box and trims (3,) int in voxels; wraps (3,) bool; plane (C + 1, y, x) int32 scratch, as wide as the grid
+    covers; result (C, ...) int16. The rim of `trims` voxels of a neighbourhood does not vote, except at a border that
+    does not wrap.
     """
     C, Z, Y, X = result.shape
     summed = np.empty(match.shape[1:], np.int32)
@@ -131,12 +134,9 @@ def vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, r
         plane[:] = 0
         summed[:] = 0
         for turn in range(2 if wraps[0] else 1):
-            _vote_plane(field, match, weight, shape, stride, step, width, trim, wraps, plane, summed, z + turn * Z)
-        _spread(summed, plane[C], step, width, trim, wraps)
-        for y in range(Y, plane.shape[1] if wraps[1] else 0):
-            plane[:, y - Y] += plane[:, y]
-        for x in range(X, plane.shape[2] if wraps[2] else 0):
-            plane[:, :, x - X] += plane[:, :, x]
+            _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z + turn * Z)
+        _spread(summed, plane[C], steps, box, trims, wraps)
+        _fold(plane, Y, X, wraps)
         for c in range(C):
             for y in range(Y):
                 for x in range(X):
@@ -144,8 +144,81 @@ def vote(field, match, weight, shape, stride, step, width, trim, wraps, plane, r
                     result[c, z, y, x] = np.int64(plane[c, y, x]) * 256 // weights if weights > 0 else 0
 
 
+@kernel
+def vote_sums(field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop):
+    """Weighted sums of the matched neighbourhoods over voxel planes start..stop, added to `result`.
+
+    As `vote`, but field is (C, z, y, x) int16, plane has C, and result is (C, ...) int32. A last channel of factors, and the
+    others multiplied by it, weigh the exemplar's voxels: it sums up to what the others are to be divided by.
+    """
+    _, Z, Y, X = result.shape
+    summed = np.empty(match.shape[1:], np.int32)
+    for z in range(start, stop):
+        plane[:] = 0
+        for turn in range(2 if wraps[0] else 1):
+            _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z + turn * Z)
+        _fold(plane, Y, X, wraps)
+        result[:, z] += plane[:, :Y, :X]
+
+
+@kernel
+def choose(
+    field, dear, match, weight, shape, strides, steps, box, trims, wraps, first, mean, cost, chosen, start, stop
+):
+    """For voxel planes start..stop the voxel of the exemplar, of all those matched with it, whose value lies nearest to `mean`.
+
+    field (C, z, y, x) int8; dear (z, y, x) int32, a factor of the squared distance; mean (C, ...) int16, 256 times a value; cost
+    (...) int64 the least so far and chosen (...) int32 the voxel that it belongs to, numbered from `first`, both updated. Of
+    equals the first one stays. The rest as in `vote`.
+    """
+    C, Z, Y, X = mean.shape
+    _, _, EY, EX = field.shape
+    SZ, SY, SX = match.shape
+    for z in range(start, stop):
+        for turn in range(2 if wraps[0] else 1):
+            plane = z + turn * Z
+            for sz in range(max(0, (plane - box[0] + steps[0]) // steps[0]), min(SZ, plane // steps[0] + 1)):
+                dz = plane - sz * steps[0]
+                z0, z1 = reach(sz, SZ, box[0], trims[0], wraps[0])
+                if dz < z0 or dz >= z1:
+                    continue
+                for sy in range(SY):
+                    y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
+                    for sx in range(SX):
+                        if weight[sz, sy, sx] == 0:
+                            continue
+                        x0, x1 = reach(sx, SX, box[2], trims[2], wraps[2])
+                        m = match[sz, sy, sx]
+                        ez = m // (shape[2] * shape[1]) * strides[0] + dz
+                        ey = (m // shape[2]) % shape[1] * strides[1]
+                        ex = m % shape[2] * strides[2]
+                        for dy in range(y0, y1):
+                            y = (sy * steps[1] + dy) % Y
+                            for dx in range(x0, x1):
+                                x = sx * steps[2] + dx
+                                x = x - X if x >= X else x
+                                apart = np.int64(0)
+                                for c in range(C):
+                                    d = (np.int64(field[c, ez, ey + dy, ex + dx]) << 8) - mean[c, z, y, x]
+                                    apart += d * d
+                                # A distance of 0 would hide what is dear.
+                                apart = (apart + 256) * dear[ez, ey + dy, ex + dx]
+                                if apart < cost[z, y, x]:
+                                    cost[z, y, x] = apart
+                                    chosen[z, y, x] = first + (ez * EY + ey + dy) * EX + ex + dx
+
+
 @inline
-def _reach(site, count, width, trim, wrap):
+def _fold(plane, Y, X, wraps):
+    """What reaches beyond an axis that wraps, added to its beginning."""
+    for y in range(Y, plane.shape[1] if wraps[1] else 0):
+        plane[:, y - Y] += plane[:, y]
+    for x in range(X, plane.shape[2] if wraps[2] else 0):
+        plane[:, :, x - X] += plane[:, :, x]
+
+
+@inline
+def reach(site, count, width, trim, wrap):
     """The voxels first .. last of a neighbourhood that vote along an axis."""
     first = 0 if site == 0 and not wrap else trim
     last = width if site == count - 1 and not wrap else width - trim
@@ -153,52 +226,52 @@ def _reach(site, count, width, trim, wrap):
 
 
 @inline
-def _vote_plane(field, match, weight, shape, stride, step, width, trim, wraps, plane, summed, z):
+def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z):
     """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to `summed`."""
     SZ, SY, SX = match.shape
-    C = field.shape[0]
+    C, width, step = field.shape[0], box[2], steps[2]
     weights = np.empty(width, np.int32)
-    for sz in range(max(0, (z - width + step) // step), min(SZ, z // step + 1)):
-        dz = z - sz * step
-        z0, z1 = _reach(sz, SZ, width, trim, wraps[0])
+    for sz in range(max(0, (z - box[0] + steps[0]) // steps[0]), min(SZ, z // steps[0] + 1)):
+        dz = z - sz * steps[0]
+        z0, z1 = reach(sz, SZ, box[0], trims[0], wraps[0])
         if dz < z0 or dz >= z1:
             continue
         for sy in range(SY):
-            y0, y1 = _reach(sy, SY, width, trim, wraps[1])
+            y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
             for sx in range(SX):
                 w = weight[sz, sy, sx]
                 if w == 0:
                     continue
                 summed[sy, sx] += w
                 # Whole rows, with weight 0 at the rim: the compiler makes eight voxels one addition.
-                x0, x1 = _reach(sx, SX, width, trim, wraps[2])
+                x0, x1 = reach(sx, SX, width, trims[2], wraps[2])
                 weights[:] = w
                 weights[:x0] = 0
                 weights[x1:] = 0
                 m = match[sz, sy, sx]
-                ez = m // (shape[2] * shape[1]) * stride + dz
-                ey = (m // shape[2]) % shape[1] * stride
-                ex = m % shape[2] * stride
+                ez = m // (shape[2] * shape[1]) * strides[0] + dz
+                ey = (m // shape[2]) % shape[1] * strides[1]
+                ex = m % shape[2] * strides[2]
                 for c in range(C):
                     for dy in range(y0, y1):
-                        to = plane[c, sy * step + dy, sx * step : sx * step + width]
+                        to = plane[c, sy * steps[1] + dy, sx * step : sx * step + width]
                         row = field[c, ez, ey + dy, ex : ex + width]
                         for x in range(width):
                             to[x] += weights[x] * np.int32(row[x])
 
 
 @inline
-def _spread(summed, weights, step, width, trim, wraps):
+def _spread(summed, weights, steps, box, trims, wraps):
     """The weights of a plane's sites, summed over its voxels."""
     SY, SX = summed.shape
     row = np.empty(SX, np.int32)
     for y in range(weights.shape[0]):
         row[:] = 0
-        for sy in range(max(0, (y - width + step) // step), min(SY, y // step + 1)):
-            y0, y1 = _reach(sy, SY, width, trim, wraps[1])
-            if y0 <= y - sy * step < y1:
+        for sy in range(max(0, (y - box[1] + steps[1]) // steps[1]), min(SY, y // steps[1] + 1)):
+            y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
+            if y0 <= y - sy * steps[1] < y1:
                 row += summed[sy]
         for sx in range(SX):
-            x0, x1 = _reach(sx, SX, width, trim, wraps[2])
-            for x in range(sx * step + x0, sx * step + x1):
+            x0, x1 = reach(sx, SX, box[2], trims[2], wraps[2])
+            for x in range(sx * steps[2] + x0, sx * steps[2] + x1):
                 weights[y, x] += row[sx]

@@ -1,0 +1,71 @@
+"""Descriptors that a result is to have: one number for all of it, or a field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.checks import check_finite, check_name
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.core.recipe import Recipe
+
+RANGES = {"porosity": (0.0, 1.0)}
+"""Descriptors that can be asked for, each with what it can be."""
+
+Target = float | np.ndarray
+
+
+def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Target]:
+    """Targets by name: a float, or a float32 array of `shape`.
+
+    Raises
+    ------
+    UnknownNameError
+        No descriptor of that name can be asked for.
+    InputError
+        Not numbers, NaN, out of range, another shape.
+    """
+    if not isinstance(given, Mapping):
+        raise InputError(f"target is a {type(given).__name__}: give names with values, such as {{'porosity': 0.3}}")
+    found = {}
+    for name, value in given.items():
+        check_name(name, RANGES, name="target")
+        found[name] = _checked(value, shape, name=name)
+    return found
+
+
+def origins_of(given: Any) -> dict[str, Recipe]:
+    """How the fields among the targets came to be; a number speaks for itself."""
+    pairs = given.items() if isinstance(given, Mapping) else ()
+    return {name: _origin(value) for name, value in pairs if isinstance(value, Image) or np.ndim(value)}
+
+
+def _origin(value: Any) -> Recipe:
+    if isinstance(value, Image):
+        return value.recipe or Recipe().then("array", value.values)
+    return Recipe().then("array", np.asarray(value))
+
+
+def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
+    low, high = RANGES[name]
+    if isinstance(value, Image) and value.kind != "grey":
+        raise InputError(f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')")
+    field = np.asarray(value.values if isinstance(value, Image) else value)
+    if field.dtype.kind not in "iuf":
+        raise InputError(f"the target {name} is {value!r}: give a number from {low:g} to {high:g}, or a field of them")
+    check_finite(field, name=f"the target {name}")
+    if field.ndim and field.shape != shape:
+        raise InputError(
+            f"the target {name} has shape {field.shape}, the request {shape}: give one number, or a field of that shape"
+        )
+    least, most = float(field.min()), float(field.max())
+    if not (low <= least and most <= high):
+        raise InputError(
+            f"the target {name} runs from {least:g} to {most:g}, outside {low:g} .. {high:g}: rescale it"
+            if field.ndim
+            else f"the target {name} is {least:g}, outside {low:g} .. {high:g}"
+        )
+    return field.astype(np.float32) if field.ndim else float(field)

@@ -1,0 +1,225 @@
+"""Long runs that can be interrupted: a loop offers its state between rounds, and the same run goes on from it.
+
+`kept_at` names the file, `running` says what runs (so that no other run uses it), and a loop calls `resumed` before it
+starts and `offer` after every round. Without a place nothing is written and nothing is read. A state is written at most
+every `EVERY` seconds, under a temporary name that is then renamed, and is removed once the result is safe.
+
+The result does not depend on an interruption as long as a round is a function of the arrays and numbers in the state:
+random numbers come from seed, stage and round (core.seeds), so nothing else has to be kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import time
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from glob import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import FileError
+from trabecula.core.image import Image, describe_fields
+from trabecula.core.progress import say
+from trabecula.core.recipe import digest, versions
+from trabecula.core.request import Request
+from trabecula.engine.files import replacing
+
+EVERY = 15.0
+"""Seconds between two states, at least."""
+
+_SHARE = 20
+"""A state that takes long to write is written so rarely that writing takes at most one part in this many of the run."""
+
+_ABOUT = "about"
+_PREFIX = "state."  # so that no array's name collides with ours
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a loop was left.
+
+    Attributes
+    ----------
+    number : int
+        Rounds that were done.
+    arrays : dict of str to array
+        What was offered after them; the caller's to write into.
+    """
+
+    number: int
+    arrays: dict[str, np.ndarray]
+
+
+@dataclass
+class _Keeper:
+    path: Path
+    identity: str = ""
+    left: dict[str, Any] | None = None  # stage and number of the state that an earlier run left, until it is used
+    ours: bool = False  # the file on disk is a state of this run
+    pause: float = 0.0
+    saved: float = field(default_factory=time.monotonic)
+
+
+_keeper: ContextVar[_Keeper | None] = ContextVar("trabecula_checkpoint", default=None)
+
+
+@contextmanager
+def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Keep the state of what runs inside the block in the file `path`; None keeps nothing.
+
+    The file is removed when the block ends without an error, so write the result inside it. A file of that name that another
+    run left is replaced once there is a state to keep; one that is no state at all is left as it is.
+
+    Examples
+    --------
+    >>> from trabecula.engine.checkpoint import kept_at
+    >>> with kept_at(None):
+    ...     pass  # material = model.generate(240); tb.write(material, "rock.zarr")
+    """
+    if path is None:
+        yield
+        return
+    keeper = _Keeper(Path(path).absolute())
+    token = _keeper.set(keeper)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if keeper.ours:
+            say(f"interrupted: the same run goes on from {keeper.path.name}")
+        raise
+    finally:
+        _keeper.reset(token)
+    if keeper.ours:  # and what a run that was killed in the middle of writing left
+        for left in (keeper.path, *keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}")):
+            with suppress(OSError):
+                left.unlink(missing_ok=True)
+
+
+@contextmanager
+def running(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> Iterator[None]:
+    """Say what runs inside the block: only a state of exactly the same run is used."""
+    keeper = _keeper.get()
+    if keeper is None:
+        yield
+        return
+    keeper.identity = _identity(method, settings, request, exemplars)
+    keeper.left = _left_by_the_same(keeper)
+    try:
+        yield
+    finally:
+        keeper.identity, keeper.left = "", None
+
+
+def resumed(stage: str) -> State | None:
+    """The state that an interrupted run of the same kind left in `stage`, or None: then the loop starts from nothing.
+
+    There is one state, the last; with several stages ask for the last stage first. A damaged file is left aside, with a
+    word.
+    """
+    keeper = _keeper.get()
+    if keeper is None or keeper.left is None or keeper.left["stage"] != stage:
+        return None
+    number, keeper.left = int(keeper.left["number"]), None
+    try:
+        with np.load(keeper.path, allow_pickle=False) as stored:  # every member is checked against its CRC-32
+            arrays = {name.removeprefix(_PREFIX): stored[name] for name in stored.files if name.startswith(_PREFIX)}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        say(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
+        return None
+    say(f"going on from {keeper.path.name}: {stage}, {number} rounds done")
+    return State(number, arrays)
+
+
+def due() -> bool:
+    """Whether `offer` would write now, for a state that is dear to put together."""
+    keeper = _keeper.get()
+    return keeper is not None and bool(keeper.identity) and time.monotonic() - keeper.saved >= max(EVERY, keeper.pause)
+
+
+def offer(stage: str, number: int, /, **arrays: Any) -> None:
+    """Keep the state after `number` rounds of `stage`, where one is due.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the loop.
+    number : int
+        Rounds done.
+    **arrays : array or number
+        All that the next round starts from. Not changed, and not held after the call.
+
+    Notes
+    -----
+    Where the place cannot be written (a full disk) the run goes on without keeping states, with a word.
+    """
+    keeper = _keeper.get()
+    if keeper is None or not due():
+        return
+    start = time.monotonic()
+    try:
+        _write(keeper, {"identity": keeper.identity, "stage": stage, "number": number}, arrays)
+    except FileError as error:
+        say(f"the run cannot be resumed if it is interrupted: {error}")
+        keeper.pause = math.inf
+        return
+    keeper.left, keeper.ours = None, True
+    keeper.saved = time.monotonic()
+    keeper.pause = _SHARE * (keeper.saved - start)
+
+
+def _write(keeper: _Keeper, about: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    members = {_PREFIX + name: np.asarray(array) for name, array in arrays.items()}
+    members[_ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    with replacing(keeper.path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **members)  # type: ignore[arg-type]
+
+
+def _left_by_the_same(keeper: _Keeper) -> dict[str, Any] | None:
+    """Stage and number of the state on disk, where it is whole and of this run."""
+    if not keeper.path.exists():
+        return None
+    try:
+        with np.load(keeper.path, allow_pickle=False) as stored:
+            about = json.loads(bytes(stored[_ABOUT]))
+        same = about["identity"] == keeper.identity
+        left = {"stage": str(about["stage"]), "number": int(about["number"])}
+    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
+        # States are put in place whole, so a file that cannot be read as one is somebody else's.
+        say(f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be resumed")
+        keeper.pause = math.inf
+        return None
+    if not same:
+        say(f"{keeper.path.name} was left by another run: starting from the beginning")
+        return None
+    keeper.ours = True
+    return left
+
+
+def _identity(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> str:
+    """SHA-256 of all that the voxels depend on."""
+    parts = {
+        "method": method,
+        "settings": settings,
+        "shape": request.shape,
+        "seed": request.seed,
+        "periodic": request.periodic,
+        "arrays": [None if part is None else digest(part) for part in (request.mask, request.known)],
+        "target": {name: digest(np.asarray(value)) for name, value in request.target.items()},
+        "images": [None if image is None else _described(image) for image in (request.fixed, *exemplars)],
+        "versions": versions(),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=repr).encode()).hexdigest()
+
+
+def _described(image: Image) -> list[Any]:
+    fields = {name: value for name, value in describe_fields(image).items() if name != "recipe"}
+    return [fields, digest(image.values)]

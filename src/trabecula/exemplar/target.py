@@ -1,0 +1,79 @@
+"""What an exemplar can say of a target: how its porosity varies from place to place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trabecula.core.errors import RequestError
+from trabecula.core.image import Image
+from trabecula.core.target import Target
+
+_WINDOWS = 4
+"""A window has this fraction of every side."""
+
+
+def porosity_range(exemplar: Image) -> tuple[float, float]:
+    """Least and greatest porosity of windows of a quarter of the exemplar's sides, at any position.
+
+    Parameters
+    ----------
+    exemplar : Image of labels, (Z, Y, X) or (Y, X)
+
+    Returns
+    -------
+    low, high : float
+        Shares of the phase "void" (label 0 where none has that name), 0 .. 1.
+
+    Examples
+    --------
+    >>> porosity_range(Image(np.arange(64).reshape(8, 8) // 8 > 4, "labels"))
+    (0.0, 1.0)
+    """
+    void = exemplar.values == (exemplar.phases.index("void") if "void" in exemplar.phases else 0)
+    sums, size = void.astype(np.int64), 1
+    for axis, side in enumerate(exemplar.shape):
+        width = max(1, side // _WINDOWS)
+        sums = np.insert(np.cumsum(sums, axis=axis), 0, 0, axis=axis)
+        sums = sums.take(range(width, side + 1), axis) - sums.take(range(side + 1 - width), axis)
+        size *= width
+    return float(sums.min() / size), float(sums.max() / size)
+
+
+def check_target_porosity(
+    target: Mapping[str, Target], exemplars: Sequence[Image], *, mask: np.ndarray | None = None
+) -> None:
+    """Raise where a target porosity is not one that the exemplars hold somewhere.
+
+    Parameters
+    ----------
+    target : mapping
+        Of a `Request`.
+    exemplars : sequence of Image
+    mask : bool array, optional
+        Of the request: a field counts inside it only.
+
+    Raises
+    ------
+    RequestError
+        Exemplars that are not labels; a porosity, or a part of a field, outside every exemplar's `porosity_range`.
+    """
+    if "porosity" not in target:
+        return
+    if exemplars[0].kind != "labels":
+        raise RequestError(
+            f"a target porosity needs phases, the exemplar is {exemplars[0].kind}: segment it (tb.segment, or "
+            "--threshold auto), or leave the target out"
+        )
+    asked = np.asarray(target["porosity"])
+    asked = asked[mask] if mask is not None and asked.ndim else asked
+    ranges = [porosity_range(exemplar) for exemplar in exemplars]
+    low, high = min(first for first, _ in ranges), max(last for _, last in ranges)
+    # A field is float32, and 1/3 in it is above 1/3.
+    if asked.min() < low - 1e-6 or asked.max() > high + 1e-6:
+        what = f"{asked.min():.4g} .. {asked.max():.4g}" if asked.ndim else f"{float(asked):.4g}"
+        raise RequestError(
+            f"the target porosity {what} is outside what the exemplar holds: windows of a quarter of its sides have "
+            f"{low:.4g} .. {high:.4g}; ask for one in between, or give an exemplar that holds it"
+        )

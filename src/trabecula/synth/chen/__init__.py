@@ -1,0 +1,16 @@
+"""Solid texture synthesis with position and index histograms (Chen and Wang 2010). See README.md in this folder."""
+
+from trabecula.synth.base import Spec
+
+SPEC = Spec(
+    name="chen",
+    summary="a volume from pictures as kopf makes it, of the pictures' own pixels, all of which are used evenly",
+    paper="Chen, Wang (2010), High quality solid texture synthesis using position and index histogram matching",
+    exemplar="2d",
+    kinds=("labels", "grey", "colour"),
+    honours=frozenset({"periodic", "mask", "fixed", "target"}),
+    several=True,
+    presets=("fast", "best", "paper"),
+    scaling="sweep",
+    target="trabecula.synth.chen.method:Chen",
+)

@@ -1,0 +1,145 @@
+"""What the pictures hold, as numbered levels: labels, grey values or colours, each level with whole-number features.
+
+The squared distance of two neighbourhoods is the sum over their pixels of the squared differences of the levels' features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.synth.mrf.palette import palette_of
+
+_GROUPS = 12  # of levels, for the feedback
+
+
+@dataclass(frozen=True)
+class Content:
+    """The levels of one material.
+
+    Attributes
+    ----------
+    kind : str
+        Of the pictures.
+    values : (L,) or (L, 3)
+        What a level is in the result: a label, a grey value or a colour of the exemplar.
+    features : (L, C) int16
+        Whole numbers; at most `full` in size.
+    dimensions : int
+        Of the space that a level lies in: 1 (two labels, grey), n - 1 (n labels), 3 (colour).
+    groups : (L,) uint8
+        Levels that count together in the feedback, 0 .. 15, by rising grey.
+    pictures : list of (R, C) uint8
+        The exemplars as levels.
+    empty : int
+        What lies outside a form, as a value of the result (label of void; 0).
+    """
+
+    kind: str
+    values: np.ndarray
+    features: np.ndarray
+    dimensions: int
+    groups: np.ndarray
+    pictures: list[np.ndarray]
+    empty: int
+
+    @property
+    def void(self) -> int | None:
+        """The level of the void; None where the pictures have none."""
+        if self.kind != "labels":
+            return None
+        found = np.flatnonzero(self.values == self.empty)
+        return int(found[0]) if len(found) else None
+
+    def levels_of(self, values: np.ndarray) -> np.ndarray:
+        """The nearest level (uint8) of values of the exemplars' kind."""
+        if self.kind == "labels":
+            return np.searchsorted(self.values, values).clip(0, len(self.values) - 1).astype(np.uint8)
+        if self.kind == "grey":
+            middles = self.values[:-1] + (self.values[1:] - self.values[:-1]) / 2
+            return np.searchsorted(middles, values, side="left").astype(np.uint8)
+        flat, where = np.unique(values.reshape(-1, 3), axis=0, return_inverse=True)
+        nearest = np.empty(len(flat), np.uint8)
+        for first in range(0, len(flat), 4096):
+            part = flat[first : first + 4096, None].astype(np.int32) - self.values[None].astype(np.int32)
+            nearest[first : first + 4096] = (part**2).sum(2).argmin(1)
+        return nearest[where.reshape(values.shape[:-1])]
+
+
+def content_of(images: Sequence[Image], *, full: int, levels: int, colours: int) -> Content:
+    """The levels of exemplars that agree in kind.
+
+    Parameters
+    ----------
+    full : int
+        The largest size of a feature, 16 .. 127.
+    levels : int
+        Grey values at most, 2 .. 256: as they are where there are fewer, else by quantiles.
+    colours : int
+        Colours of the palette at most, 2 .. 256.
+    """
+    if images[0].kind == "labels":
+        return _labels(images)
+    if images[0].kind == "grey":
+        return _grey(images, full, levels)
+    return _colour(images, full, colours)
+
+
+def _labels(images: Sequence[Image]) -> Content:
+    present = np.unique(np.concatenate([np.unique(image.values) for image in images]))
+    pictures = [np.searchsorted(present, image.values).astype(np.uint8) for image in images]
+    count = len(present)
+    features = np.arange(2)[:, None] if count == 2 else np.eye(count)
+    names = images[0].phases
+    return Content(
+        "labels",
+        present.astype(np.uint8),
+        features.astype(np.int16),
+        max(1, count - 1),
+        np.arange(count, dtype=np.uint8),
+        pictures,
+        names.index("void") if "void" in names else 0,
+    )
+
+
+def _grey(images: Sequence[Image], full: int, levels: int) -> Content:
+    pooled = np.concatenate([image.values.ravel() for image in images])
+    present, counts = np.unique(pooled, return_counts=True)
+    if len(present) > levels:
+        middle = np.cumsum(counts) - counts / 2
+        cell = np.minimum(middle * levels // pooled.size, levels - 1).astype(np.int64)
+        cells, first = np.unique(cell, return_index=True)
+        weighed = np.cumsum(counts)
+        below = np.concatenate([[0], weighed])[first]
+        above = np.concatenate([below[1:], [pooled.size]])
+        kept = np.searchsorted(weighed, (below + above) // 2, side="right")
+        table, numbers = present[kept], np.searchsorted(cells, cell)
+    else:
+        table, numbers = present, np.arange(len(present))
+    low, high = float(present[0]), float(present[-1])
+    features = np.rint((table.astype(np.float64) - low) * (2 * full / max(high - low, 1e-300)) - full)
+    pictures = [numbers[np.searchsorted(present, image.values)].astype(np.uint8) for image in images]
+    return Content("grey", table, features.astype(np.int16)[:, None], 1, _grouped(pictures, len(table)), pictures, 0)
+
+
+def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
+    pooled = np.concatenate([image.values.reshape(-1, 3) for image in images])
+    table, pixels = palette_of(pooled, colours)
+    order = np.argsort(table.astype(np.int64) @ np.array([299, 587, 114]), kind="stable")  # by rising brightness
+    place = np.empty(len(order), np.uint8)
+    place[order] = np.arange(len(order))
+    table, pixels = table[order], place[pixels]
+    ends = np.cumsum([image.values.size // 3 for image in images])[:-1]
+    pictures = [part.reshape(image.shape) for part, image in zip(np.split(pixels, ends), images, strict=True)]
+    features = np.rint((table.astype(np.float64) - 127.5) * (full / 127.5)).astype(np.int16)
+    return Content("colour", table, features, 3, _grouped(pictures, len(table)), pictures, 0)
+
+
+def _grouped(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:
+    """Levels in groups of about equal share, in their order."""
+    counts = np.sum([np.bincount(picture.ravel(), minlength=count) for picture in pictures], axis=0)
+    middle = np.cumsum(counts) - counts / 2
+    return np.minimum(middle * _GROUPS // max(1, counts.sum()), _GROUPS - 1).astype(np.uint8)

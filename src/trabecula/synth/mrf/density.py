@@ -1,0 +1,181 @@
+"""The local conditional density of all levels at once (Urs 2014, equations 3 to 7).
+
+For the neighbourhood r of a site and a level l, f(l) = sum over p of exp(-(D_p + (l - y_p)^2) / 2 h^2), where D_p is the
+squared distance of r to the exemplar's neighbourhood p and y_p its centre. D_p is shared by all levels: what is summed up first
+is exp(-D_p / 2 h^2) over the p of equal centre, and the centre's Gaussian is a small matrix. Distances are whole numbers and
+weights are entries of a table of whole numbers, so every sum is exact and the same on every machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.engine.compile import inline, kernel
+from trabecula.synth.mrf.tables import log_of
+
+LANES = 16
+"""The number of candidates is filled up to a multiple of this."""
+
+_FLOOR = 2.0**-40
+"""Of a density: what no candidate supports stays possible where another view asks for it."""
+
+_S1, _S2, _S4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
+_BYTES, _1, _2, _4, _56 = np.uint64(0x0101010101010101), np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
+
+
+@inline
+def _ones(word):
+    """How many bits are set."""
+    word = word - ((word >> _1) & _S1)
+    word = (word & _S2) + ((word >> _2) & _S2)
+    word = (word + (word >> _4)) & _S4
+    return (word * _BYTES) >> _56
+
+
+# Loops of their own, over one row: LLVM turns only these into wide instructions.
+@inline
+def _first_distances(word, mask, row, distance):
+    for p in range(len(row)):
+        distance[p] = _ones((row[p] ^ word) & mask)
+
+
+@inline
+def _more_distances(word, mask, row, distance):
+    for p in range(len(row)):
+        distance[p] += np.uint8(_ones((row[p] ^ word) & mask))
+
+
+@inline
+def _passing(distance, reach, passed):
+    """The least distance, and which lie at most `reach` beyond it."""
+    least = np.uint8(255)
+    for p in range(len(distance)):
+        least = min(least, distance[p])
+    most = np.uint8(min(254, np.int64(least) + reach))
+    for p in range(len(distance)):
+        passed[p] = distance[p] <= most
+    return least
+
+
+@kernel
+def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
+    """Weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ where the mask is set.
+
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8, rising; 255 fills up to a multiple of `LANES`. `times`
+    (n,) int64: how often a candidate occurs.
+    """
+    n = count = len(centres)
+    while centres[count - 1] == 255:
+        count -= 1
+    distance, passed = np.empty(n, np.uint8), np.empty(n, np.bool_)
+    eights, beyond = passed.view(np.uint64), len(table) - 1
+    for s in range(len(words)):
+        _first_distances(words[s, 0], masks[s, 0], candidates[0], distance)
+        for w in range(1, len(candidates)):
+            _more_distances(words[s, w], masks[s, w], candidates[w], distance)
+        distance[count:] = 255
+        least = _passing(distance, beyond - 1, passed)
+        bins[s, view] = 0
+        total, centre = np.int64(0), centres[0]
+        for e in range(len(eights)):
+            if eights[e]:
+                for p in range(8 * e, 8 * e + 8):
+                    if centres[p] != centre:
+                        bins[s, view, centre] += total
+                        total, centre = np.int64(0), centres[p]
+                    total += times[p] * table[min(np.int64(distance[p]) - least, beyond)]
+        if centre != 255:
+            bins[s, view, centre] += total
+
+
+@kernel
+def bins_of_products(products, centres, table, shift, view, bins):
+    """Weights by centre from products: `products` (S, n) float32 whole numbers, the distances less a constant of the site.
+
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8; 255 fills up to a multiple of `LANES`, with the products
+    of another.
+    """
+    n = len(centres)
+    low, passed, near = np.empty(LANES, np.float32), np.empty(n, np.bool_), np.empty(n + 1, np.int32)
+    eights = passed.view(np.uint64)
+    cut = np.float32((len(table) - 1) << shift)
+    for s in range(len(products)):
+        row = products[s]
+        least = _least(row, low)
+        _below(row, least + cut, passed)
+        found = 0
+        for e in range(len(eights)):
+            if eights[e]:
+                for p in range(8 * e, 8 * e + 8):  # no branch that a processor would guess wrong
+                    near[found] = p
+                    found += passed[p]
+        bins[s, view] = 0
+        for i in range(found):
+            centre = centres[near[i]]
+            if centre != 255:
+                bins[s, view, centre] += table[np.int32(row[near[i]] - least) >> shift]
+
+
+@inline
+def _least(row, low):
+    """The least entry, by lanes: LLVM reorders no sum or minimum of floats by itself."""
+    lanes = len(low)
+    low[:] = row[:lanes]
+    for first in range(lanes, len(row), lanes):
+        for j in range(lanes):
+            value = row[first + j]
+            low[j] = value if value < low[j] else low[j]
+    return low.min()
+
+
+@inline
+def _below(row, bound, passed):
+    for p in range(len(row)):
+        passed[p] = row[p] < bound
+
+
+@kernel
+def densities(bins, blur, logs, share, log):
+    """Equation 7 from the weights: `share` (S, V, L) float64, summing to 1 over the levels, and its `log` in units (int64).
+
+    `blur` (V, L, L) float64: exp(-(l - y)^2 / 2 h^2), [v, y, l].
+    """
+    L = bins.shape[2]
+    bits = share.view(np.int64)
+    for s in range(len(bins)):
+        for v in range(bins.shape[1]):
+            row = share[s, v]
+            row[:] = 0
+            for y in range(L):
+                if bins[s, v, y]:
+                    weight = np.float64(bins[s, v, y])
+                    for level in range(L):
+                        row[level] += weight * blur[v, y, level]
+            total = 0.0
+            for level in range(L):
+                total += row[level]
+            total = max(total, 1e-300)
+            for level in range(L):
+                row[level] = row[level] / total + _FLOOR
+                log[s, v, level] = log_of(bits[s, v, level], logs)
+
+
+def blur_of(features: np.ndarray, twice_variance: float) -> np.ndarray:
+    """exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so that machines agree."""
+    apart = features[:, None].astype(np.int64) - features[None].astype(np.int64)
+    return np.rint(np.exp(-(apart**2).sum(2) / twice_variance) * 2.0**40) / 2.0**40
+
+
+def optimal_bandwidth(variance: float, count: int, dimensions: int) -> float:
+    """h_opt of equation 6: sigma (4 / (n (d + 2)))^(1 / (d + 4)).
+
+    Parameters
+    ----------
+    variance : float
+        sigma^2, the marginal variance of the picture (of one dimension of its levels).
+    count : int
+        n, the exemplar's neighbourhoods.
+    dimensions : int
+        d, of a neighbourhood with its centre.
+    """
+    return float(np.sqrt(variance) * (4 / (count * (dimensions + 2))) ** (1 / (dimensions + 4)))

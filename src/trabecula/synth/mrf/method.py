@@ -1,0 +1,254 @@
+"""`mrf`: fit learns the picture's neighbourhoods at every scale, generate relaxes a volume from coarse to fine.
+
+1. The pictures become numbered levels (`content`), decimated by two for every scale; their neighbourhoods become the
+   candidates of a Parzen estimate with h_opt (`source`).
+2. The coarsest scale starts from white noise with the picture's histogram; each finer one from what it inherits.
+3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the slices through it
+   (`density`), the views' densities made one, a level chosen (`choose`), the site's temperature or the bias learnt (`relax`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import RequestError
+from trabecula.core.image import Image
+from trabecula.core.progress import track
+from trabecula.core.request import Request
+from trabecula.engine.checkpoint import State, resumed
+from trabecula.engine.plan import Plan
+from trabecula.engine.tiles import thread_count
+from trabecula.exemplar.views import View, is_isotropic, spacing_of
+from trabecula.synth.mrf import SPEC
+from trabecula.synth.mrf.config import MrfConfig
+from trabecula.synth.mrf.content import Content, content_of
+from trabecula.synth.mrf.couplings import Couplings
+from trabecula.synth.mrf.forecast import lattice_bytes, learning_bytes, scratch_bytes
+from trabecula.synth.mrf.frame import Face
+from trabecula.synth.mrf.lattice import Lattice
+from trabecula.synth.mrf.limits import STEPS, largest_feature, scales_of
+from trabecula.synth.mrf.planes import across, turned
+from trabecula.synth.mrf.scales import count_of, lattices_of, padded_shape, started
+from trabecula.synth.mrf.source import Source, bytes_of, patches_of, source_of
+from trabecula.synth.mrf.tilt import tilted
+from trabecula.synth.shared.fields import isotropic_scale
+from trabecula.synth.shared.pictures import PictureMethod, PictureModel
+
+_PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_STRETCHED = ((False, True), (True, True))  # along which of a turned plane's axes steps are diagonals
+
+
+class Mrf(PictureMethod):
+    """Maximum likelihood from one picture."""
+
+    spec = SPEC
+    config_type = MrfConfig
+
+    def _width(self) -> int:
+        return self.config.neighbourhood
+
+    def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> MrfModel:
+        return MrfModel(self.config, exemplars, views)
+
+    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+        largest = max(exemplars, key=lambda exemplar: exemplar.values.size)
+        scales = range(scales_of(exemplars, self.config))
+        sizes = [learning_bytes(largest, scale, self.config) for scale in scales]
+        held = sum(kept for kept, _ in sizes) * len(exemplars) + 12 * sum(
+            exemplar.values.size for exemplar in exemplars
+        )
+        return Plan(
+            {
+                "interpreter and kernels": _PROCESS,
+                "neighbourhoods": held,
+                "learning": max(peak - kept for kept, peak in sizes),
+            }
+        )
+
+
+class MrfModel(PictureModel):
+    """Views of the pictures, and their neighbourhoods at every scale."""
+
+    spec = SPEC
+    config: MrfConfig
+
+    def __init__(self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]) -> None:
+        super().__init__(config, exemplars, views)
+        # A picture that several views share is learnt once.
+        images: list[Image] = []
+        self.learners: list[int] = []
+        for view in self.views:
+            known = [n for n, image in enumerate(images) if image is view.image]
+            self.learners.append(known[0] if known else len(images))
+            images += [] if known else [view.image]
+        self.content: Content = content_of(
+            images, full=largest_feature(images[0].kind, config), levels=config.levels, colours=config.colours
+        )
+        self.oblique = self._turns(images) if config.oblique is None else config.oblique
+        self.count = scales_of(images, config)
+        self.sources = [self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")]
+
+    def _turns(self, images: Sequence[Image]) -> bool:
+        """Whether turned planes go without being asked for."""
+        alone = len(images) == 1 and len(self.views) == 3
+        return alone and self.config.relaxation == "gibbs" and is_isotropic(images[0])
+
+    def _learn(self, scale: int, porosity: float | None) -> list[Source]:
+        """What each picture says at a scale, then what the first says along diagonals; its neighbourhoods chosen for a `porosity`
+        where one is asked for."""
+        config, content = self.config, self.content
+        kinds = [(picture, (False, False)) for picture in content.pictures]
+        if self.oblique:
+            kinds += [(content.pictures[0], stretched) for stretched in _STRETCHED]
+        sources = []
+        for picture, stretched in kinds:
+            patches = patches_of(
+                picture, scale=scale, width=config.neighbourhood, every=config.every, stretched=stretched
+            )
+            if porosity is not None and content.void is not None:
+                patches = tilted(patches, content.void, porosity)
+            sources.append(
+                source_of(
+                    patches,
+                    content,
+                    most=config.candidates,
+                    bandwidth=config.bandwidth_of(self.content.kind),
+                    steps=STEPS if config.relaxation == "icm" else 1,
+                    products=config.relaxation == "icm",
+                    bins=config.cells,
+                )
+            )
+        return sources
+
+    def _frames(self, sources: Sequence[Source]) -> list[list[Face]]:
+        """The views along the axes, and where the material is alike in all directions those turned about each of them."""
+        pairs = zip(self.views, self.learners, strict=True)
+        frames = [[Face(across(view.axis), sources[learner], learner) for view, learner in pairs]]
+        for axis in range(3) if self.oblique else ():
+            numbers = [1 + _STRETCHED.index(plane.stretched) for plane in turned(axis)]
+            frames.append([Face(plane, sources[n], n) for plane, n in zip(turned(axis), numbers, strict=True)])
+        return frames
+
+    def _couplings(self, scale: int, lattice: Lattice) -> Couplings | None:
+        """The couplings of a scale, which have learnt nothing yet."""
+        rate = self.config.coupling_of(self.content.kind)
+        if not rate:
+            return None
+        stride = 2**scale
+        pictures = [
+            (view.axis, self.content.pictures[learner][::stride, ::stride])
+            for view, learner in zip(self.views, self.learners, strict=True)
+        ]
+        return Couplings(
+            pictures,
+            self.content.features,
+            lattice.shape,
+            edges=isotropic_scale(spacing_of(self.views)),
+            reach=self.config.reach // stride,
+            rate=rate,
+        )
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        width = self.config.neighbourhood
+        for axis, side, periodic in zip("zyx", request.shape, request.periodic, strict=True):
+            if periodic and side < width:
+                raise RequestError(
+                    f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for more, or for a smaller "
+                    "neighbourhood"
+                )
+        self._porosity(request)
+
+    def _porosity(self, request: Request) -> float | None:
+        """The porosity that is asked for."""
+        if not request.target:
+            return None
+        wanted = request.target["porosity"]
+        if isinstance(wanted, np.ndarray) and wanted.min() != wanted.max():
+            raise RequestError("mrf follows one porosity for the whole, not a field of them: give a number")
+        return float(np.mean(wanted))
+
+    def _shares(self, porosity: float | None) -> np.ndarray:
+        """The shares (G,) of the groups of levels that the result is to have: the pictures', or with another porosity."""
+        content = self.content
+        pictures = [content.pictures[learner] for learner in self.learners]
+        counts = np.sum([np.bincount(p.ravel(), minlength=len(content.values)) / p.size for p in pictures], axis=0)
+        if porosity is not None:
+            rest = np.where(content.values == content.empty, 0, counts)
+            counts = np.where(content.values == content.empty, porosity, (1 - porosity) * rest / rest.sum())
+        return np.bincount(content.groups, counts / counts.sum())
+
+    def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        porosity = self._porosity(request)
+        sources = self.sources if porosity is None else [self._learn(scale, porosity) for scale in range(self.count)]
+        lattices = lattices_of(request, self.content, self.count, self.config.neighbourhood)
+        top, coarse = len(lattices) - 1, None
+        couplings: Couplings | None = None
+        told: list[dict[str, Any]] = []
+        begin, state = self._resumed(top)
+        wanted = self._shares(porosity)
+        for scale in range(begin, -1, -1):
+            lattice = lattices[scale]
+            if scale < top and coarse is None:  # what it started from is in the state
+                coarse = lattices[scale + 1].levels
+            frames, learnt = self._frames(sources[scale]), couplings
+            couplings = self._couplings(scale, lattice)
+            relaxation = started(
+                lattice,
+                coarse,
+                frames,
+                self.content,
+                self.config,
+                seed=request.seed,
+                scale=scale,
+                wanted=wanted,
+                couplings=couplings,
+            )
+            if couplings is not None:
+                couplings.start(learnt, lattice.levels, lattice.there)
+            told = relaxation.run(told, state)
+            coarse, state = lattice.levels, None
+        return self._delivered(lattices[0].levels, request), {"scales": told, "oblique": self.oblique}
+
+    def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
+        """Levels as values; what is known comes out as it was, and outside a form is nothing."""
+        table = self.content.values
+        levels = levels[tuple(slice(side) for side in request.shape)]
+        values = np.empty((*levels.shape, *table.shape[1:]), table.dtype)
+        for plane, part in zip(
+            values, levels, strict=True
+        ):  # an index of the whole would be widened to 8 bytes a voxel
+            plane[...] = table[part]
+        if request.mask is not None:
+            values[~request.mask] = self.content.empty
+        if request.fixed is not None and request.known is not None:
+            values[request.known] = request.fixed.values[request.known]
+        return values
+
+    def _resumed(self, top: int) -> tuple[int, State | None]:
+        """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
+        for scale in range(top + 1):
+            state = resumed(f"scale {scale}")
+            if state is not None:
+                return scale, state
+        return top, None
+
+    def _plan(self, request: Request) -> Plan:
+        width = self.config.neighbourhood
+        count = count_of(request.shape, request.periodic, count=self.count, width=width)
+        shape = padded_shape(request.shape, request.periodic, count=count, width=width)
+        voxels = int(np.prod(shape, dtype=np.int64))
+        values = int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
+        kept = [source for scale in self.sources for source in scale]
+        return Plan(
+            memory={
+                "interpreter and kernels": _PROCESS,
+                "exemplar": bytes_of(kept),
+                "output": lattice_bytes(voxels, self.content, len(self.views), self.config) + values,
+                "scratch": thread_count() * scratch_bytes(kept, self.content, len(self.views), self.config),
+            },
+            disk=values,
+        )

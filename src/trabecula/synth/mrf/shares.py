@@ -1,0 +1,113 @@
+"""The one owner of the levels' shares: every class of sites is drawn with the shares that are wanted.
+
+A density that confirms itself is like a magnet: whichever level has more voxels grows until it has all, and a bias that
+learns from sweep to sweep only drives it from one side to the other. So the scores of each class are shifted, group of levels by
+group, just so far that the expected shares of the class are the wanted ones, before anything is drawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.engine.compile import kernel
+from trabecula.synth.mrf.choose import COLD
+from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
+
+COLDEST = 64 * COLD
+"""The coldness that stands for the mode."""
+
+_ROUNDS = 2  # through the groups, from the shifts of the class before; two groups are settled in one
+_NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30
+_FINE = 1 << 8
+
+
+def shifts_for(
+    score: np.ndarray, groups: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
+) -> np.ndarray:
+    """Shifts (G,) int64 of the groups' scores, in units, the largest 0.
+
+    Parameters
+    ----------
+    score : (S, L) int32
+        Of the levels at the sites of a class, in units.
+    groups : (L,) uint8
+    wanted : (G,) float64
+        Shares that the class is to have, sum 1.
+    coldness : int
+        1 / temperature in whole 4096ths.
+    start : (G,) int64
+        The shifts of the class before.
+    """
+    energy = np.empty((len(score), len(wanted)), np.int64)
+    of_groups(score, groups, coldness, LOGS, POWERS, energy)
+    shift, lead = start.copy(), np.empty(len(score), np.int64)
+    first, rounds = (1, 1) if len(wanted) == 2 else (0, _ROUNDS)
+    for _ in range(rounds):
+        for group in range(first, len(wanted)):
+            leads(energy, shift, group, coldness, LOGS, POWERS, lead)
+            shift[group] = _settled(lead, float(wanted[group]), coldness, int(shift[group]))
+    return shift - shift.max()
+
+
+def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
+    """The shift of a group at which its expected share is `wanted`, found by halving an interval around the last one."""
+    aim, room = wanted * len(lead), int(_NARROW)
+    low, high = near - room, near + room
+    while low > -_WIDE and expected(lead, low, coldness, POWERS) > aim:
+        low, high, room = low - 4 * room, low, 4 * room
+    while high < _WIDE and expected(lead, high, coldness, POWERS) < aim:
+        low, high, room = high, high + 4 * room, 4 * room
+    while high - low > _FINE:
+        middle = (low + high) // 2
+        if expected(lead, middle, coldness, POWERS) < aim:
+            low = middle
+        else:
+            high = middle
+    return int(np.clip((low + high) // 2, -_WIDE, _WIDE))
+
+
+@kernel
+def of_groups(score, groups, coldness, logs, powers, energy):
+    """Scores of the groups (S, G) int64: the logarithm of the sum of their levels' weights, at this coldness."""
+    G = energy.shape[1]
+    top = np.empty(G, np.int64)
+    total = np.empty(G, np.float64)
+    for s in range(len(score)):
+        top[:] = -(1 << 40)
+        total[:] = 1.0  # one step of 2^-31: what has no level is far below, and not below everything
+        for level in range(len(groups)):
+            top[groups[level]] = max(top[groups[level]], np.int64(score[s, level]))
+        for level in range(len(groups)):
+            fall = ((np.int64(score[s, level]) - top[groups[level]]) * coldness) >> 12
+            total[groups[level]] += np.float64(power_of(fall, powers))
+        bits = total.view(np.int64)
+        for g in range(G):
+            energy[s, g] = top[g] + ((log_of(bits[g], logs) - (31 << 16)) << 12) // coldness
+
+
+@kernel
+def leads(energy, shift, group, coldness, logs, powers, lead):
+    """By how much a group's shifted score, its own shift left out, lies above all others' together, (S,) int64."""
+    total = np.empty(1, np.float64)
+    bits = total.view(np.int64)
+    for s in range(len(energy)):
+        top = np.int64(-(1 << 60))
+        for g in range(len(shift)):
+            if g != group:
+                top = max(top, energy[s, g] + shift[g])
+        total[0] = 0.0
+        for g in range(len(shift)):
+            if g != group:
+                total[0] += np.float64(power_of(((energy[s, g] + shift[g] - top) * coldness) >> 12, powers))
+        lead[s] = energy[s, group] - top - ((log_of(bits[0], logs) - (31 << 16)) << 12) // coldness
+
+
+@kernel
+def expected(lead, shift, coldness, powers):
+    """How many of the sites a group that leads by `lead` + `shift` is expected to take."""
+    total = 0.0
+    for s in range(len(lead)):
+        above = ((lead[s] + shift) * coldness) >> 12
+        odds = np.float64(power_of(-abs(above), powers)) * 2.0**-31
+        total += (1.0 if above >= 0 else odds) / (1.0 + odds)
+    return total

@@ -1,0 +1,43 @@
+"""Checks that methods' configs share; a config calls them on itself when it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trabecula.core.checks import as_number, check_name
+from trabecula.core.errors import InputError
+from trabecula.exemplar.views import as_planes
+
+
+def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Numbers within their ranges (name -> least, most); whole where the field's default is."""
+    for name, (low, high) in ranges.items():
+        whole = isinstance(getattr(type(config), name), int)
+        object.__setattr__(config, name, as_number(getattr(config, name), name=name, low=low, high=high, whole=whole))
+
+
+def keep_rounds(config: Any, name: str, *, low: int = 1, high: int = 200) -> None:
+    """One whole number a level, finest first; a single number is for all."""
+    given = getattr(config, name)
+    counts = given if isinstance(given, (list, tuple)) else (given,)
+    if not counts:
+        raise InputError(f"{name} is empty: give the {name} of the finest level first, such as [4, 6, 8]")
+    checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
+    object.__setattr__(config, name, checked)
+
+
+def keep_choices(config: Any, choices: Mapping[str, tuple[Any, ...]]) -> None:
+    """Names among those allowed; (True, False) for a switch."""
+    for name, allowed in choices.items():
+        value = getattr(config, name)
+        if allowed == (True, False):
+            if not isinstance(value, bool):
+                raise InputError(f"{name}={value!r} should be true or false")
+        else:
+            check_name(value, allowed, name=name)
+
+
+def keep_views(config: Any) -> None:
+    """The planes of `views`, as a tuple."""
+    object.__setattr__(config, "views", as_planes(config.views))

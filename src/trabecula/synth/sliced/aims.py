@@ -1,0 +1,149 @@
+"""What pictures say of a material at each resolution: neighbourhoods, histograms, two-point functions.
+
+A coarser level is the distance field at every second pixel, from every one of the starts there are, not a mean: a mean over
+pixels of a picture and one over voxels of a volume differ, values at points of a plane do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trabecula.exemplar.views import View, spacing_of
+from trabecula.synth.shared.fields import FULL, mean_edge, quantise
+from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.orient import oriented, symmetries
+from trabecula.synth.shared.statistics.correlate import Correlations, correlations_of, soft_indicator
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import Slices, slices_of
+from trabecula.synth.sliced.config import SlicedConfig
+from trabecula.synth.sliced.steps import FAR
+
+_REACH, _NEAR = 30, 6  # farthest distance of pairs in pixels of the picture, and at least so many of a level's own
+_HARD = 1.0  # softness of an indicator that is 0 or 1
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of search and vote; two-point functions are those of the phases, for `steps.stepped`."""
+
+    views: tuple[tuple[int, Candidates], ...]
+    histograms: tuple[Histogram, ...]
+    correlations: Correlations
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The resolution that sliced rounds lay out."""
+
+    views: tuple[tuple[int, Slices], ...]
+    histograms: tuple[Histogram, ...]
+    correlations: Correlations
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The distance fields (C, 1, Y, X) float32 of the pictures by their numbers, in voxels, and how they are seen.
+
+    `orientations` ("none", "mirrors", "all") are those of the copies that are learnt from.
+    """
+
+    fields: dict[int, np.ndarray]
+    views: tuple[View, ...]
+    orientations: str
+
+    def level(self, index: int, config: SlicedConfig) -> Level:
+        """For search and vote on level `index`."""
+        clip = config.clip * 2**index
+        stacks = {number: Stack.of(parts) for number, parts in self._parts(index, clip).items()}
+        made = {
+            number: Candidates.of(
+                stack,
+                width=config.neighbourhood,
+                step=config.step if index == 0 else 1,
+                variance=config.variance,
+                most=config.components,
+                flat=True,
+            )
+            for number, stack in stacks.items()
+        }
+        target = replace(self._correlations(index, clip, _HARD), softness=config.softness * FULL / FAR)
+        return Level(tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target)
+
+    def layout(self, index: int, config: SlicedConfig) -> Layout:
+        """For sliced rounds on level `index`."""
+        parts = self._parts(index, config.layout_clip)
+        made = {number: slices_of(part, width=config.layout_width, flat=True) for number, part in parts.items()}
+        stacks = {number: Stack.of(part) for number, part in parts.items()}
+        # The soft interface is as wide as a voxel of the level, where the clipped field is that wide.
+        softness = min(2.0, 2**index / config.layout_clip) * FULL
+        target = self._correlations(index, config.layout_clip, softness)
+        return Layout(tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target)
+
+    def _histograms(self, stacks: dict[int, Stack]) -> tuple[Histogram, ...]:
+        """One a channel, of all views together."""
+        seen = [stacks[view.picture].histograms for view in self.views]
+        return tuple(Histogram.pooled(channel) for channel in zip(*seen, strict=True))
+
+    def _parts(self, index: int, clip: float) -> dict[int, list[np.ndarray]]:
+        """Every picture as int8 fields of a level, one for each start and orientation."""
+        found = {}
+        for number, field in self.fields.items():
+            spacing = next(view.image.spacing for view in self.views if view.picture == number)
+            turns = symmetries(self.orientations, ndim=2, spacing=spacing)
+            thin = thinned(field, index, clip)
+            found[number] = [oriented(part[:, 0], turn)[:, None] for part in thin for turn in turns]
+        return found
+
+    def _correlations(self, index: int, clip: float, softness: float) -> Correlations:
+        """The two-point functions in the planes; where turned pictures count as well, one for all directions."""
+        spacing = spacing_of(self.views)
+        edges = [edge / mean_edge(spacing) for edge in spacing]
+        parts = [
+            np.moveaxis(part, 1, 1 + view.axis)
+            for view in self.views
+            for part in thinned(self.fields[view.picture], index, clip)
+        ]
+        shortest = min(min(field.shape[2:]) for field in self.fields.values())
+        reach = max(_NEAR, min(_REACH, shortest // 2 - 1) // 2**index)
+        target = correlations_of(parts, softness=softness, r_max=reach, edges=edges)
+        return alike(target, [part.shape[1:] for part in parts]) if self.orientations == "all" else target
+
+
+def thinned(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
+    """A field (C, 1, Y, X) in int8 at every 2**index-th pixel, from every start."""
+    stride = 2**index
+    whole = quantise(field, clip=clip)
+    return [whole[:, :, y::stride, x::stride] for y in range(stride) for x in range(stride)]
+
+
+def alike(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlations:
+    """One function of distance for the three directions of a target that was measured in fields of these shapes."""
+    bins = target.r_max + 1
+    fits = np.sum([Pairs(shape, target.r_max, edges=target.edges).fits for shape in shapes], axis=0).reshape(3, bins)
+    sums = (target.curves.reshape(-1, 3, bins) * fits).sum(axis=1) / np.maximum(fits.sum(axis=0), 1)
+    return replace(target, curves=np.tile(sums, (1, 3)), held=np.tile(fits.sum(axis=0) > 0, 3))
+
+
+def leaning(
+    target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
+) -> Correlations:
+    """The target for fields with other histograms: the covariance form (S2 - m^2) / (m - m^2) is kept.
+
+    `softness` is that of the indicator whose two-point functions they are.
+    """
+    curves = []
+    for curve, have, want in zip(target.curves, own, asked, strict=True):
+        m, w = _mean(have, softness), _mean(want, softness)
+        curves.append((curve - m * m) * ((w - w * w) / max(m - m * m, 1e-30)) + w * w)
+    return replace(target, curves=np.array(curves))
+
+
+def _mean(histogram: Histogram, softness: float) -> float:
+    """The mean of the soft indicator."""
+    counts = np.diff(histogram.up_to, prepend=0)
+    soft = soft_indicator(histogram.values, softness).astype(np.float64)
+    return float((soft * counts).sum() / counts.sum())

@@ -1,0 +1,226 @@
+"""Volumes held against a picture, or against one for each view."""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from commands import refused, trabecula
+from trabecula.errors import InputError, UnknownNameError
+from trabecula.measure import covariance_form, describe, largest_fraction, two_point
+from trabecula.report import verify
+from trabecula.report.band import LEAST_PART, parts
+from trabecula.report.faces import faces_of, slices_of
+from trabecula.report.figures import figure_of
+from trabecula.report.words import sentences
+
+
+def smooth(seed: int, shape, *, share: float = 0.35, widths=(3, 3, 3)) -> np.ndarray:
+    """A Gaussian field, cut: isotropic where the widths are equal."""
+    noise = np.fft.rfftn(np.random.default_rng(seed).standard_normal(shape))
+    for axis, width in enumerate(widths[-len(shape) :]):
+        waves = (np.fft.rfftfreq if axis == len(shape) - 1 else np.fft.fftfreq)(shape[axis])
+        damped = np.exp(-((np.pi * waves * width) ** 2))
+        noise = noise * damped.reshape([-1 if a == axis else 1 for a in range(len(shape))])
+    field = np.fft.irfftn(noise, shape, axes=tuple(range(len(shape))))
+    return (field > np.quantile(field, 1 - share)).astype(np.uint8)
+
+
+def labels(values, **fields) -> tb.Image:
+    return tb.Image(np.ascontiguousarray(values), "labels", **fields)
+
+
+@pytest.fixture(scope="module")
+def picture() -> tb.Image:
+    return labels(smooth(10, (8, 112, 112))[4])
+
+
+@pytest.fixture(scope="module")
+def volume() -> tb.Image:
+    return labels(smooth(101, (48, 48, 48)))
+
+
+@pytest.fixture(scope="module")
+def certificate(picture, volume):
+    return verify(picture, volume)
+
+
+def test_the_same_material_passes_whole(certificate):
+    assert certificate.passed is True
+    assert certificate.metrics["two_point_covariance"].passed and certificate.metrics["coherence"].passed
+
+
+def test_figures_are_means_over_slices_of_every_plane(picture, volume, certificate):
+    slices = [each for plane in ("yx", "zx", "zy") for each in slices_of(volume, plane)]
+    assert len(slices) == 24
+    metrics = certificate.metrics
+    assert metrics["porosity"].value == pytest.approx(np.mean([tb.measure.porosity(each) for each in slices]))
+    assert metrics["porosity_zx"].value == pytest.approx(np.mean([tb.measure.porosity(each) for each in slices[8:16]]))
+    assert metrics["components"].value == pytest.approx(np.mean([tb.measure.components(each) for each in slices]))
+    reach = 20
+    curve = np.mean([two_point(each, r_max=reach) for each in slices], axis=0)
+    form, own = covariance_form(curve), covariance_form(two_point(picture, r_max=reach))
+    found = verify(picture, volume, r_max=reach, level="quick").metrics["two_point_covariance"]
+    assert found.value == pytest.approx(np.linalg.norm(form - own) / np.linalg.norm(own))
+
+
+def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
+    numbers = describe(volume)
+    for name in ("components", "largest_fraction", "percolates", "euler_density", "thickness", "pore_size"):
+        metric = certificate.metrics[f"{name}_3d"]
+        assert metric.value == numbers[name] and metric.passed is None and metric.real_band is None
+    assert certificate.metrics["largest_fraction_3d_void"].value == largest_fraction(volume, phase="void")
+    assert figure_of("percolates_3d_void").title == "Percolates along, in 3-D, of void"
+    assert figure_of("porosity_yx_zx").title == "Porosity, in yx and in zx"
+    assert any("not judged" in note for note in certificate.notes)
+
+
+def test_level_full_tells_of_transport(picture):
+    metrics = verify(picture, labels(smooth(2, (24, 24, 24))), level="full", box=16).metrics
+    assert metrics["permeability_3d"].passed is None and metrics["permeability_3d_z"].value >= 0
+    assert figure_of("permeability_3d_z").title.endswith("in 3-D, along z")
+
+
+def rods(seed: int, side: int = 48) -> np.ndarray:
+    """Bars along the three axes, and nothing oblique."""
+    rng, values = np.random.default_rng(seed), np.zeros((side,) * 3, np.uint8)
+    for n in range(40):
+        size = np.full(3, 6)
+        size[n % 3] = 40
+        first = rng.integers(-10, side, 3)
+        values[tuple(slice(max(0, a), a + s) for a, s in zip(first, size, strict=True))] = 1
+    return values
+
+
+def test_rods_along_the_axes_are_caught_by_a_number(picture):
+    made = rods(0)
+    like = labels(smooth(4, (8, 128, 128), share=made.mean(), widths=(5, 5, 5))[4])
+    metric = verify(like, labels(made), level="quick").metrics["axis_preference"]
+    assert metric.passed is False and metric.value > metric.real_band[1]
+
+
+def test_rows_and_columns_lie_as_the_plane_says():
+    volume = labels(np.arange(24).reshape(2, 3, 4) % 7, spacing=(3, 2, 1), unit="um")
+    for plane in ("yx", "zx", "zy", "xy", "xz", "yz"):
+        rows, columns = ("zyx".index(axis) for axis in plane)
+        (found,) = slices_of(volume, plane, 1)
+        across = ({0, 1, 2} - {rows, columns}).pop()
+        middle = volume.values.take(volume.shape[across] // 2, across)
+        assert np.array_equal(found.values, middle if rows < columns else middle.T)
+        assert found.spacing == (volume.spacing[rows], volume.spacing[columns])
+
+
+def test_slices_are_spread_evenly():
+    volume = labels((np.arange(12) % 12)[:, None, None] * np.ones((1, 4, 4), int))
+    assert [int(each.values[0, 0]) for each in slices_of(volume, "yx", 3)] == [2, 6, 10]
+    assert len(slices_of(volume, "zx", 9)) == 4
+
+
+def test_two_views_of_a_material_that_is_longer_along_an_axis():
+    """Along x cells are three times as long: pictures (z, y) and (z, x) or (y, x) differ."""
+    grown = labels(smooth(6, (48, 48, 48), widths=(3, 3, 9)))
+    long = labels(smooth(7, (8, 128, 128), widths=(3, 3, 9))[4])
+    across = labels(smooth(8, (8, 128, 128))[4])
+    right = verify([long, across], grown, level="quick")
+    assert right.metrics["two_point_axial_yx_zx"].passed and right.metrics["two_point_axial_zy"].passed
+    turned = verify([long, across], labels(grown.values.swapaxes(0, 2)), level="quick", views=["xy", "yz"])
+    assert "two_point_axial_xy" in turned.metrics and "porosity_yz" in turned.metrics
+    wrong = verify([long, across], labels(grown.values.swapaxes(0, 2)), level="quick")
+    assert wrong.metrics["two_point_axial_yx_zx"].passed is False
+    assert set(wrong.about["planes"]) == {"yx_zx", "zy"}
+    alone = verify(across, grown, level="quick").metrics
+    assert alone["two_point_axial"].passed is False and alone["two_point_covariance_zy"].passed
+
+
+def test_broken_is_said_of_slices_too(picture):
+    specks = (np.random.default_rng(0).random((48, 48, 48)) < 0.35).astype(np.uint8)
+    for exemplar in (picture, [picture, picture]):
+        said = " ".join(sentences(verify(exemplar, labels(specks), level="quick")))
+        assert "Connectivity: BROKEN" in said
+
+
+def test_a_turned_picture_is_the_picture_turned():
+    grown = labels(smooth(6, (48, 48, 48), widths=(3, 3, 9)))
+    long = labels(smooth(7, (8, 128, 128), widths=(3, 3, 9))[4])
+    plain = verify(long, grown, views=["yx", "zx"], level="quick")
+    turned = verify(labels(long.values.T), grown, views=["xy", "xz"], level="quick")
+    for name in ("two_point_covariance", "two_point_axial", "lineal_path_distance"):
+        assert plain.metrics[name].value == pytest.approx(turned.metrics[name].value)
+
+
+def test_a_stack_of_the_picture_is_a_copy(picture):
+    stack = labels(np.repeat(picture.values[None, :64, :64], 64, axis=0))
+    found = verify(picture, stack)
+    assert found.metrics["coherence"].value > 1 / 3 and found.metrics["coherence"].passed is False
+
+
+def test_grey_and_colour_by_their_texture():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (40, 40, 40)).astype(np.uint8)
+    picture = tb.Image(rng.integers(0, 256, (96, 96)).astype(np.uint8), "grey")
+    good = verify(picture, tb.Image(noise, "grey"))
+    assert good.metrics["histogram_divergence"].passed and good.metrics["mean_zx"].passed
+    assert not any(name.endswith("_3d") for name in good.metrics)
+    cloud = sum(smooth(n, (4, 96, 96), widths=(4, 4, 4))[2] * np.uint8(40) for n in range(5))
+    bars = sum(rods(n, 48) * np.uint8(40) for n in range(5))
+    assert verify(tb.Image(cloud, "grey"), tb.Image(bars, "grey")).metrics["texture_preference"].passed is False
+    colour = tb.Image(np.stack([picture.values] * 3, -1), "colour")
+    assert verify(colour, tb.Image(np.stack([noise] * 3, -1), "colour")).metrics["mean"].passed
+
+
+def test_parts_are_as_large_as_slices():
+    picture = labels(smooth(0, (100, 130)))
+    assert {part.shape for part in parts(picture, shape=(64, 64))} == {(50, 64)}
+    tiles = list(parts(picture, shape=(30, 40)))
+    assert len(tiles) == 3 * 3 and {tile.shape for tile in tiles} == {(30, 40)}
+    assert {part.shape for part in parts(picture, shape=(2, 2))} == {(LEAST_PART, LEAST_PART)}
+    starts = {(0, 0), (35, 45), (70, 90)}
+    assert all(
+        any(np.array_equal(tile.values, picture.values[y : y + 30, x : x + 40]) for tile in tiles) for y, x in starts
+    )
+
+
+def test_faces():
+    picture = labels(np.eye(32, dtype=int))
+    assert [(face.planes, face.suffix) for face in faces_of([picture])] == [(("yx", "zx", "zy"), "")]
+    two = faces_of([picture, picture])
+    assert [(face.planes, face.suffix) for face in two] == [(("yx", "zx"), "yx_zx"), (("zy",), "zy")]
+    assert [face.planes for face in faces_of([picture, picture], ["xz", "yx"])] == [("xz",), ("yx",)]
+
+
+def test_what_does_not_go_together_is_refused(picture, volume):
+    with pytest.raises(InputError, match="a picture as well"):
+        verify(picture, volume, picture)
+    with pytest.raises(UnknownNameError, match="view"):
+        verify(picture, volume, views=["ab"])
+    with pytest.raises(InputError, match="one for each"):
+        verify([picture, picture], volume, views=["yx", "zx", "zy"])
+    with pytest.raises(InputError, match="voxels do not correspond"):
+        verify(picture, labels(volume.values, spacing=2.0, unit="um"))
+    with pytest.raises(InputError, match="give one volume, or pictures"):
+        verify([volume, picture], volume)
+    with pytest.raises(InputError, match="agree in kind and phases"):
+        verify([picture, tb.Image(picture.values, "labels", phases=("void", "ice"))], volume)
+    with pytest.raises(InputError, match="is grey, the exemplar labels"):
+        verify(picture, tb.Image(volume.values * 9.0, "grey"))
+    with pytest.raises(InputError, match="2-D, the exemplar 3-D"):
+        verify(volume, picture)
+
+
+def test_a_picture_too_small_for_parts_judges_nothing(volume):
+    found = verify(labels(smooth(0, (40, 40))), volume, level="quick")
+    assert found.passed is None and any("too small" in note for note in found.notes)
+
+
+def test_the_command_line_and_the_page(tmp_path, monkeypatch, picture, volume):
+    monkeypatch.chdir(tmp_path)
+    tb.write(labels(picture.values, spacing=4.0, unit="um"), "picture.tif")
+    np.save("volume.npy", volume.values)  # states no spacing: takes that of the views
+    output = trabecula("verify", "picture.tif", "volume.npy", "--quick", "--report", "page.html")
+    assert "volume.npy: PASS" in output.out and "porosity_zx" in output.out
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 2, "slices of both, and a still of the volume"
+    words = ("--pictures", "picture.tif", "--views", "yx,zx", "--quick")
+    assert "two_point_covariance_zx" in trabecula("verify", "picture.tif", "volume.npy", *words).out
+    assert "one for each" in refused(
+        "verify", "picture.tif", "volume.npy", "--pictures", "picture.tif", "--views", "zx", "zy", "yx"
+    )

@@ -1,0 +1,446 @@
+"""`mrf` as a whole: exact conditionals, the paper's relaxations against literal loops, and every part of a request."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import trabecula as tb
+from trabecula.core.seeds import generator
+from trabecula.engine import checkpoint
+from trabecula.errors import InputError, RequestError
+from trabecula.synth.mrf import relax
+from trabecula.synth.mrf.content import content_of
+from trabecula.synth.mrf.feedback import Joint, joint_of, local_change
+from trabecula.synth.mrf.frame import Face
+from trabecula.synth.mrf.lattice import Lattice, classes_of, complete_in, known_halved, sites_of
+from trabecula.synth.mrf.limits import STEPS
+from trabecula.synth.mrf.palette import palette_of
+from trabecula.synth.mrf.planes import across, union_of
+from trabecula.synth.mrf.relax import Relaxation
+from trabecula.synth.mrf.scales import lattices_of, started
+from trabecula.synth.mrf.source import patches_of
+from trabecula.synth.mrf.tilt import tilted
+
+NONE = {"feedback": 0.0, "coupling": 0.0, "shares": False, "oblique": False, "final_heat": (1.0,)}
+
+
+def stripes(side=40, period=8):
+    """Blobs of two phases with a length of their own."""
+    rng = np.random.default_rng(1)
+    noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) * _band(side, period)).real
+    return tb.Image((noise > np.quantile(noise, 0.6)).astype(np.uint8), "labels")
+
+
+def _band(side, period):
+    k = np.fft.fftfreq(side)
+    return np.exp(-(((np.hypot(k[:, None], k[None]) - 1 / period) * 3 * period) ** 2))
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return stripes()
+
+
+def neighbours_of(site, axes, width, shape):
+    """All places that are in the neighbourhood of a site in any plane of a torus, in a set."""
+    return {
+        tuple(int(p) for p in (np.array(site) + offset) % shape)
+        for offset in union_of([across(axis) for axis in axes], width)
+    }
+
+
+@settings(max_examples=25)
+@given(
+    shape=st.tuples(*[st.integers(5, 13)] * 3),
+    width=st.sampled_from([3, 5]),
+)
+def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, width):
+    full = np.ones(shape, bool)
+    lattice = Lattice(np.zeros(shape, np.uint8), full, full, full)
+    seen = []
+    for name in classes_of(lattice, width):
+        sites = sites_of(lattice, width, name)
+        seen.append(sites)
+        members = {tuple(int(c) for c in place) for place in np.array(np.unravel_index(sites, shape)).T}
+        for site in list(members)[:4]:
+            assert not members & neighbours_of(site, (0, 1, 2), width, shape)
+    assert np.array_equal(np.sort(np.concatenate(seen)), np.arange(np.prod(shape)))
+
+
+def test_a_sweep_of_width_7_needs_16_classes():
+    full = np.ones((16, 16, 16), bool)
+    assert len(classes_of(Lattice(np.zeros(full.shape, np.uint8), full, full, full), 7)) == 16
+
+
+def test_offsets_follow_the_pictures_rows_and_columns():
+    assert across(0).offsets(3).tolist()[:4] == [[0, -1, -1], [0, -1, 0], [0, -1, 1], [0, 0, -1]]
+    assert across(1).offsets(3).tolist()[:2] == [[-1, 0, -1], [-1, 0, 0]]
+    assert across(2).offsets(3).tolist()[:2] == [[-1, -1, 0], [-1, 0, 0]]
+    assert (
+        len(union_of([across(axis) for axis in range(3)], 7)) == 3 * 36 + 18
+    )  # three planes without their lines, and three lines
+
+
+@given(seed=st.integers(0, 99))
+@settings(max_examples=8)
+def test_complete_neighbourhoods_are_found(seed):
+    there = np.random.default_rng(seed).random((6, 7, 5)) < 0.97
+    lattice = Lattice(np.zeros(there.shape, np.uint8), there, there, there)
+    found = complete_in(lattice, [across(0), across(2)], 3)
+    count = len(union_of([across(0), across(2)], 3))
+    for site in np.ndindex(there.shape):
+        near = neighbours_of(site, (0, 2), 3, there.shape)
+        wanted = len(near) == count and all(there[place] for place in near) and there[site]
+        assert found[site] == wanted
+
+
+def begun(model, lattice, coarse, faces, seed=1):
+    """The finest scale at its start, without couplings."""
+    return started(
+        lattice,
+        coarse,
+        [faces],
+        model.content,
+        model.config,
+        seed=seed,
+        scale=0,
+        wanted=model._shares(None),
+        couplings=None,
+    )
+
+
+def relaxation_of(image, shape, config, *, seed=1):
+    """One scale of three views at its start, and what its density is made of."""
+    model = tb.method("mrf", **config).fit(image)
+    request = tb.Request(shape, seed=seed, periodic=True)
+    lattice = lattices_of(request, model.content, 1, model.config.neighbourhood)[0]
+    faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
+    return model, begun(model, lattice, None, faces, seed)
+
+
+def literal_density(model, levels, site, weights, views=(0, 1, 2)):
+    """Equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64 of the neighbours."""
+    config, content = model.config, model.content
+    patches = patches_of(content.pictures[0], scale=0, width=config.neighbourhood, every=config.every)
+    features = content.features.astype(float)
+    h = model.sources[0][0].bandwidth
+    shares = []
+    for axis in views:
+        apart = np.zeros(len(patches.centres))
+        for k, offset in enumerate(across(axis).offsets(config.neighbourhood)):
+            place = tuple((np.array(site) + offset) % levels.shape)
+            difference = features[levels[place]] - features[patches.around[:, k]]
+            apart += weights[place] * (difference**2).sum(1)
+        centre = ((features[:, None] - features[patches.centres][None]) ** 2).sum(2)
+        share = np.exp(-(apart[None] - apart.min() + centre) / (2 * h * h)).sum(1)
+        shares.append(share / share.sum())
+    return np.array(shares)
+
+
+def test_gibbs_draws_from_the_exact_conditional():
+    """Sites far apart in a known surrounding, all alike: their levels are draws from one conditional."""
+    image = tb.Image((np.random.default_rng(2).random((30, 30)) < 0.4).astype(np.uint8), "labels")
+    model, relaxation = relaxation_of(
+        image, (30, 30, 30), {"neighbourhood": 3, "scales": 1, "correction": 1.0, "sweeps": (6,), "polish": 0, **NONE}
+    )
+    tile = np.random.default_rng(3).integers(0, 2, (3, 3, 3)).astype(np.uint8)
+    relaxation.lattice.levels[:] = np.tile(tile, (10, 10, 10))
+    relaxation.lattice.free[:] = False
+    relaxation.lattice.free[1::3, 1::3, 1::3] = True
+    shares = literal_density(model, relaxation.lattice.levels, (4, 4, 4), np.ones((30,) * 3))
+    marginal = np.bincount(image.values[1:-1, 1:-1].ravel()) / 28**2
+    wanted = shares.prod(0) / marginal**2
+    drawn = []
+    for step in relaxation._steps():
+        relaxation.sweep(step)
+        drawn.append(relaxation.lattice.levels[1::3, 1::3, 1::3].mean())
+    assert np.mean(drawn) == pytest.approx(wanted[1] / wanted.sum(), abs=4 * np.sqrt(0.25 / 6000))
+    assert 0.05 < np.mean(drawn) < 0.95, "the surrounding decides everything: it says nothing of the draw"
+
+
+@pytest.mark.parametrize("kind", ["labels", "grey"])
+def test_icm_is_the_literal_loop(kind):
+    """The paper's figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice, site by site."""
+    rng = np.random.default_rng(5)
+    values = rng.integers(0, 2, (14, 14)) if kind == "labels" else rng.integers(0, 6, (14, 14)).astype(np.uint8) * 40
+    shape = (6, 5, 7)
+    settings = {"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0}
+    model, relaxation = relaxation_of(tb.Image(values, kind), shape, settings)
+    relaxation.lattice.there[2, 1, 3] = relaxation.lattice.there[4, 4, 0] = relaxation.lattice.free[4, 4, 0] = False
+    relaxation.lattice.free[2, 1, 3] = False
+    levels, there = relaxation.lattice.levels.copy(), relaxation.lattice.there
+    relaxation.__post_init__()  # what it knows of where neighbours are
+    temperature = np.ones(shape, np.float32)
+    moves = []
+    for step in relaxation._steps()[:6]:
+        changed = relaxation.sweep(step)
+        names = classes_of(relaxation.lattice, 3)
+        before = levels.copy()
+        for place in generator(1, "mrf/0/order", step.number).permutation(len(names)):
+            sites = [np.unravel_index(site, shape) for site in sites_of(relaxation.lattice, 3, names[place])]
+            sites = [site for site in sites if temperature[site] > 0]
+            for site in sites:
+                weights = there * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
+                product = literal_density(model, levels, site, weights).prod(0)
+                best = np.sort(product)[::-1]
+                if best[0] > 1.01 * best[1]:
+                    levels[site] = product.argmax()
+                else:  # too close for the tables: follow
+                    levels[site] = relaxation.lattice.levels[site]
+            cooled = {}
+            for site in sites:
+                near = [place for place in neighbours_of(site, (0, 1, 2), 3, shape) if there[place]]
+                cooled[site] = max(0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near))
+            for site, value in cooled.items():
+                temperature[site] = value
+        assert np.array_equal(levels, relaxation.lattice.levels)
+        assert np.allclose(temperature[there], relaxation.temperature[there], atol=1e-6)
+        assert changed == np.count_nonzero(before != levels)
+        moves.append(changed)
+    assert moves[0] > 0 < sum(moves[1:]), "the later sweeps say nothing"
+
+
+def test_icm_ends_where_the_temperature_has_fallen_by_95_per_cent(picture):
+    made = tb.method("mrf", preset="paper", scales=2).fit(picture).generate((14, 15, 16), seed=1)
+    scales = made.recipe.steps[-1]["report"]["scales"]
+    assert [scale["scale"] for scale in scales] == [1, 0]
+    assert all(scale["fall"] >= 0.95 for scale in scales)
+    # One in eight voxels of the finer scale begins with full confidence.
+    assert len(scales[1]["changed"]) < len(scales[0]["changed"]) < 100
+
+
+def test_inherited_voxels_are_questioned_or_fixed(picture):
+    config = {"preset": "paper", "scales": 2, "upsampling": "one"}
+    coarse = np.random.default_rng(4).integers(0, 2, (6, 6, 6)).astype(np.uint8)
+    kept = []
+    for resynthesis in (True, False):
+        model = tb.method("mrf", **config, resynthesis=resynthesis).fit(picture)
+        lattice = lattices_of(
+            tb.Request((12, 12, 12), seed=1, periodic=True), model.content, 1, model.config.neighbourhood
+        )[0]
+        faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
+        relaxation = begun(model, lattice, coarse, faces)
+        assert np.array_equal(relaxation.lattice.levels[::2, ::2, ::2], coarse)
+        relaxation.run()
+        assert not relaxation.temperature[::2, ::2, ::2].any()
+        kept.append(np.mean(relaxation.lattice.levels[::2, ::2, ::2] == coarse))
+    assert kept[1] == 1 > kept[0]
+
+
+def test_upsampling_gives_one_of_eight_or_all(picture):
+    coarse = np.random.default_rng(4).integers(0, 2, (6, 5, 4)).astype(np.uint8)
+    for way in ("one", "all"):
+        model = tb.method("mrf", upsampling=way).fit(picture)
+        lattice = lattices_of(
+            tb.Request((11, 10, 8), seed=1, periodic=True), model.content, 1, model.config.neighbourhood
+        )[0]
+        faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
+        levels = begun(model, lattice, coarse, faces).lattice.levels
+        assert np.array_equal(levels[::2, ::2, ::2], coarse)
+        agree = np.mean(levels == coarse.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:11])
+        assert agree == 1 if way == "all" else agree < 0.75
+
+
+def test_the_feedback_holds_shares_and_target(picture):
+    model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
+    made = model.generate((24, 26, 22), seed=2)
+    assert np.mean(made.values == 0) == pytest.approx(np.mean(picture.values == 0), abs=0.02)
+    asked = model.generate((24, 26, 22), seed=2, target={"porosity": 0.5})
+    assert np.mean(asked.values == 0) == pytest.approx(0.5, abs=0.02)
+
+
+def test_without_the_feedback_it_is_the_papers(picture):
+    """Nothing but the views' densities: the bias stays 0."""
+    _, relaxation = relaxation_of(picture, (12, 12, 12), {"scales": 1, "sweeps": (2,), **NONE})
+    relaxation.run()
+    assert not relaxation.shift.any()
+    assert not any(part.any() for part in relaxation.steering.by_cell)
+
+
+def test_the_local_bias_rests_where_the_statistics_agree():
+    content = content_of([stripes()], full=40, levels=2, colours=2)
+    patches = patches_of(content.pictures[0], scale=0, width=5, every=True)
+    joint = joint_of(patches, content, 6)
+    assert joint.share[0].sum() == pytest.approx(1)
+    count = np.rint(joint.share * 1e6).astype(np.int64)
+    assert np.abs(local_change(joint, count)).max() < 1e-3
+    # Too much of group 1 in cell 2: less of it there, with nothing done to the groups as a whole.
+    count[0, 2, 1] *= 4
+    change = local_change(joint, count)
+    assert change[0, 2, 1] < -0.3 < 0.3 < change[0, 2, 0]
+    assert np.abs((joint.share.sum(2, keepdims=True) * change).sum(1)).max() < 1e-9
+
+
+def test_known_joint_of_a_checkerboard():
+    content = content_of([tb.Image(np.indices((9, 9)).sum(0) % 2, "labels")], full=40, levels=2, colours=2)
+    joint = joint_of(patches_of(content.pictures[0], scale=0, width=3, every=True), content, 2)
+    # Around a 1 there are four 1s, around a 0 four as well: one cell, both groups about half.
+    assert isinstance(joint, Joint)
+    assert joint.share[0].max(0) == pytest.approx([25 / 49, 24 / 49])
+
+
+def test_tilted_patches_have_the_porosity(picture):
+    patches = patches_of(picture.values, scale=0, width=7, every=True)
+    for wanted in (0.35, 0.6, 0.8):
+        found = tilted(patches, 0, wanted)
+        assert len(found.centres) == len(patches.centres)
+        assert np.mean(found.centres == 0) == pytest.approx(wanted, abs=0.01)
+
+
+def test_fixed_voxels_stay_and_the_material_goes_on(picture):
+    """The picture itself as the middle slice: unchanged, and the next slices agree with it far more than by chance."""
+    shape = (25, 40, 40)
+    known = np.zeros(shape, bool)
+    known[12] = True
+    fixed = tb.Image(np.broadcast_to(picture.values, shape).copy(), "labels")
+    made = tb.method("mrf", sweeps=(6, 8)).fit(picture).generate(shape, seed=3, fixed=fixed, known=known).values
+    assert np.array_equal(made[12], picture.values)
+    same = np.mean(made[1:] == made[:-1], axis=(1, 2))
+    chance = picture.values.mean() ** 2 + (1 - picture.values.mean()) ** 2
+    middle = 0.4 * np.delete(same, [11, 12]).mean() + 0.6 * chance
+    assert same[11] > middle
+    assert same[12] > middle
+
+
+def test_outside_a_mask_is_void_and_does_not_matter(picture):
+    shape = (20, 22, 24)
+    mask = np.zeros(shape, bool)
+    mask[3:17, 4:20, 2:20] = True
+    model = tb.method("mrf", sweeps=(3, 4)).fit(picture)
+    made = model.generate(shape, seed=1, mask=mask).values
+    assert not made[~mask].any()
+    assert made[mask].mean() == pytest.approx(picture.values.mean(), abs=0.05)
+
+
+def test_a_periodic_result_has_no_seam(picture):
+    model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
+    for periodic in (True, False):
+        made = model.generate(30, seed=4, periodic=periodic).values
+        seen = [np.moveaxis(made, axis, 0) for axis in range(3)]
+        inside = np.mean([part[1:] == part[:-1] for part in seen])
+        seam = np.mean([part[0] == part[-1] for part in seen])
+        assert (seam > inside - 0.06) == periodic
+
+
+def test_two_pictures_rule_their_own_planes():
+    """Layers across z, seen across y and x; what is seen across z is left to them."""
+    rng = np.random.default_rng(8)
+    side = tb.Image(np.repeat((np.arange(36) % 6 < 3).astype(np.uint8)[:, None], 36, axis=1), "labels")
+    model = tb.method("mrf", views=("zy", "zx"), neighbourhood=7, scales=1, sweeps=(25,), **NONE).fit(side)
+    made = model.generate((24, 20, 20), seed=1).values
+    assert np.mean(made[:, 1:] == made[:, :-1]) > 0.95
+    assert np.mean(made[:, :, 1:] == made[:, :, :-1]) > 0.95
+    assert np.mean(made[3:] == made[:-3]) < 0.2
+    with pytest.raises(InputError, match="contradict"):
+        tb.method("mrf").fit([side, tb.Image((rng.random((36, 36)) < 0.9).astype(np.uint8), "labels")])
+
+
+@pytest.mark.parametrize("kind", ["grey", "colour"])
+def test_grey_and_colour_take_real_values(kind):
+    rng = np.random.default_rng(9)
+    smooth = np.fft.ifft2(np.fft.fft2(rng.normal(size=(32, 32))) * _band(32, 8)).real
+    values = np.clip(128 + 70 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+    if kind == "colour":
+        values = np.stack([values, 255 - values, values // 2], axis=-1)
+    picture = tb.Image(values, kind)
+    made = (
+        tb.method("mrf", sweeps=(3, 4), levels=24, colours=24, candidates=512).fit(picture).generate(16, seed=1).values
+    )
+    real = {tuple(np.atleast_1d(v)) for v in values.reshape(-1, *values.shape[2:])}
+    assert {tuple(np.atleast_1d(v)) for v in made.reshape(-1, *values.shape[2:])} <= real
+    assert made.mean() == pytest.approx(values.mean(), abs=25)
+    if kind == "colour":  # channels together: the first two are each other's complement in every voxel
+        assert np.abs(made[..., 0].astype(int) + made[..., 1] - 255).max() <= 1
+
+
+def test_few_grey_values_are_levels_as_they_are_and_many_become_quantiles():
+    image = tb.Image(np.arange(64, dtype=np.uint16).reshape(8, 8) ** 2, "grey")
+    content = content_of([image], full=100, levels=64, colours=2)
+    assert np.array_equal(content.values[content.pictures[0]], image.values)
+    assert content.features[[0, -1], 0].tolist() == [-100, 100]
+    coarse = content_of([image], full=100, levels=16, colours=2)
+    assert np.array_equal(np.bincount(coarse.pictures[0].ravel()), np.full(16, 4))
+    assert np.isin(coarse.values, image.values).all()
+    assert np.array_equal(content.levels_of(image.values), content.pictures[0])
+
+
+@given(st.integers(0, 50), st.integers(1, 12))
+@settings(max_examples=20)
+def test_a_palette_holds_colours_of_the_picture(seed, most):
+    pixels = np.random.default_rng(seed).integers(0, 256, (60, 3)).astype(np.uint8)
+    colours, which = palette_of(pixels, most)
+    assert len(colours) == most
+    assert {tuple(c) for c in colours} <= {tuple(p) for p in pixels}
+    assert np.bincount(which, minlength=most).min() >= 1
+    own = ((pixels.astype(int) - colours[which].astype(int)) ** 2).sum()
+    total = ((pixels.astype(float) - pixels.mean(0)) ** 2).sum()
+    assert own <= 1.3 * total
+
+
+def test_a_palette_of_few_colours_is_exact():
+    pixels = np.array([[1, 2, 3], [200, 0, 0], [1, 2, 3], [0, 90, 7]], np.uint8)
+    colours, which = palette_of(pixels, 200)
+    assert np.array_equal(colours[which], pixels)
+
+
+def test_known_voxels_are_halved_to_the_first_of_eight():
+    known = np.zeros((3, 4, 4), bool)
+    values = np.arange(48, dtype=np.uint8).reshape(3, 4, 4)
+    known[1, 1, 2] = known[1, 0, 3] = known[2, 3, 1] = True
+    half, found = known_halved(values, known)
+    assert np.argwhere(found).tolist() == [[0, 0, 1], [1, 1, 0]]
+    assert half[0, 0, 1] == values[1, 0, 3]
+    assert half[1, 1, 0] == values[2, 3, 1]
+
+
+@pytest.mark.parametrize("relaxation", ["gibbs", "icm", "annealing"])
+def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+    model = tb.method("mrf", relaxation=relaxation, sweeps=(3, 4), stop=0.5).fit(picture)
+    whole = model.generate((14, 16, 18), seed=3)
+    sweep, done = Relaxation.sweep, []
+
+    def broken(self, step):
+        done.append(step)
+        if len(done) == 6:
+            raise KeyboardInterrupt
+        return sweep(self, step)
+
+    monkeypatch.setattr(relax.Relaxation, "sweep", broken)
+    with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
+        model.generate((14, 16, 18), seed=3)
+    assert (tmp_path / "a.part").exists()
+    with checkpoint.kept_at(tmp_path / "a.part"):
+        again = model.generate((14, 16, 18), seed=3)
+    assert np.array_equal(again.values, whole.values)
+    assert again.recipe.to_json() == whole.recipe.to_json()
+    total = sum(len(scale["changed"]) for scale in whole.recipe.steps[-1]["report"]["scales"])
+    assert len(done) == 6 + total - 5, "what was done before is not done again"
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"neighbourhood": 8}, "odd width"),
+        ({"heuristic": "h1a"}, "relaxation=icm"),
+        ({"sweeps": ()}, "empty"),
+        ({"xi": 0.5}, "xi"),
+        ({"every": 1}, "true or false"),
+        ({"views": ("yx",)}, "two or three planes"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        tb.method("mrf", **settings)
+
+
+def test_pictures_and_requests_that_cannot_be_are_refused(picture):
+    method = tb.method("mrf")
+    with pytest.raises(InputError, match="at least 11"):
+        method.fit(tb.Image(picture.values[:10], "labels"))
+    with pytest.raises(InputError, match="one value only"):
+        method.fit(tb.Image(np.full((20, 20), 7, np.uint8), "grey"))
+    with pytest.raises(RequestError, match="periodic with 5"):
+        method.fit(picture).generate((5, 20, 20), seed=1, periodic=(True, False, False))
