@@ -6,7 +6,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.errors import InputError, UnknownNameError
-from trabecula.exemplar.views import as_planes, spacing_of, views_of
+from trabecula.exemplar.views import as_planes, is_isotropic, spacing_of, views_of
 
 
 def blobs(seed=0, share=0.3, shape=(96, 96), spacing=(), sigma=(3, 3)):
@@ -126,3 +126,45 @@ def test_pictures_of_which_one_lacks_a_phase_are_compared_in_the_others():
     three = tb.Image(np.minimum(rng.integers(0, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
     two = tb.Image(np.minimum(rng.integers(1, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
     assert len(views_of([three, two])) == 3
+
+
+def shades(picture, seed=0):
+    """A picture of labels as grey values, with noise."""
+    noise = np.random.default_rng(seed).integers(0, 30, picture.shape)
+    return tb.Image((picture.values * 150 + noise).astype(np.uint8), "grey", spacing=picture.spacing)
+
+
+@pytest.mark.parametrize("kind", ["labels", "grey", "colour"])
+@pytest.mark.parametrize("shape", [(96, 96), (60, 130)])
+def test_a_sample_of_an_isotropic_field_is_isotropic_and_a_stretched_one_is_not(kind, shape):
+    for seed in range(4):
+        pictures = [blobs(seed, shape=shape, sigma=sigma) for sigma in ((3, 3), (10, 2), (2, 10))]
+        if kind != "labels":
+            pictures = [shades(picture) for picture in pictures]
+        if kind == "colour":
+            pictures = [tb.Image(np.stack([p.values, p.values // 2, p.values // 3], -1), "colour") for p in pictures]
+        assert [is_isotropic(picture) for picture in pictures] == [True, False, False]
+
+
+def test_stripes_and_pixels_that_are_no_squares_are_not_isotropic():
+    striped = np.repeat((np.arange(60) // 4 % 2).astype(np.uint8)[None], 60, axis=0)
+    assert not is_isotropic(tb.Image(striped, "labels"))
+    assert not is_isotropic(tb.Image(striped.T, "labels"))
+    assert is_isotropic(tb.Image((striped + striped.T) % 2, "labels"))
+    assert is_isotropic(blobs(0, spacing=(0.3, 0.3)))
+    assert not is_isotropic(blobs(0, spacing=(0.3, 0.4)))
+
+
+def test_isotropy_is_asked_of_every_phase():
+    """Round grains in one half of the labels, rods in the other."""
+    round_, rods = blobs(0, share=0.25).values, blobs(1, share=0.2, sigma=(12, 2)).values
+    assert is_isotropic(tb.Image(np.where(round_, 1, 0), "labels", phases=("void", "a")))
+    assert is_isotropic(tb.Image(np.where(round_, 1, 2 * blobs(2, share=0.2).values), "labels"))
+    assert not is_isotropic(tb.Image(np.where(rods, 2, round_), "labels"))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1)])
+def test_a_line_of_pixels_and_one_value_are_no_sample_of_anything(shape):
+    assert not is_isotropic(tb.Image(np.indices(shape).sum(0) % 2, "labels"))
+    assert not is_isotropic(tb.Image((np.indices(shape).sum(0) % 2).astype(np.uint8), "grey"))
+    assert not is_isotropic(tb.Image(np.ones((9, 9), int), "labels"))

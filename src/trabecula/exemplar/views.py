@@ -181,7 +181,7 @@ def check_views(views: Sequence[View]) -> None:
 def is_isotropic(image: Image) -> bool:
     """Whether a picture may be alike in all directions: square pixels, and covariances along rows and along columns that
     differ no more than those of a sample do."""
-    if abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
+    if min(image.shape) < 2 or abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
         return False
     reach, phases = max(1, min(image.shape) // 5), sorted(_partly(image))
     if image.kind == "labels" and not phases:

@@ -11,10 +11,13 @@ from trabecula.synth.mrf.tables import UNIT, power_of
 COLD = 4096
 """The coldness of temperature 1."""
 
+COLDEST = 64 * COLD
+"""The coldness that stands for the mode; colder, differences of scores times it would not fit into 64 bits."""
+
 
 def coldness(heat: float) -> int:
-    """1 / heat in whole 4096ths."""
-    return max(1, round(COLD / heat))
+    """1 / heat in whole 4096ths, `COLDEST` at most."""
+    return max(1, round(min(COLDEST, COLD / heat)))
 
 
 @kernel

@@ -38,7 +38,7 @@ class MrfConfig:
     """Temperature of the draw at the start of each scale, 0 .. 10: the density to the power 1 / heat; 1 is exact, 0 the mode.
     (gibbs)"""
 
-    final_heat: tuple[float, ...] = (0.4,)
+    final_heat: tuple[float, ...] = (0.7,)
     """Temperature at the end of each scale, 0 .. 10; in between it falls evenly. (gibbs)"""
 
     polish: int = 2
@@ -53,11 +53,11 @@ class MrfConfig:
 
     feedback: float | None = None
     """How fast a bias learns, from sweep to sweep, how levels go with the sums around them, 0 .. 20; 0: not, as in the paper.
-    Default: 1 for labels, 0 for grey and colour."""
+    Default: 1 for two phases, 5 for more, 0 for grey and colour."""
 
     coupling: float | None = None
     """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none, as in the paper. Default:
-    1.5 for labels, 1 for grey and colour."""
+    1.5 for two phases, 0.4 for more, 0.8 for grey, 0.7 for colour. Where it is too high they swing."""
 
     reach: int = 20
     """Farthest pairs that are coupled, voxels of the finest scale, 2 .. 200."""
@@ -70,7 +70,7 @@ class MrfConfig:
     """Cells of the local sum of a neighbourhood, for the feedback, 1 .. 48; with 1 it knows the levels' shares alone."""
 
     bandwidth: float | None = None
-    """Factor on h_opt, the Parzen window of equation 6, .05 .. 4; 1 as in the paper. Default: 1 for labels, 0.5 for grey and
+    """Factor on h_opt, the Parzen window of equation 6, .05 .. 4; 1 as in the paper. Default: 1 for labels, 0.35 for grey and
     colour, which at h_opt are noise."""
 
     candidates: int = 4096
@@ -79,11 +79,15 @@ class MrfConfig:
     every: bool = True
     """Whether a coarse scale learns from all of the 4^s pictures that begin at another pixel, not from the first alone."""
 
-    levels: int = 256
+    levels: int = 64
     """Grey levels at most, 2 .. 256; fewer are quantiles."""
 
     colours: int = 128
     """Colours of the palette, 2 .. 255, each a colour of the picture."""
+
+    spread: bool = True
+    """Whether a voxel of the result takes, at random, the value of one of the pixels that its level stands for; without, the
+    level's middle."""
 
     upsampling: str = "all"
     """What a finer scale starts from: "one", a coarse voxel in one of its eight and the others at random (1/8); "all": in all
@@ -111,7 +115,7 @@ class MrfConfig:
         self._keep_several("final_heat", 0, 10, whole=False)
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
-        for name in ("every", "resynthesis", "shares"):
+        for name in ("every", "resynthesis", "shares", "spread"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         if self.neighbourhood % 2 == 0:
@@ -133,17 +137,17 @@ class MrfConfig:
         checked = tuple(as_number(count, name=name, low=low, high=high, whole=whole) for count in counts)
         object.__setattr__(self, name, checked)
 
-    def feedback_of(self, kind: str) -> float:
-        """`feedback`, or its default for a kind of picture."""
-        return _FEEDBACK[kind] if self.feedback is None else self.feedback
+    def feedback_of(self, sort: str) -> float:
+        """`feedback`, or its default for a sort of picture (`Content.sort`)."""
+        return _FEEDBACK[sort] if self.feedback is None else self.feedback
 
-    def coupling_of(self, kind: str) -> float:
-        """`coupling`, or its default for a kind of picture."""
-        return _COUPLING[kind] if self.coupling is None else self.coupling
+    def coupling_of(self, sort: str) -> float:
+        """`coupling`, or its default for a sort of picture."""
+        return _COUPLING[sort] if self.coupling is None else self.coupling
 
-    def bandwidth_of(self, kind: str) -> float:
-        """`bandwidth`, or its default for a kind of picture."""
-        return _BANDWIDTH[kind] if self.bandwidth is None else self.bandwidth
+    def bandwidth_of(self, sort: str) -> float:
+        """`bandwidth`, or its default for a sort of picture."""
+        return _BANDWIDTH[sort] if self.bandwidth is None else self.bandwidth
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -151,9 +155,9 @@ class MrfConfig:
         return dict(_PRESETS[name])
 
 
-_FEEDBACK = {"labels": 1.0, "grey": 0.0, "colour": 0.0}
-_COUPLING = {"labels": 1.5, "grey": 1.0, "colour": 1.0}
-_BANDWIDTH = {"labels": 1.0, "grey": 0.5, "colour": 0.5}
+_FEEDBACK = {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0}
+_COUPLING = {"two phases": 1.5, "phases": 0.4, "grey": 0.8, "colour": 0.7}
+_BANDWIDTH = {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35}
 
 _CHOICES = {
     "relaxation": ("gibbs", "icm", "annealing"),
@@ -162,8 +166,8 @@ _CHOICES = {
 }
 
 _PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"sweeps": (3, 5, 12), "candidates": 2048, "levels": 64, "colours": 64},
-    "best": {"sweeps": (12, 20, 40), "candidates": 8192},
+    "fast": {"sweeps": (4, 6, 12), "candidates": 2048, "colours": 64},
+    "best": {"sweeps": (12, 20, 40), "candidates": 8192, "levels": 256, "colours": 255},
     "paper": {
         "relaxation": "icm",
         "sweeps": (100,),
@@ -175,7 +179,9 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "oblique": False,
         "candidates": 65536,
         "every": False,
+        "levels": 256,
         "colours": 255,
+        "spread": False,
         "upsampling": "all",
         "polish": 0,
     },

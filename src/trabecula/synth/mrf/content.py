@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.compile import kernel
+from trabecula.engine.random import below, philox
 from trabecula.synth.mrf.palette import palette_of
 
 _GROUPS = 12  # of levels, for the feedback
@@ -36,6 +38,8 @@ class Content:
         The exemplars as levels.
     empty : int
         What lies outside a form, as a value of the result (label of void; 0).
+    pool : (N,) or (N, 3)
+        The pixels' own values by rising level; those of level l begin at `starts[l]`, (L + 1,) int64.
     """
 
     kind: str
@@ -45,6 +49,24 @@ class Content:
     groups: np.ndarray
     pictures: list[np.ndarray]
     empty: int
+    pool: np.ndarray
+    starts: np.ndarray
+
+    @property
+    def sort(self) -> str:
+        """What defaults go by: "two phases", "phases", "grey" or "colour"."""
+        if self.kind != "labels":
+            return self.kind
+        return "two phases" if len(self.values) == 2 else "phases"
+
+    def drawn(self, levels: np.ndarray, key: np.uint64) -> np.ndarray:
+        """Levels (Z, Y, X) as values: each voxel takes one of the pixels that its level stands for, at random."""
+        values = np.empty((*levels.shape, *self.pool.shape[1:]), self.pool.dtype)
+        chosen = np.empty(levels.shape[1:], np.int64)
+        for z, plane in enumerate(values):  # an index of the whole would take 8 bytes a voxel
+            draw_pixels(levels[z], self.starts, key, z, chosen)
+            plane[...] = self.pool[chosen]
+        return values
 
     @property
     def void(self) -> int | None:
@@ -67,6 +89,15 @@ class Content:
             part = flat[first : first + 4096, None].astype(np.int32) - self.values[None].astype(np.int32)
             nearest[first : first + 4096] = (part**2).sum(2).argmin(1)
         return nearest[where.reshape(values.shape[:-1])]
+
+
+@kernel
+def draw_pixels(levels, starts, key, z, chosen):
+    """A place in the pool (Y, X) for every voxel of a plane."""
+    for y in range(levels.shape[0]):
+        for x in range(levels.shape[1]):
+            first = starts[levels[y, x]]
+            chosen[y, x] = first + below(philox(key, z, y, x, 0)[0], starts[levels[y, x] + 1] - first)
 
 
 def content_of(images: Sequence[Image], *, full: int, levels: int, colours: int) -> Content:
@@ -102,6 +133,8 @@ def _labels(images: Sequence[Image]) -> Content:
         np.arange(count, dtype=np.uint8),
         pictures,
         names.index("void") if "void" in names else 0,
+        present.astype(np.uint8),
+        np.arange(count + 1),
     )
 
 
@@ -122,7 +155,8 @@ def _grey(images: Sequence[Image], full: int, levels: int) -> Content:
     low, high = float(present[0]), float(present[-1])
     features = np.rint((table.astype(np.float64) - low) * (2 * full / max(high - low, 1e-300)) - full)
     pictures = [numbers[np.searchsorted(present, image.values)].astype(np.uint8) for image in images]
-    return Content("grey", table, features.astype(np.int16)[:, None], 1, _grouped(pictures, len(table)), pictures, 0)
+    groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
+    return Content("grey", table, features.astype(np.int16)[:, None], 1, groups, pictures, 0, *parts)
 
 
 def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
@@ -135,7 +169,15 @@ def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
     ends = np.cumsum([image.values.size // 3 for image in images])[:-1]
     pictures = [part.reshape(image.shape) for part, image in zip(np.split(pixels, ends), images, strict=True)]
     features = np.rint((table.astype(np.float64) - 127.5) * (full / 127.5)).astype(np.int16)
-    return Content("colour", table, features, 3, _grouped(pictures, len(table)), pictures, 0)
+    groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
+    return Content("colour", table, features, 3, groups, pictures, 0, *parts)
+
+
+def _pooled(pooled: np.ndarray, pictures: Sequence[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels' values by level, and where each level's begin."""
+    levels = np.concatenate([picture.ravel() for picture in pictures])
+    starts = np.concatenate([[0], np.cumsum(np.bincount(levels, minlength=count))])
+    return pooled[np.argsort(levels, kind="stable")], starts
 
 
 def _grouped(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from trabecula.synth.shared.statistics.pairs import Pairs
 
 _NEAR = 2  # voxels: what lies nearer is the densities' own
 _LEAST = 4  # voxels of a scale that couplings reach at least
-_MOST = 8.0  # factors of two that they move a site by, at most
+_MOST = 30.0  # factors of two that they move a site by, at most
 _GRAIN = 1 << 10  # steps of a field in a factor of two: the last bits of a transform decide nothing
 
 Pictures = Sequence[tuple[int, np.ndarray]]
@@ -98,9 +98,10 @@ class Couplings:
     def learn(self, levels: np.ndarray, there: np.ndarray) -> None:
         """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them count."""
         apart = np.zeros_like(self.strength)
+        both = self._both(there)
         for c in range(len(apart)):
             spectrum = self._pairs.forward(self._spread(levels, there, c))
-            now = self._pairs.curve(spectrum, spectrum)
+            now = self._pairs.curve(spectrum, spectrum) / both
             apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now.max()), 1e-6), 0.0)
         self.misfit = float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
         self.strength = self.strength + self._rate * apart
@@ -120,6 +121,13 @@ class Couplings:
         own = np.rint(self._values.astype(np.float64) * _GRAIN).astype(np.int64)
         for c in range(own.shape[1]):
             out += self._field[sites, c, None].astype(np.int64) * own[:, c] // (_GRAIN * _GRAIN // UNIT)
+
+    def _both(self, there: np.ndarray) -> np.ndarray | float:
+        """The share of each bin's pairs of which both count."""
+        if there.all():
+            return 1.0
+        spectrum = self._pairs.forward(there.astype(np.float32))
+        return np.maximum(self._pairs.curve(spectrum, spectrum), 1 / there.size)
 
     def _spread(self, levels: np.ndarray, there: np.ndarray, channel: int) -> np.ndarray:
         values = self._values[:, channel][levels]

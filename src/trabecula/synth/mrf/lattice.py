@@ -10,6 +10,8 @@ import numpy as np
 
 from trabecula.synth.mrf.planes import Plane
 
+Name = tuple[int, int, int, int]
+
 
 @dataclass
 class Lattice:
@@ -42,43 +44,61 @@ class Lattice:
         return self.levels.shape
 
 
-def colours_along(side: int, reach: int) -> tuple[np.ndarray, int]:
+def colours_along(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:
     """A colour for every cell of a ring such that cells of one colour lie more than `reach` apart, and how many there are.
 
-    A ring whose length is no multiple of reach + 1 gets longer blocks here and there, and a few more colours.
+    Colours begin at 0 again in every block. A ring whose length is no multiple of reach + 1 gets longer blocks here and there,
+    and a few more colours; so does one that is to have an `even` number of blocks, or one alone.
     """
     blocks = max(1, side // (reach + 1))
+    if even and blocks > 1:
+        blocks -= blocks % 2
     starts = np.arange(blocks + 1) * side // blocks
     return np.concatenate([np.arange(stop - start) for start, stop in pairwise(starts)]), -(-side // blocks)
 
 
-def classes_of(lattice: Lattice, width: int, *, turned: bool = False) -> list[tuple[int, int, int]]:
+def classes_of(lattice: Lattice, width: int, *, turned: bool = False) -> list[Name]:
     """Names of the classes that `sites_of` takes: no two sites of a class are in each other's neighbourhood in any plane.
 
-    Sites of equal colours along all axes lie too far apart for any plane. Sites whose colours differ along all three share none
-    of the planes along the axes; so for these the class of all (c, c + a, c + b) is one, and there are m^2 classes. For planes
-    that are turned there are m^3.
+    Sites of equal colours along all axes lie too far apart for any plane along the axes. Sites whose colours differ along all
+    three share none of these planes; so for these the class of all (c, c + a, c + b) is one, and there are m^2 classes. A plane
+    of two diagonals reaches twice as far along an axis; so for planes that are turned blocks are told apart like the squares of
+    a chessboard, and there are 2 m^3.
     """
-    colours = range(_colours(lattice, width)[1])
-    return [(c, a, b) for c in (colours if turned else [-1]) for a in colours for b in colours]
+    colours = range(_colours(lattice, width, turned)[1])
+    return [
+        (c, a, b, square)
+        for c in (colours if turned else [-1])
+        for a in colours
+        for b in colours
+        for square in ((0, 1) if turned else (-1,))
+    ]
 
 
-def sites_of(lattice: Lattice, width: int, name: tuple[int, int, int]) -> np.ndarray:
+def sites_of(lattice: Lattice, width: int, name: Name) -> np.ndarray:
     """The free sites of a class as flat places, rising."""
-    (along_z, along_y, along_x), count = _colours(lattice, width)
+    first, a, b, square = name
+    along, count = _colours(lattice, width, square >= 0)
     found = []
-    for colour in range(count) if name[0] < 0 else [name[0]]:
-        z = np.flatnonzero(along_z == colour)
-        y = np.flatnonzero(along_y == (colour + name[1]) % count)
-        x = np.flatnonzero(along_x == (colour + name[2]) % count)
-        if len(z) and len(y) and len(x):
-            found.append(np.ravel_multi_index(np.ix_(z, y, x), lattice.shape).ravel())
+    for colour in range(count) if first < 0 else [first]:
+        cells = [
+            np.flatnonzero(colours == (colour + more) % count) for colours, more in zip(along, (0, a, b), strict=True)
+        ]
+        if all(map(len, cells)):
+            sites = np.ravel_multi_index(np.ix_(*cells), lattice.shape)
+            found.append(sites.ravel() if square < 0 else sites[_squares(along, cells) == square])
     sites = np.sort(np.concatenate(found)) if found else np.empty(0, np.int64)
     return sites if lattice.free.all() else sites[lattice.free.ravel()[sites]]
 
 
-def _colours(lattice: Lattice, width: int) -> tuple[list[np.ndarray], int]:
-    found = [colours_along(side, width // 2) for side in lattice.shape]
+def _squares(along: Sequence[np.ndarray], cells: Sequence[np.ndarray]) -> np.ndarray:
+    """Whether the blocks of these cells are black or white, 0 or 1, for all combinations of cells along three axes."""
+    z, y, x = (np.cumsum(colours == 0)[part] for colours, part in zip(along, cells, strict=True))
+    return np.asarray((z[:, None, None] + y[:, None] + x) % 2)
+
+
+def _colours(lattice: Lattice, width: int, turned: bool) -> tuple[list[np.ndarray], int]:
+    found = [colours_along(side, width // 2, even=turned) for side in lattice.shape]
     return [colours for colours, _ in found], max(count for _, count in found)
 
 
@@ -104,13 +124,15 @@ def known_halved(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def complete_in(lattice: Lattice, planes: Sequence[Plane], width: int) -> np.ndarray:
-    """Where all neighbours in these planes are there, and the site itself, (Z, Y, X) bool."""
+    """Where all neighbours in these planes are there, and the site itself, (Z, Y, X) bool; of diagonals, all in their box."""
     whole = np.ones(lattice.shape, bool)
     if lattice.there.all():
         return whole
     for plane in planes:
-        along = {axis for step in (plane.rows, plane.columns) for axis in range(3) if step[axis]}
-        whole &= within(lattice.there, sorted(along), width // 2)
+        box = lattice.there
+        for axis, steps in enumerate(np.abs([plane.rows, plane.columns]).sum(0).tolist()):
+            box = within(box, [axis], steps * (width // 2))  # two diagonals reach twice as far along an axis
+        whole &= box
     return whole
 
 

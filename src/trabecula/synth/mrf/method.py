@@ -18,6 +18,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
+from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import State, resumed
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import thread_count
@@ -26,7 +27,7 @@ from trabecula.synth.mrf import SPEC
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content, content_of
 from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.forecast import lattice_bytes, learning_bytes, scratch_bytes
+from trabecula.synth.mrf.forecast import Run, learning_bytes
 from trabecula.synth.mrf.frame import Face
 from trabecula.synth.mrf.lattice import Lattice
 from trabecula.synth.mrf.limits import STEPS, largest_feature, scales_of
@@ -36,6 +37,7 @@ from trabecula.synth.mrf.source import Source, bytes_of, patches_of, source_of
 from trabecula.synth.mrf.tilt import tilted
 from trabecula.synth.shared.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
+from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _STRETCHED = ((False, True), (True, True))  # along which of a turned plane's axes steps are diagonals
@@ -54,19 +56,11 @@ class Mrf(PictureMethod):
         return MrfModel(self.config, exemplars, views)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        largest = max(exemplars, key=lambda exemplar: exemplar.values.size)
-        scales = range(scales_of(exemplars, self.config))
-        sizes = [learning_bytes(largest, scale, self.config) for scale in scales]
-        held = sum(kept for kept, _ in sizes) * len(exemplars) + 12 * sum(
-            exemplar.values.size for exemplar in exemplars
-        )
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "neighbourhoods": held,
-                "learning": max(peak - kept for kept, peak in sizes),
-            }
-        )
+        config = self.config
+        three = len(config.views) in (0, 3)
+        turned = _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
+        kept, peak = learning_bytes(exemplars, scales_of(exemplars, config), config, turned=turned)
+        return Plan({"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept})
 
 
 class MrfModel(PictureModel):
@@ -87,14 +81,10 @@ class MrfModel(PictureModel):
         self.content: Content = content_of(
             images, full=largest_feature(images[0].kind, config), levels=config.levels, colours=config.colours
         )
-        self.oblique = self._turns(images) if config.oblique is None else config.oblique
+        three = len(self.views) == 3
+        self.oblique = _turns(config, images, three=three) if config.oblique is None else config.oblique
         self.count = scales_of(images, config)
         self.sources = [self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")]
-
-    def _turns(self, images: Sequence[Image]) -> bool:
-        """Whether turned planes go without being asked for."""
-        alone = len(images) == 1 and len(self.views) == 3
-        return alone and self.config.relaxation == "gibbs" and is_isotropic(images[0])
 
     def _learn(self, scale: int, porosity: float | None) -> list[Source]:
         """What each picture says at a scale, then what the first says along diagonals; its neighbourhoods chosen for a `porosity`
@@ -115,7 +105,7 @@ class MrfModel(PictureModel):
                     patches,
                     content,
                     most=config.candidates,
-                    bandwidth=config.bandwidth_of(self.content.kind),
+                    bandwidth=config.bandwidth_of(self.content.sort),
                     steps=STEPS if config.relaxation == "icm" else 1,
                     products=config.relaxation == "icm",
                     bins=config.cells,
@@ -134,7 +124,7 @@ class MrfModel(PictureModel):
 
     def _couplings(self, scale: int, lattice: Lattice) -> Couplings | None:
         """The couplings of a scale, which have learnt nothing yet."""
-        rate = self.config.coupling_of(self.content.kind)
+        rate = self.config.coupling_of(self.content.sort)
         if not rate:
             return None
         stride = 2**scale
@@ -167,9 +157,9 @@ class MrfModel(PictureModel):
         if not request.target:
             return None
         wanted = request.target["porosity"]
-        if isinstance(wanted, np.ndarray) and wanted.min() != wanted.max():
-            raise RequestError("mrf follows one porosity for the whole, not a field of them: give a number")
-        return float(np.mean(wanted))
+        if isinstance(wanted, np.ndarray):
+            raise RequestError("this method honours one number as target porosity, not a field: give a number")
+        return wanted
 
     def _shares(self, porosity: float | None) -> np.ndarray:
         """The shares (G,) of the groups of levels that the result is to have: the pictures', or with another porosity."""
@@ -215,13 +205,14 @@ class MrfModel(PictureModel):
 
     def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
         """Levels as values; what is known comes out as it was, and outside a form is nothing."""
-        table = self.content.values
         levels = levels[tuple(slice(side) for side in request.shape)]
-        values = np.empty((*levels.shape, *table.shape[1:]), table.dtype)
-        for plane, part in zip(
-            values, levels, strict=True
-        ):  # an index of the whole would be widened to 8 bytes a voxel
-            plane[...] = table[part]
+        if self.config.spread:
+            values = self.content.drawn(levels, key(request.seed, "mrf/values"))
+        else:
+            table = self.content.values
+            values = np.empty((*levels.shape, *table.shape[1:]), table.dtype)
+            for plane, part in zip(values, levels, strict=True):  # an index of the whole would take 8 bytes a voxel
+                plane[...] = table[part]
         if request.mask is not None:
             values[~request.mask] = self.content.empty
         if request.fixed is not None and request.known is not None:
@@ -237,18 +228,41 @@ class MrfModel(PictureModel):
         return top, None
 
     def _plan(self, request: Request) -> Plan:
-        width = self.config.neighbourhood
+        config = self.config
+        width = config.neighbourhood
         count = count_of(request.shape, request.periodic, count=self.count, width=width)
         shape = padded_shape(request.shape, request.periodic, count=count, width=width)
-        voxels = int(np.prod(shape, dtype=np.int64))
-        values = int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
         kept = [source for scale in self.sources for source in scale]
-        return Plan(
-            memory={
-                "interpreter and kernels": _PROCESS,
-                "exemplar": bytes_of(kept),
-                "output": lattice_bytes(voxels, self.content, len(self.views), self.config) + values,
-                "scratch": thread_count() * scratch_bytes(kept, self.content, len(self.views), self.config),
-            },
-            disk=values,
+        run = Run(
+            request,
+            shape,
+            self.content,
+            kept,
+            len(self.views),
+            4 if self.oblique else 1,
+            self._pairs(shape),
+            config,
+            thread_count(),
         )
+        memory = {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": bytes_of(kept),
+            "output": run.output,
+            "scratch": run.scratch,
+        }
+        if request.target:  # the pictures are learnt anew
+            memory["learning"] = learning_bytes(self.exemplars, self.count, config, turned=self.oblique)[1]
+        return Plan(memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes)
+
+    def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
+        """The pairs of a lattice that are coupled at most."""
+        if not self.config.coupling_of(self.content.sort):
+            return None
+        shortest = min(min(picture.shape) for picture in self.content.pictures)
+        far = max(1, min(max(self.config.reach, 4), shortest // 2 - 1, min(shape) // 2 - 1))
+        return Pairs(shape, far, (True, True, True), isotropic_scale(spacing_of(self.views)))
+
+
+def _turns(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
+    """Whether turned planes go without being asked for."""
+    return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])

@@ -25,12 +25,16 @@ from trabecula.synth.mrf.feedback import count
 from trabecula.synth.mrf.frame import Face, Frame
 from trabecula.synth.mrf.lattice import Lattice, classes_of, sites_of
 from trabecula.synth.mrf.planes import union_of
-from trabecula.synth.mrf.shares import COLDEST, shifts_for
+from trabecula.synth.mrf.shares import shifts_for
 from trabecula.synth.mrf.steering import Steering, Tables
 from trabecula.synth.mrf.tables import POWERS
 from trabecula.synth.mrf.temperature import cool
 
 T = TypeVar("T")
+
+_PARTS = (
+    4  # of a sweep, before each of which couplings look anew: else all that lies far apart turns over at every sweep
+)
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ class Relaxation:
 
     def __post_init__(self) -> None:
         config = self.config
-        self._feedback = config.feedback_of(self.content.kind)
+        self._feedback = config.feedback_of(self.content.sort)
         self._frames = [
             Frame(faces, self.lattice, self.content, width=config.neighbourhood, correction=config.correction)
             for faces in self.frames
@@ -123,7 +127,10 @@ class Relaxation:
         names = classes_of(self.lattice, width, turned=frame.turned)
         order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
         tables, changed = self.steering.empty_tables(), 0
-        for place in order:
+        part = -(-len(order) // _PARTS)
+        for number, place in enumerate(order):
+            if self.couplings is not None and number and number % part == 0:
+                self.couplings.act(self.lattice.levels, self.lattice.there)
             sites = self._questioned(sites_of(self.lattice, width, names[place]), frame)
             if len(sites):
                 changed += self._visit(sites, frame, step, tables)
@@ -184,16 +191,13 @@ class Relaxation:
 
     def _shifted(self, score: np.ndarray, sites: np.ndarray, step: Step) -> np.ndarray:
         """What has to be added to the scores of the levels (L,) int32 for the wanted shares."""
-        drawn = step.rule == "gibbs" and step.heat > 0
         counted = score[self.lattice.asked.reshape(-1)[sites]]
         if len(counted):
-            self.shift = shifts_for(
-                counted,
-                self.content.groups,
-                self.wanted,
-                coldness=choose.coldness(step.heat) if drawn else COLDEST,
-                start=self.shift,
-            )
+            cold = step.rule == "icm" or step.heat == 0
+            heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
+            coldness = choose.COLDEST if cold else choose.coldness(heat)
+            groups = self.content.groups
+            self.shift = shifts_for(counted, groups, self.wanted, coldness=coldness, start=self.shift)
         return self.shift[self.content.groups].astype(np.int32)
 
     def _choose(self, score: np.ndarray, sites: np.ndarray, step: Step, chosen: np.ndarray) -> None:

@@ -10,11 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.synth.mrf.choose import COLD
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
-
-COLDEST = 64 * COLD
-"""The coldness that stands for the mode."""
 
 _ROUNDS = 2  # through the groups, from the shifts of the class before; two groups are settled in one
 _NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30

@@ -48,11 +48,11 @@ class PictureMethod(Method):
         least = self._width() + ROOM
         if min(image.shape) < least:
             raise InputError(
-                f"the picture is {image.shape}, a neighbourhood of {self._width()} needs at least {least} pixels along every "
+                f"the exemplar is {image.shape}, a neighbourhood of {self._width()} needs at least {least} pixels along every "
                 "side: give a larger picture, or a smaller neighbourhood"
             )
         if image.kind != "labels" and (image.values == image.values[0, 0]).all():
-            raise InputError("the picture holds one value only: give one with structure")
+            raise InputError("the exemplar holds one value only: give one with structure")
 
     def _fit(self, exemplars: Sequence[Image]) -> PictureModel:
         return self._learn(exemplars, views_of(exemplars, self.config.views))

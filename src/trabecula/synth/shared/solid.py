@@ -185,11 +185,7 @@ class SolidModel(PictureModel):
                 state = self._round(frame, state, stage, number, trims[number], sweeps)
                 if level.correlations is not None and steps and request.fixed is None:
                     last = index == 0 and number == rounds - 1
-                    debt = (
-                        None
-                        if last
-                        else owed(debt, state.field, level.correlations, periodic=region.wraps, free=region.free)
-                    )
+                    debt = None if last else self._owed(frame, state, level.correlations, debt)
                     state = self._corrected(frame, state, level.correlations, debt, steps)
         assert state is not None  # there is at least one level
         return self._delivered(state, request)
@@ -231,6 +227,10 @@ class SolidModel(PictureModel):
             matches.append(match)
             weights.append(robust_weights(plane.grid, distance, self.config.robustness))
         return self._voted(frame, state, tuple(matches), weights, trim)
+
+    def _owed(self, frame: Frame, state: State, target: Correlations, debt: np.ndarray | None) -> np.ndarray:
+        """What the steps to come owe the two-point function, of the voxels that are made."""
+        return owed(debt, state.field, target, periodic=frame.region.wraps, free=frame.region.free)
 
     def _corrected(
         self, frame: Frame, state: State, target: Correlations, debt: np.ndarray | None, steps: int

@@ -154,7 +154,7 @@ class SlicedModel(PictureModel):
     def _regions(self, request: Request) -> list[Region]:
         """Where levels 0 .. top are made."""
         top, config = self._top(request), self.config
-        bounds = self.content.bounds(request)
+        bounds = self.content.bounds(request, thin=True)
         if bounds is None:
             return torus(request, top, self._least)
         while True:
