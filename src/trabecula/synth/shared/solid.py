@@ -296,6 +296,7 @@ class SolidModel(PictureModel):
         if target is not None and request.fixed is None:
             pairs = Pairs(shape, target.r_max, request.periodic, target.edges)
             step = 16 * int(np.prod(pairs.sides, dtype=np.int64)) + 8 * voxels * (1 + channels) + 4 * sites * views
+            step += 24 * int(np.prod([len(along) for along in pairs.offsets]))
         return Plan(
             memory={
                 "interpreter and kernels": _PROCESS,

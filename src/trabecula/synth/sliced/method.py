@@ -190,13 +190,17 @@ class SlicedModel(PictureModel):
         channels, views = len(finest.stack.field), len(self.views)
         known = voxels * (6 + 24 * channels) * (request.fixed is not None)
         target = self.levels[0].correlations
-        sides = Pairs(shape, target.r_max, region.wraps, target.edges).sides
+        pairs = Pairs(shape, target.r_max, region.wraps, target.edges)
+        offsets = int(np.prod([len(along) for along in pairs.offsets]))
         widest = max(s.features.shape[1] for _, s in self.layouts[top].views)
         # Of several threads a quarter of the neighbourhoods is put back at any time, of one all.
         rebuilt = 16 * channels * self.config.layout_width**2 / (4 if thread_count() > 1 else 1)
         moments = [
             voxels * (14 * channels + 10) + sites * (2 * finest.features.shape[1] + 12 * views + 12),
-            16 * int(np.prod(sides, dtype=np.int64)) + 8 * voxels * (1 + channels) + 4 * sites * views,
+            16 * int(np.prod(pairs.sides, dtype=np.int64))
+            + 24 * offsets
+            + 10 * voxels * (1 + channels)
+            + 4 * sites * views,
             round((90 + 19 * widest + rebuilt) * voxels / 8**top),
         ]
         return Plan(
