@@ -199,7 +199,7 @@ def test_a_run_over_its_budget_is_refused_before_it_starts(model):
 def test_the_forecast_of_memory_holds(name, spec, exemplar):
     # How long it goes on changes nothing in what it holds.
     model = tb.method(name, preset="fast" if "fast" in spec.presets else None).fit(exemplar)
-    request = tb.Request((68, 60, 52), seed=1)
+    request = tb.Request((96, 88, 80), seed=1)
     plan = model.plan(request)
     arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
     model.generate(tb.Request((16, 16, 16), seed=1))  # so that loading kernels is not counted

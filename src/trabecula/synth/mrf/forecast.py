@@ -17,6 +17,7 @@ from trabecula.synth.shared.statistics.pairs import Pairs
 
 _ROWS, _MANY = 4096, 65536  # neighbourhoods that are summed at once, and in all
 _TABLES = 80_000  # bytes of the two tables of a source
+_SMALL = 100_000  # bytes of what does not depend on the picture
 _OF_A_PIXEL = {"labels": 10, "grey": 20, "colour": 132}  # bytes that numbering the levels takes
 _STARTING, _IN_A_FORM = 4, 5  # bytes a voxel, when a scale starts
 _CONVOLVED, _BEFORE = 12, 8  # bytes a voxel beside two spectra: of a channel of the couplings, and of the one before
@@ -32,7 +33,7 @@ def learning_bytes(images: Sequence[Image], scales: int, config: MrfConfig, *, t
             count = _neighbourhoods(image.shape, scale, config)
             kept = _source_bytes(image, count, config)
             sums = 5.3 * area * min(count, _ROWS) + 12 * min(count, _MANY) + area * _MANY * (count > _MANY)
-            preparing = kept + max(6.3 * area * min(count, config.candidates), sums)
+            preparing = kept + _SMALL + max(6.3 * area * min(count, config.candidates), sums)
             peak = max(peak, held + area * count + round(max(before + 2 * area * count, preparing)))
             held += kept
             before = area * count  # the neighbourhoods of the last picture go when the next ones are there
