@@ -59,7 +59,7 @@ class MrfConfig:
     """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none, as in the paper. Default:
     1.5 for two phases, 0.4 for more, 0.8 for grey, 0.7 for colour. Where it is too high they swing."""
 
-    reach: int = 32
+    reach: int = 20
     """Farthest pairs that are coupled, voxels of the finest scale, 2 .. 200."""
 
     oblique: bool | None = None
