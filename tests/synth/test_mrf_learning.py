@@ -15,7 +15,7 @@ from trabecula.synth.mrf.couplings import Couplings
 from trabecula.synth.mrf.lattice import Lattice, classes_of, complete_in, sites_of
 from trabecula.synth.mrf.planes import Plane, across, pixels_along, turned, union_of
 from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.shares import expected, leads, of_groups, shifts_for
+from trabecula.synth.mrf.shares import expected, leads, moved_levels, of_groups, shares_of, shifts_for
 from trabecula.synth.mrf.source import patches_of
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT
 
@@ -475,3 +475,23 @@ def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
         lines = autocorrelation_lines(result, lags=9)
         apart.append(np.sqrt(np.mean((np.mean(list(lines.values()), axis=0) - wanted) ** 2)))
     assert apart[1] < 0.5 * apart[0], apart
+
+
+def test_levels_of_a_group_come_to_their_shares_class_by_class():
+    """Grey: groups are settled at once, the levels within them over a few classes; none is lost for good."""
+    groups = np.repeat(np.arange(3, dtype=np.uint8), 4)
+    wanted = np.random.default_rng(3).dirichlet(np.full(12, 2.0))
+    by_group, coarse, fine = np.bincount(groups, wanted), np.zeros(3, np.int64), np.zeros(12, np.int64)
+    for seed in range(40):
+        bias = np.linspace(-4, 4, 12) * UNIT  # a density that likes the last levels alone
+        score = np.rint(np.random.default_rng(seed).normal(0, 2 * UNIT, (600, 12)) + bias).astype(np.int32)
+        with_fine = score + fine.astype(np.int32)
+        coarse = shifts_for(with_fine, groups, by_group, coldness=COLD, start=coarse)
+        shifted = with_fine + coarse[groups].astype(np.int32)
+        total = np.zeros(12)
+        shares_of(shifted, COLD, POWERS, total)
+        fine = moved_levels(shifted, groups, wanted, coldness=COLD, shift=fine)
+    assert total.sum() == pytest.approx(600)
+    assert total / 600 == pytest.approx(wanted, abs=0.02)
+    literal = np.exp2(shifted / UNIT - (shifted / UNIT).max(1, keepdims=True))
+    assert total / 600 == pytest.approx((literal / literal.sum(1, keepdims=True)).mean(0), abs=1e-3)

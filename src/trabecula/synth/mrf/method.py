@@ -162,14 +162,14 @@ class MrfModel(PictureModel):
         return wanted
 
     def _shares(self, porosity: float | None) -> np.ndarray:
-        """The shares (G,) of the groups of levels that the result is to have: the pictures', or with another porosity."""
+        """The shares (L,) of the levels that the result is to have: the pictures', or with another porosity."""
         content = self.content
         pictures = [content.pictures[learner] for learner in self.learners]
         counts = np.sum([np.bincount(p.ravel(), minlength=len(content.values)) / p.size for p in pictures], axis=0)
         if porosity is not None:
             rest = np.where(content.values == content.empty, 0, counts)
             counts = np.where(content.values == content.empty, porosity, (1 - porosity) * rest / rest.sum())
-        return np.bincount(content.groups, counts / counts.sum())
+        return np.asarray(counts / counts.sum())
 
     def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         porosity = self._porosity(request)

@@ -25,7 +25,7 @@ from trabecula.synth.mrf.feedback import count
 from trabecula.synth.mrf.frame import Face, Frame
 from trabecula.synth.mrf.lattice import Lattice, classes_of, sites_of
 from trabecula.synth.mrf.planes import union_of
-from trabecula.synth.mrf.shares import shifts_for
+from trabecula.synth.mrf.shares import moved_levels, shifts_for
 from trabecula.synth.mrf.steering import Steering, Tables
 from trabecula.synth.mrf.tables import POWERS
 from trabecula.synth.mrf.temperature import cool
@@ -55,8 +55,8 @@ class Relaxation:
     ----------
     frames : sequence of sequences of Face
         The views along the axes, and those that sweeps take in turn with them.
-    wanted : (G,) float64
-        Shares of the groups of levels that the output is to have.
+    wanted : (L,) float64
+        Shares of the levels that the output is to have.
     couplings : Couplings, optional
     temperature, held : (Z, Y, X) float32, bool
         Of equation 8, and where it is not to change; empty unless the relaxation is "icm".
@@ -83,7 +83,9 @@ class Relaxation:
         self._union = union_of([face.plane for face in self.frames[0]], config.neighbourhood)
         joints = {face.learner: face.source.joint for faces in self.frames for face in faces}
         self.steering = Steering([joints[n] for n in sorted(joints)], len(self.frames[0]), rate=self._feedback)
-        self.shift = np.zeros(len(self.wanted), np.int64)
+        self._by_group = np.bincount(self.content.groups, self.wanted)
+        self.shift = np.zeros(len(self._by_group), np.int64)  # of the groups of levels, and of levels within them
+        self.fine = np.zeros(len(self.wanted), np.int64)
 
     def run(self, before: Sequence[dict[str, Any]] = (), state: State | None = None) -> list[dict[str, Any]]:
         """All sweeps of this scale, from `state` where there is one.
@@ -197,8 +199,14 @@ class Relaxation:
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
             coldness = choose.COLDEST if cold else choose.coldness(heat)
             groups = self.content.groups
-            self.shift = shifts_for(counted, groups, self.wanted, coldness=coldness, start=self.shift)
-        return self.shift[self.content.groups].astype(np.int32)
+            counted = counted + self.fine.astype(np.int32)
+            self.shift = shifts_for(counted, groups, self._by_group, coldness=coldness, start=self.shift)
+            shift = (self.shift[groups] + self.fine).astype(np.int32)
+            if len(self.shift) < len(self.wanted):
+                counted += self.shift[groups].astype(np.int32)
+                self.fine = moved_levels(counted, groups, self.wanted, coldness=coldness, shift=self.fine)
+            return shift
+        return (self.shift[self.content.groups] + self.fine).astype(np.int32)
 
     def _choose(self, score: np.ndarray, sites: np.ndarray, step: Step, chosen: np.ndarray) -> None:
         """The new levels (S,) uint8."""
@@ -239,13 +247,14 @@ class Relaxation:
             "levels": self.lattice.levels,
             "temperature": self.temperature,
             "shift": self.shift,
+            "fine": self.fine,
             **self.steering.state(),
             **learnt,
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:
         self.lattice.levels[:] = arrays["levels"]
-        self.temperature, self.shift = arrays["temperature"], arrays["shift"]
+        self.temperature, self.shift, self.fine = arrays["temperature"], arrays["shift"], arrays["fine"]
         self.steering.restore(arrays)
         if self.couplings is not None:
             self.couplings.strength = arrays["strength"]

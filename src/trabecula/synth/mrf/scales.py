@@ -74,7 +74,7 @@ def started(
 ) -> Relaxation:
     """The relaxation of a scale at its start: white noise with the picture's histogram, and what a coarser one hands on.
 
-    `wanted` are the shares (G,) of the groups of levels in the result, known voxels among them.
+    `wanted` are the shares (L,) of the levels in the result, known voxels among them.
 
     `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the first of its eight ("one",
     1/8), or to all ("all", 8/8); either way only the first inherits its temperature of 0.
@@ -94,19 +94,17 @@ def started(
             part = lattice.free[first]
             lattice.levels[first][part] = found[part]
         inherited[first] = lattice.free[first]
-    relaxation = Relaxation(
-        lattice, frames, content, config, seed, scale, _of_free(lattice, content, wanted), couplings
-    )
+    relaxation = Relaxation(lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings)
     if config.relaxation == "icm":
         relaxation.temperature, relaxation.held = (lattice.free & ~inherited).astype(np.float32), inherited
     return relaxation
 
 
-def _of_free(lattice: Lattice, content: Content, wanted: np.ndarray) -> np.ndarray:
+def _of_free(lattice: Lattice, wanted: np.ndarray) -> np.ndarray:
     """The shares that voxels still to be made need, so that they and the known ones have the wanted shares together."""
     known = lattice.asked & ~lattice.free
     size, left = int(np.count_nonzero(lattice.asked)), int(np.count_nonzero(lattice.asked & lattice.free))
-    held = np.bincount(content.groups[lattice.levels[known]], minlength=len(wanted))
+    held = np.bincount(lattice.levels[known], minlength=len(wanted))
     missing = np.maximum(wanted * size - held, 0)
     return missing / missing.sum() if left and missing.sum() > 0 else wanted
 

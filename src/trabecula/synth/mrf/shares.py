@@ -10,11 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.synth.mrf.choose import COLD
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
 
 _ROUNDS = 2  # through the groups, from the shifts of the class before; two groups are settled in one
 _NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30
 _FINE = 1 << 8
+_MOST = 16 * UNIT
+_LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at most
 
 
 def shifts_for(
@@ -43,6 +46,32 @@ def shifts_for(
             leads(energy, shift, group, coldness, LOGS, POWERS, lead)
             shift[group] = _settled(lead, float(wanted[group]), coldness, int(shift[group]))
     return shift - shift.max()
+
+
+def moved_levels(
+    score: np.ndarray, groups: np.ndarray, wanted: np.ndarray, *, coldness: int, shift: np.ndarray
+) -> np.ndarray:
+    """Shifts (L,) int64 of the levels within their groups for the next class, from those of this one.
+
+    Many levels are not settled class by class: each is moved once, by the logarithm of its wanted share over its expected one.
+
+    Parameters
+    ----------
+    score : (S, L) int32
+        With all shifts.
+    groups : (L,) uint8
+    wanted : (L,) float64
+    coldness : int
+    shift : (L,) int64
+    """
+    expected_levels = np.zeros(len(wanted))
+    shares_of(score, coldness, POWERS, expected_levels)
+    ratio = np.log2((wanted * len(score) + 0.5) / (expected_levels + 0.5))
+    step = np.rint(np.clip(ratio, -_LEVEL_STEP, _LEVEL_STEP) * (UNIT * COLD / coldness)).astype(np.int64)
+    moved = np.clip(shift + step, -_MOST, _MOST)
+    for group in range(int(groups.max()) + 1):  # what all of a group have in common is the group's
+        moved[groups == group] -= int(np.median(moved[groups == group]))
+    return moved
 
 
 def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
@@ -107,3 +136,19 @@ def expected(lead, shift, coldness, powers):
         odds = np.float64(power_of(-abs(above), powers)) * 2.0**-31
         total += (1.0 if above >= 0 else odds) / (1.0 + odds)
     return total
+
+
+@kernel
+def shares_of(score, coldness, powers, total):
+    """Adds the expected number of sites of every level (L,) to `total`."""
+    weight = np.empty(score.shape[1], np.float64)
+    for s in range(len(score)):
+        top = np.int64(score[s, 0])
+        for level in range(len(weight)):
+            top = max(top, np.int64(score[s, level]))
+        whole = 0.0
+        for level in range(len(weight)):
+            weight[level] = np.float64(power_of(((np.int64(score[s, level]) - top) * coldness) >> 12, powers))
+            whole += weight[level]
+        for level in range(len(weight)):
+            total[level] += weight[level] / whole
