@@ -41,8 +41,9 @@ class MrfConfig:
     final_heat: tuple[float, ...] = (0.7,)
     """Temperature at the end of each scale, 0 .. 10; in between it falls evenly. (gibbs)"""
 
-    polish: int = 2
-    """Sweeps by the mode after those of the finest scale, 0 .. 20. (gibbs, annealing)"""
+    polish: int | None = None
+    """Sweeps by the mode after those of the finest scale, 0 .. 20. Default: 2 for labels, 0 for grey and colour, whose rare
+    values they would lose. (gibbs, annealing)"""
 
     correction: float = 1.0
     """Power of the marginal that the product of views is divided by, over (views - 1), 0 .. 2: 1 is Bayes' rule, 0 the paper.
@@ -126,7 +127,7 @@ class MrfConfig:
             )
 
     def _keep(self, name: str, low: float, high: float) -> None:
-        whole = isinstance(getattr(MrfConfig, name, None), int)
+        whole = isinstance(getattr(MrfConfig, name, None), int) or name == "polish"
         object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
 
     def _keep_several(self, name: str, low: float, high: float, *, whole: bool) -> None:
@@ -149,6 +150,10 @@ class MrfConfig:
         """`bandwidth`, or its default for a sort of picture."""
         return _BANDWIDTH[sort] if self.bandwidth is None else self.bandwidth
 
+    def polish_of(self, sort: str) -> int:
+        """`polish`, or its default for a sort of picture."""
+        return _POLISH[sort] if self.polish is None else self.polish
+
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
         """The settings of a preset."""
@@ -157,6 +162,7 @@ class MrfConfig:
 
 _FEEDBACK = {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0}
 _COUPLING = {"two phases": 1.5, "phases": 0.4, "grey": 0.8, "colour": 0.7}
+_POLISH = {"two phases": 2, "phases": 2, "grey": 0, "colour": 0}
 _BANDWIDTH = {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35}
 
 _CHOICES = {

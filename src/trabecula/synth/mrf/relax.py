@@ -231,7 +231,7 @@ class Relaxation:
         else:
             first, last = _of_scale(config.heat, self.scale), _of_scale(config.final_heat, self.scale)
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
-        polish = config.polish if self.scale == 0 else 0
+        polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
         steps = [Step(config.relaxation, heat, stage, n) for n, heat in enumerate(heats)]
         return [*steps, *(Step("icm", 0.0, stage, count + n) for n in range(polish))]
 
