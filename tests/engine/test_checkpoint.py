@@ -217,11 +217,11 @@ def _program(words):
     return main(words)
 
 
-def _command(tmp_path, *, seed=5):
+def _command(tmp_path, *, seed=5, pause=0.03):
     tb.write(EXEMPLAR, tmp_path / "flat.png")
     words = ["generate", "flat.png", "--method", "walk", "--shape", "6", "--seed", str(seed), "--out", "rock.npy"]
     words += ["--phases", "void", "solid", "--kind", "labels"]
-    environment = {**os.environ, "WALK_PAUSE": "0.03", "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
         "args": [sys.executable, "-c", program],
@@ -235,8 +235,9 @@ def _command(tmp_path, *, seed=5):
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGINT] if os.name == "posix" else [])
 def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
+    # Rounds so slow that a busy machine as well sends the signal while most are still to come.
     command, part = _command(tmp_path), tmp_path / "rock.npy.part"
-    with subprocess.Popen(**command) as child:
+    with subprocess.Popen(**_command(tmp_path, pause=1.0)) as child:
         limit = time.monotonic() + 60
         while not part.exists() and time.monotonic() < limit and child.poll() is None:
             time.sleep(0.01)
