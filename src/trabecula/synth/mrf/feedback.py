@@ -2,7 +2,7 @@
 
 For every channel of the features, the sum over a slice neighbourhood is put in one of a few cells; how often a group of levels
 occurs as the centre of each cell is the joint statistic. After a sweep the bias of a group in a cell moves by the logarithm of
-how often it should occur there over how often it does. The groups' shares of the whole have a bias of their own (`steering`).
+how often it should occur there over how often it does. The levels' shares of the whole are not its business (`shares`).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def joint_of(patches: Patches, content: Content, bins: int) -> Joint:
 def local_change(joint: Joint, counted: np.ndarray) -> np.ndarray:
     """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G), at most 1 factor of two.
 
-    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the groups' own shares, or the two
-    feedbacks would drift against each other. One count is added on both sides, so that what is rare is not moved by chance.
+    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the groups' own shares, which have
+    another owner. One count is added on both sides, so that what is rare is not moved by chance.
     """
     wanted = joint.share * counted[0].sum() + 1
     seen = counted + 1

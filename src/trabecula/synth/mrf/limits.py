@@ -8,12 +8,10 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.synth.mrf.config import MrfConfig
+from trabecula.synth.shared.pictures import ROOM
 
 STEPS = 16
 """Steps of (1 - t)^2, the weight of a neighbour of temperature t."""
-
-ROOM = 4
-"""Positions that a neighbourhood needs along an axis of the picture, at least, on any scale."""
 
 
 def scales_of(images: Sequence[Image], config: MrfConfig) -> int:

@@ -32,9 +32,8 @@ from trabecula.synth.mrf.temperature import cool
 
 T = TypeVar("T")
 
-_PARTS = (
-    4  # of a sweep, before each of which couplings look anew: else all that lies far apart turns over at every sweep
-)
+# Else all that lies far apart turns over at every sweep.
+_PARTS = 4  # of a sweep, before each of which couplings look anew
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.synth.shared.matching.grid import Grid, features_of, nearest_matches, random_matches, swept
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import State, cast, joined_votes, refined, rematched, robust_weights
+from trabecula.synth.shared.matching.rounds import joined_votes, refined, rematched, robust_weights, voted
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, owed
@@ -28,6 +28,15 @@ _WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coar
 
 Level = tuple[Candidates, ...]
 """The exemplars' neighbourhoods at one resolution, one entry per width of the config."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The output at one resolution."""
+
+    match: np.ndarray  # (sz, sy, sx) int32, index of the nearest neighbourhood per site
+    votes: np.ndarray  # (C, Z, Y, X) int16, the weighted mean of what overlaps, times 256
+    field: np.ndarray  # (C, Z, Y, X) int8, the same with the exemplar's histogram
 
 
 def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool) -> Level:
@@ -101,9 +110,15 @@ def made_plain(
     return state.votes, told
 
 
+def _cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0, histogram: bool = True) -> State:
+    """Vote and match the histogram: the matches become a field."""
+    votes = joined_votes(grid.region, voted(grid, match, weights, trim=trim))
+    return State(match, votes, rematched(grid.region, votes, grid.targets if histogram else None))
+
+
 def _started(grid: Grid, stage: np.uint64) -> State:
     """Random patches."""
-    return cast(grid, random_matches(grid, stage), grid.active.astype(np.int32))
+    return _cast(grid, random_matches(grid, stage), grid.active.astype(np.int32))
 
 
 def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, distances: bool) -> State:
@@ -151,7 +166,7 @@ def _optimised(
         else:
             del state
             weights = robust_weights(grid, distance, config.robustness)
-            state = cast(grid, match, weights, trim=trims[number], histogram=config.histogram)
+            state = _cast(grid, match, weights, trim=trims[number], histogram=config.histogram)
             if target is not None and steps:
                 last = finest and number == len(trims) - 1  # nothing comes after it that would take something back
                 debt = (

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from trabecula.engine.tiles import for_slabs
@@ -15,15 +13,6 @@ from trabecula.synth.shared.matching.kernels import vote, vote_sums
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.pyramid import double
-
-
-@dataclass(frozen=True)
-class State:
-    """The output at one resolution."""
-
-    match: np.ndarray  # (sz, sy, sx) int32, index of the nearest neighbourhood per site
-    votes: np.ndarray  # (C, Z, Y, X) int16, the weighted mean of what overlaps, times 256
-    field: np.ndarray  # (C, Z, Y, X) int8, the same with the exemplar's histogram
 
 
 def refined(field: np.ndarray, wraps: tuple[bool, ...], *, distances: bool) -> np.ndarray:
@@ -46,12 +35,6 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     ratio = np.clip((distance.astype(np.int64) + floor) * 256 // mean, 1, 4095)
     table = np.clip(np.rint(255 * (np.arange(4096).clip(1) / 256) ** ((robustness - 2) / 2)), 1, 1023)
     return np.where(grid.active, table.astype(np.int32)[ratio], np.int32(0))
-
-
-def cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0, histogram: bool = True) -> State:
-    """Vote and match the histogram: the matches become a field."""
-    votes = joined_votes(grid.region, voted(grid, match, weights, trim=trim))
-    return State(match, votes, rematched(grid.region, votes, grid.targets if histogram else None))
 
 
 def joined_votes(region: Region, votes: np.ndarray) -> np.ndarray:
