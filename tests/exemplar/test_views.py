@@ -151,6 +151,9 @@ def test_stripes_and_pixels_that_are_no_squares_are_not_isotropic():
     assert not is_isotropic(tb.Image(striped, "labels"))
     assert not is_isotropic(tb.Image(striped.T, "labels"))
     assert is_isotropic(tb.Image((striped + striped.T) % 2, "labels"))
+    slanted = (np.indices((60, 60)).sum(axis=0) // 4 % 2).astype(np.uint8)
+    assert not is_isotropic(tb.Image(slanted, "labels"))
+    assert not is_isotropic(tb.Image(slanted[::-1] * np.uint8(200), "grey"))
     assert is_isotropic(blobs(0, spacing=(0.3, 0.3)))
     assert not is_isotropic(blobs(0, spacing=(0.3, 0.4)))
 

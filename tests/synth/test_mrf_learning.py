@@ -190,15 +190,21 @@ def couplings_of(pictures, shape, *, features=((0,), (1,)), edges=(1.0, 1.0, 1.0
 
 
 def bins_by_offset(far, edges, shape):
-    """Every offset of a torus up to `far` away, and the bin it belongs to: axis, then rounded distance."""
+    """Every offset of a torus up to `far` away, and the bin it belongs to."""
     found = {}
     sides = [range(-((side - 1) // 2), (side + 1) // 2) for side in shape]
     for offset in itertools.product(*sides):
         step = np.array(offset) * edges
         distance = int(np.sqrt((step**2).sum()) + 0.5)
         if distance <= far:
-            found[offset] = int(np.argmax(np.abs(step))) * (far + 1) + distance
+            found[offset] = sort_of(step) * (far + 1) + distance
     return found
+
+
+def sort_of(step):
+    """The axis that a step lies nearest to, and from 3 on where it is not within 22.5 degrees of it."""
+    sideways = np.abs(step).max() < np.cos(np.pi / 8) * np.linalg.norm(step)
+    return int(np.argmax(np.abs(step))) + 3 * int(sideways)
 
 
 @pytest.mark.parametrize("edges", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.5)])
@@ -212,14 +218,14 @@ def test_the_field_is_the_sum_over_offsets_written_out(edges):
     values = (np.arange(2) - mean) / np.sqrt(mean * (1 - mean))
     spread = np.where(there, values[levels], 0)
     bins = bins_by_offset(4, np.array(edges), shape)
-    many = np.bincount(list(bins.values()), minlength=15)
+    many = np.bincount(list(bins.values()), minlength=30)
     field = np.zeros(shape)
     for offset, place in bins.items():
         field += coupled.strength[0, place] / many[place] * np.roll(spread, [-step for step in offset], (0, 1, 2))
     sites = np.array([0, 5, 77, 700, field.size - 1])
     pulled = np.full((len(sites), 2), 9, np.int64)
     coupled.pull(sites, pulled)
-    literal = np.clip(field.ravel()[sites, None] / np.log(2), -8, 8) * values  # the logarithm to base 2 of a density
+    literal = np.clip(field.ravel()[sites, None] / np.log(2), -30, 30) * values  # the logarithm to base 2 of a density
     assert np.abs(literal).max() > 1, "nothing is coupled"
     assert (pulled - 9) / UNIT == pytest.approx(literal, abs=4e-3)
 
@@ -229,9 +235,11 @@ def test_no_pair_counts_that_is_near_or_that_no_picture_holds():
     coupled = couplings_of([(0, blobs(30))], (12, 12, 12), reach=5)
     levels = np.random.default_rng(1).integers(0, 2, (12, 12, 12), np.uint8)
     coupled.learn(levels, np.ones(levels.shape, bool))
-    strength = coupled.strength.reshape(3, 6)
-    assert not strength[0].any() and not strength[:, :2].any()
-    assert strength[1:, 2:].all()
+    strength = coupled.strength.reshape(6, 6)
+    assert not strength[[0, 3]].any() and not strength[:, :2].any()
+    assert strength[1:3, 2:].all() and strength[4, 2:].all()
+    # In a plane none that is nearest to x, beyond 22.5 degrees of it, is 3 long when rounded: (2, 2) counts to y.
+    assert (strength[5] != 0).tolist() == [False, False, True, False, True, True]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -242,15 +250,17 @@ def test_targets_are_the_autocorrelation_of_the_picture(axis):
     coupled = couplings_of([(axis, picture)], (16, 16, 16), features=np.eye(3), reach=6)
     for phase in range(3):
         rho = autocorrelation(tb.Image((picture == phase).astype(np.uint8), "labels"), lags=6)
-        sums, pairs = np.zeros(21), np.zeros(21)
+        sums, pairs = np.zeros(42), np.zeros(42)
         for down, along in itertools.product(range(-6, 7), repeat=2):
             distance = int(np.hypot(down, along) + 0.5)
             if distance > 6:
                 continue
-            nearest = 0 if (down, along) == (0, 0) else rows if abs(down) >= abs(along) else columns
+            step = np.zeros(3)
+            step[rows], step[columns] = down, along
+            place = sort_of(step) * 7 + distance
             count = (40 - abs(down)) * (40 - abs(along))
-            sums[nearest * 7 + distance] += count * rho[down + 6, along + 6]
-            pairs[nearest * 7 + distance] += count
+            sums[place] += count * rho[down + 6, along + 6]
+            pairs[place] += count
         assert coupled._wanted[phase] == pytest.approx(sums / np.maximum(pairs, 1), abs=1e-4)
 
 
@@ -264,17 +274,18 @@ def test_the_misfit_is_of_pairs_that_are_there():
     values = (levels - share) / np.sqrt(share * (1 - share))
     bins = bins_by_offset(4, np.ones(3), shape)
     for there in (np.ones(shape, bool), rng.random(shape) < 0.5):
-        sums, pairs = np.zeros(15), np.zeros(15)
+        sums, pairs = np.zeros(30), np.zeros(30)
         for offset, place in bins.items():
             both = there & np.roll(there, offset, (0, 1, 2))
             sums[place] += (values * np.roll(values, offset, (0, 1, 2)))[both].sum()
             pairs[place] += np.count_nonzero(both)
         now = sums / np.maximum(pairs, 1)
-        apart = (coupled._wanted[0] - now / now[0])[np.arange(15) % 5 >= 2]
+        held = (np.arange(30) % 5 >= 2) & (np.arange(30) != 5 * 5 + 3)  # (2, 2) counts to y
+        apart = (coupled._wanted[0] - now / now[0])[held]
         before = coupled.strength.copy()
         coupled.learn(levels, there)
         assert coupled.misfit == pytest.approx(np.sqrt(np.mean(apart**2)), abs=1e-4)
-        assert (coupled.strength - before)[0, np.arange(15) % 5 >= 2] == pytest.approx(0.5 * apart, abs=1e-4)
+        assert (coupled.strength - before)[0, held] == pytest.approx(0.5 * apart, abs=1e-4)
 
 
 def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
@@ -285,9 +296,11 @@ def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
     coarse.strength = np.random.default_rng(3).normal(size=coarse.strength.shape)
     levels = np.zeros((24, 24, 24), np.uint8)
     fine.start(coarse, levels, np.ones(levels.shape, bool))
-    known, found = coarse.strength.reshape(3, 5), fine.strength.reshape(3, 9)
+    known, found = coarse.strength.reshape(6, 5), fine.strength.reshape(6, 9)
     assert found[:, 2::2] == pytest.approx(known[:, 1:] / 2)
-    assert found[:, 3::2] == pytest.approx((known[:, 1:4] + known[:, 2:5]) / 4)
+    between = (known[:, 1:4] + known[:, 2:5]) / 4
+    between[5, 0] = 0  # of which no picture holds any
+    assert found[:, 3::2] == pytest.approx(between)
     assert not found[:, :2].any()
     pulled = np.zeros((1, 2), np.int64)
     fine.pull(np.array([0]), pulled)
@@ -314,6 +327,45 @@ def test_learning_drives_a_field_of_pairs_alone_to_the_pictures_autocorrelation(
 
 
 # Planes
+
+
+@pytest.mark.parametrize("plane", [across(0), across(2), *turned(1)])
+def test_a_plane_seen_from_behind_has_its_columns_the_other_way(plane):
+    straight, behind = (each.offsets(5).reshape(-1, 3) for each in (plane, plane.mirrored))
+    grid = np.insert(straight, 12, 0, axis=0).reshape(5, 5, 3)
+    assert np.array_equal(np.insert(behind, 12, 0, axis=0).reshape(5, 5, 3), grid[:, ::-1])
+    assert plane.mirrored.mirrored == plane
+
+
+def test_what_goes_by_turned_planes_sees_the_picture_from_behind_in_every_other_round():
+    """And what does not, never: its picture may lean one way."""
+    for oblique, wanted in ((True, [False] * 4 + [True] * 4), (False, [False] * 8)):
+        model = tb.method("mrf", neighbourhood=3, scales=1, sweeps=8, polish=0, oblique=oblique).fit(
+            tb.Image(blobs(40), "labels")
+        )
+        seen = []
+        lattice = lattices_of(tb.Request(12), model.content, 1, 3)[0]
+        relaxation = started(
+            lattice,
+            None,
+            model._frames(model.sources[0]),
+            model.content,
+            model.config,
+            seed=1,
+            scale=0,
+            wanted=model._shares(None),
+            couplings=None,
+        )
+        for frame in relaxation._frames:
+            honest = frame.densities
+            frame.densities = lambda *a, mirrored, honest=honest: (
+                seen.append(mirrored),
+                honest(*a, mirrored=mirrored),
+            )[1]
+        for step, mirrored in zip(relaxation._steps(), wanted, strict=True):
+            seen.clear()
+            relaxation.sweep(step)
+            assert set(seen) == {mirrored}
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -438,7 +490,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
     )
     lattice = lattices_of(tb.Request((18, 18, 18), seed=1, periodic=True), model.content, 1, 3)[0]
     couplings = model._couplings(0, lattice)
-    couplings.strength = np.where(couplings._held, -1.0, 0.0)[None].reshape(couplings.strength.shape)
+    couplings.strength = np.where(couplings._held, -0.5, 0.0)[None].reshape(couplings.strength.shape)
     frames = model._frames(model.sources[0])
     relaxation = started(
         lattice,

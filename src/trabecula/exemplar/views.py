@@ -18,7 +18,7 @@ from trabecula.core.image import Image
 from trabecula.core.progress import say
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.describe import autocorrelation_lines
-from trabecula.measure.grey import grey_values
+from trabecula.measure.grey import autocorrelation, grey_values
 
 PLANES = ("yx", "zx", "zy")
 _NAMES = (*PLANES, "xy", "xz", "yz")
@@ -179,15 +179,17 @@ def check_views(views: Sequence[View]) -> None:
 
 
 def is_isotropic(image: Image) -> bool:
-    """Whether a picture may be alike in all directions: square pixels, and covariances along rows and along columns that
-    differ no more than those of a sample do."""
+    """Whether a picture may be alike in all directions: square pixels, and covariances along rows and along columns, and along
+    the two diagonals, that differ no more than those of a sample do."""
     if min(image.shape) < 2 or abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
         return False
     reach, phases = max(1, min(image.shape) // 5), sorted(_partly(image))
     if image.kind == "labels" and not phases:
         return False
     along, down = (_lines(image, axis, reach, phases) for axis in (1, 0))
-    return all(_relative(x, y) <= _ALIKE for x, y in zip(along, down, strict=True))
+    rising, falling = _diagonals(image, reach, phases)
+    pairs = [*zip(along, down, strict=True), *zip(rising, falling, strict=True)]
+    return all(_relative(x, y) <= _ALIKE for x, y in pairs)
 
 
 def _contradiction(first: View, second: View) -> str | None:
@@ -232,6 +234,14 @@ def _lines(image: Image, axis: int, reach: int, phases: Sequence[int]) -> np.nda
     if image.kind != "labels":
         return autocorrelation_lines(image, lags=reach)["yx"[axis]][None]
     return np.array([covariance_form(two_point(image, r_max=reach, phase=phase, axis=axis)) for phase in phases])
+
+
+def _diagonals(image: Image, reach: int, phases: Sequence[int]) -> list[np.ndarray]:
+    """Autocorrelations along both diagonals, from 1 at distance 0: each (phases or 1, reach + 1)."""
+    labels = image.kind == "labels"
+    parts = [Image((image.values == phase).astype(np.uint8), "labels") for phase in phases] if labels else [image]
+    maps = [autocorrelation(part, lags=reach) for part in parts]
+    return [np.array([np.diagonal(each)[reach:] for each in way]) for way in (maps, [each[:, ::-1] for each in maps])]
 
 
 def _relative(first: np.ndarray, second: np.ndarray) -> float:

@@ -58,7 +58,7 @@ class MrfConfig:
 
     coupling: float | None = None
     """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none, as in the paper. Default:
-    1.5 for two phases, 0.4 for more, 0.8 for grey, 0.7 for colour. Where it is too high they swing."""
+    0.75 for two phases, 0.4 for more, 0.4 for grey, 0.35 for colour. Where it is too high they swing."""
 
     reach: int = 20
     """Farthest pairs that are coupled, voxels of the finest scale, 2 .. 200."""
@@ -161,7 +161,7 @@ class MrfConfig:
 
 
 _FEEDBACK = {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0}
-_COUPLING = {"two phases": 1.5, "phases": 0.4, "grey": 0.8, "colour": 0.7}
+_COUPLING = {"two phases": 0.75, "phases": 0.4, "grey": 0.4, "colour": 0.35}
 _POLISH = {"two phases": 2, "phases": 2, "grey": 0, "colour": 0}
 _BANDWIDTH = {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35}
 

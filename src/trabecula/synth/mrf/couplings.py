@@ -16,6 +16,9 @@ import numpy as np
 from trabecula.synth.mrf.tables import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs
 
+CONES = 2
+"""Without, what lies along the axes is made up for by what lies along diagonals."""
+
 _NEAR = 2  # voxels: what lies nearer is the densities' own
 _LEAST = 4  # voxels of a scale that couplings reach at least
 _MOST = 30.0  # factors of two that they move a site by, at most
@@ -64,7 +67,7 @@ class Couplings:
         far = max(1, min(max(reach, _LEAST), shortest // 2 - 1, min(shape) // 2 - 1))
         self._values = _standardised(pictures, features)
         self._rate, self._edges = rate, tuple(edges)
-        self._pairs = Pairs(tuple(shape), far, (True, True, True), self._edges)
+        self._pairs = Pairs(tuple(shape), far, (True, True, True), self._edges, cones=CONES)
         self._wanted, held = self._targets(pictures)
         r = np.arange(self._pairs.bins) % (far + 1)
         self._held = held & (self._pairs.fits > 0) & (r >= min(_NEAR, far))
@@ -78,7 +81,7 @@ class Couplings:
         fits = np.zeros(self._pairs.bins)
         for axis, picture in pictures:
             slab = np.expand_dims(picture, axis)
-            pairs = Pairs(slab.shape, self._pairs.r_max, (False, False, False), self._edges)
+            pairs = Pairs(slab.shape, self._pairs.r_max, (False, False, False), self._edges, cones=CONES)
             fits += pairs.fits
             for c in range(len(sums)):
                 spectrum = pairs.forward(self._values[slab, c])
@@ -89,7 +92,7 @@ class Couplings:
         """Take over the strengths of a coarser scale, whose voxels are twice as long, before the first sweep."""
         if coarse is not None:
             count, bins = len(self.strength), self._pairs.r_max + 1
-            known = coarse.strength.reshape(count, 3, -1)
+            known = coarse.strength.reshape(count, 3 * CONES, -1)
             at = np.arange(bins) / 2
             finer = [[np.interp(at, np.arange(known.shape[2]), row) / 2 for row in channel] for channel in known]
             self.strength = np.where(self._held, np.reshape(finer, (count, -1)), 0.0)
@@ -102,7 +105,7 @@ class Couplings:
         for c in range(len(apart)):
             spectrum = self._pairs.forward(self._spread(levels, there, c))
             now = self._pairs.curve(spectrum, spectrum) / both
-            apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now.max()), 1e-6), 0.0)
+            apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now[0]), 1e-6), 0.0)
         self.misfit = float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
         self.strength = self.strength + self._rate * apart
         self.act(levels, there)

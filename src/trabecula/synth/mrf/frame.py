@@ -57,7 +57,7 @@ class Frame:
         planes = [face.plane for face in faces]
         self.whole = complete_in(lattice, planes, width).ravel()
         self._lattice, self._content = lattice, content
-        self._offsets = [plane.offsets(width) for plane in planes]
+        self._offsets = [(plane.offsets(width), plane.mirrored.offsets(width)) for plane in planes]
         self._blur = np.stack([face.source.blur for face in faces])
         self._prior = prior_of([face.source.marginal for face in faces], correction)
 
@@ -80,6 +80,8 @@ class Frame:
         pulled: np.ndarray,
         bias: Tables,
         cells: np.ndarray,
+        *,
+        mirrored: bool = False,
     ) -> np.ndarray:
         """The logarithms of the views' densities (S, V, L) int64, in units.
 
@@ -93,13 +95,16 @@ class Frame:
             What the feedback's `bias` (empty: none) says is added to it.
         cells : (V, S, C) uint8
             Where the local sums lie is written to it, where there is a bias.
+        mirrored : bool
+            Whether the pictures are seen from behind.
         """
         features = self._content.features
         bins = np.empty((len(sites), len(self.faces), len(features)), np.int64)
         for v, face in enumerate(self.faces):
-            places = np.empty((len(sites), len(self._offsets[v])), np.int64)
+            offsets = self._offsets[v][int(mirrored)]
+            places = np.empty((len(sites), len(offsets)), np.int64)
             found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
-            gather_places(sites, self._offsets[v], self._lattice.there, places)
+            gather_places(sites, offsets, self._lattice.there, places)
             gather_levels(places, self._lattice.levels, found, weight)
             if bias:
                 sums = np.empty((len(sites), features.shape[1]), np.int32)

@@ -27,6 +27,12 @@ class Plane:
         """Whether the steps are diagonals."""
         return sum(map(abs, self.rows)) > 1, sum(map(abs, self.columns)) > 1
 
+    @property
+    def mirrored(self) -> Plane:
+        """The same plane, its picture seen from behind."""
+        z, y, x = self.columns
+        return Plane(self.rows, (-z, -y, -x))
+
     def offsets(self, width: int) -> np.ndarray:
         """Where the neighbours lie, (w^2 - 1, 3) int64, in the order of a picture's pixels."""
         steps = np.arange(width) - width // 2

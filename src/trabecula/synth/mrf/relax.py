@@ -38,12 +38,15 @@ _PARTS = 4  # of a sweep, before each of which couplings look anew
 
 @dataclass(frozen=True)
 class Step:
-    """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for random words."""
+    """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for random words, which of the
+    frames it goes by, and whether it sees the pictures from behind."""
 
     rule: str
     heat: float
     key: np.uint64
     number: int
+    frame: int = 0
+    mirrored: bool = False
 
 
 @dataclass
@@ -122,8 +125,7 @@ class Relaxation:
 
     def sweep(self, step: Step) -> int:
         """Visit every site that is to change, class after class; how many did change."""
-        # The last sweeps go by the planes along the axes, in which the result will be looked at.
-        frame = self._frames[step.number % len(self._frames) if step.rule == "gibbs" else 0]
+        frame = self._frames[step.frame]
         width = self.config.neighbourhood
         names = classes_of(self.lattice, width, turned=frame.turned)
         order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
@@ -152,7 +154,7 @@ class Relaxation:
         features, groups = self.content.features, self.content.groups
         chosen = np.empty(len(sites), np.uint8)
         cells = np.empty((len(frame.faces), len(sites), features.shape[1]), np.uint8)
-        score = self._scores(sites, frame, chosen, cells)
+        score = self._scores(sites, frame, chosen, cells, mirrored=step.mirrored)
         if len(score):
             if self.config.shares:
                 score += self._shifted(score, sites, step)
@@ -167,7 +169,9 @@ class Relaxation:
                 count(cell, groups, chosen, tables[face.learner])
         return changed
 
-    def _scores(self, sites: np.ndarray, frame: Frame, chosen: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    def _scores(
+        self, sites: np.ndarray, frame: Frame, chosen: np.ndarray, cells: np.ndarray, *, mirrored: bool
+    ) -> np.ndarray:
         """Scores (S, L) int32 of all levels; none for h1a and h1b, which choose at once."""
         config = self.config
         at_once = config.heuristic in ("h1a", "h1b")
@@ -179,7 +183,9 @@ class Relaxation:
             for first in range(start, stop, frame.batch):
                 part = slice(first, min(first + frame.batch, stop))
                 pulled = np.zeros((part.stop - first, score.shape[1]), np.int64)
-                log = frame.densities(sites[part], scratch, self.temperature, pulled, bias, cells[:, part])
+                log = frame.densities(
+                    sites[part], scratch, self.temperature, pulled, bias, cells[:, part], mirrored=mirrored
+                )
                 if at_once:
                     choose.of_views(log, self.content.features, config.heuristic == "h1b", chosen[part])
                     continue
@@ -231,8 +237,14 @@ class Relaxation:
             first, last = _of_scale(config.heat, self.scale), _of_scale(config.final_heat, self.scale)
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
         polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
-        steps = [Step(config.relaxation, heat, stage, n) for n, heat in enumerate(heats)]
-        return [*steps, *(Step("icm", 0.0, stage, count + n) for n in range(polish))]
+        # A material that is alike in all directions is so for its mirror image.
+        ways = len(self._frames)
+        steps = [
+            Step(config.relaxation, heat, stage, n, n % ways, ways > 1 and n // ways % 2 > 0)
+            for n, heat in enumerate(heats)
+        ]
+        # The last sweeps go by the planes along the axes, in which the result will be looked at.
+        return [*steps, *(Step("icm", 0.0, stage, count + n, 0, ways > 1 and n % 2 > 0) for n in range(polish))]
 
     def _fallen(self) -> float:
         """By what share the global temperature has fallen since the scale began (section V.B)."""

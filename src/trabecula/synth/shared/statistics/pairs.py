@@ -17,6 +17,8 @@ from trabecula.measure.fft import fast_side
 
 _WORTH = 1 << 19  # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 
+_CONE = np.cos(np.pi / 8) ** 2
+
 
 def _enough(values: int) -> int:
     """Planes of so many values that are worth a thread."""
@@ -28,7 +30,7 @@ class Pairs:
     """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance and the axis they lie nearest to.
 
     `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free` (Z, Y, X) bool says which
-    voxels count (None: all).
+    voxels count (None: all). With two `cones` those within 22.5 degrees of their axis are told apart from the others.
     """
 
     shape: tuple[int, ...]
@@ -36,6 +38,7 @@ class Pairs:
     wraps: tuple[bool, ...] = (False, False, False)
     edges: tuple[float, ...] = (1.0, 1.0, 1.0)
     free: np.ndarray | None = None
+    cones: int = 1
 
     @cached_property
     def reach(self) -> tuple[int, ...]:
@@ -61,8 +64,8 @@ class Pairs:
 
     @property
     def bins(self) -> int:
-        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then to x."""
-        return 3 * (self.r_max + 1)
+        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then to x; for each cone."""
+        return 3 * self.cones * (self.r_max + 1)
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -70,8 +73,11 @@ class Pairs:
         steps = [offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True)]
         z, y, x = np.meshgrid(*steps, indexing="ij", sparse=True)
         rounded = (np.sqrt(z**2 + y**2 + x**2) + 0.5).astype(np.int64)
-        nearest = np.where((z**2 >= y**2) & (z**2 >= x**2), 0, np.where(y**2 >= x**2, 1, 2))
-        return np.where(rounded > self.r_max, self.bins, nearest * (self.r_max + 1) + rounded)
+        sort = np.where((z**2 >= y**2) & (z**2 >= x**2), 0, np.where(y**2 >= x**2, 1, 2))
+        if self.cones == 2:
+            longest = np.maximum(np.maximum(z**2, y**2), x**2)
+            sort = sort + 3 * (longest < _CONE * (z**2 + y**2 + x**2))
+        return np.where(rounded > self.r_max, self.bins, sort * (self.r_max + 1) + rounded)
 
     @cached_property
     def fits(self) -> np.ndarray:
