@@ -339,11 +339,11 @@ def test_a_plane_seen_from_behind_has_its_columns_the_other_way(plane):
 
 def test_what_goes_by_turned_planes_sees_the_picture_from_behind_in_every_other_round():
     """And what does not, never: its picture may lean one way."""
+    seen: list[bool] = []
     for oblique, wanted in ((True, [False] * 4 + [True] * 4), (False, [False] * 8)):
         model = tb.method("mrf", neighbourhood=3, scales=1, sweeps=8, polish=0, oblique=oblique).fit(
             tb.Image(blobs(40), "labels")
         )
-        seen = []
         lattice = lattices_of(tb.Request(12), model.content, 1, 3)[0]
         relaxation = started(
             lattice,
