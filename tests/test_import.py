@@ -36,7 +36,7 @@ def test_help_and_typing_errors_need_no_numpy(words):
 
 
 @pytest.mark.parametrize(
-    "verb", ["generate", "verify", "export", "render", "measure", "rerun", "demo", "plan", "finish"]
+    "verb", ["generate", "verify", "export", "render", "measure", "rerun", "demo", "plan", "finish", "field"]
 )
 def test_help_of_a_verb_loads_nothing_heavy(verb):
     code = f"from trabecula.cli.main import main\ntry:\n    main([{verb!r}, '--help'])\nexcept SystemExit:\n    pass"

@@ -25,6 +25,7 @@ _ROOMS = {
     "core": "What everything speaks of",
     "io": "Files",
     "exemplar": "Exemplars",
+    "fields": "Target fields",
     "synth": "Methods and models",
     "finish": "Finish",
     "measure": "Measure",
@@ -122,6 +123,7 @@ def method_page(spec: Spec) -> str:
         ("after", spec.paper),
         ("exemplar", f"{spec.exemplar}: {' or '.join(spec.kinds)}" if spec.exemplar else "none"),
         ("honours", ", ".join(("shape", "seed", *sorted(spec.honours)))),
+        ("targets", ", ".join(spec.targets) if "target" in spec.honours else "none"),
         ("scaling", spec.scaling),
         ("presets", ", ".join(spec.presets) or "none"),
         ("extras", ", ".join(spec.extras) or "none"),
@@ -254,6 +256,7 @@ def api_page() -> str:
         rooms.setdefault(home.partition(".")[0], []).append(f"trabecula.{name}")
     for home, names in _ALSO.items():
         rooms.setdefault(home.partition(".")[0], []).extend(f"trabecula.{home}.{name}" for name in names)
+    rooms["fields"] += [f"trabecula.fields.{name}" for name in trabecula.fields.__all__ if name[0].islower()]
     rooms["finish"] += [f"trabecula.finish.{name}" for name in trabecula.finish.OPERATIONS]
     parts = [
         "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its first use, so "
@@ -298,6 +301,8 @@ def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
         if rows:
             title = {"positional arguments": "what", "options": "option"}.get(group.title, group.title)
             parts.append(table((title, ""), rows) + "\n")
+    for kinds in [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]:
+        parts += [_verb_section(f"{verb} {kind}", sub).replace("## ", "### ", 1) for kind, sub in kinds.choices.items()]
     return "\n".join(parts)
 
 
@@ -314,13 +319,15 @@ def _folder(spec: Spec) -> str:
 
 
 def _strings_below_fields(config: type) -> dict[str, str]:
+    shared = [_strings_below_fields(base) for base in config.__bases__ if dataclasses.is_dataclass(base)]
     tree = ast.parse(inspect.getsource(inspect.getmodule(config)))
     body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == config.__name__)
-    return {
+    own = {
         field.target.id: inspect.cleandoc(below.value.value)
         for field, below in pairwise(body)
         if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
     }
+    return {name: text for strings in (*shared, own) for name, text in strings.items()}
 
 
 def _default(field: dataclasses.Field) -> str:

@@ -34,6 +34,7 @@ _HOMES = {
     "describe": "measure",
     "method": "synth.registry",
     "methods": "synth.registry",
+    "load_model": "synth.saved",
     "load": "flow",
     "export": "flow",
     "rerun": "flow",
@@ -41,7 +42,7 @@ _HOMES = {
     "verify": "report.certificate",
     "print_check": "finish.printing",
 }
-_ROOMS = {"errors": "errors", "measure": "measure", "finish": "finish", "mesh": "mesh"}
+_ROOMS = {"errors": "errors", "measure": "measure", "finish": "finish", "mesh": "mesh", "fields": "fields"}
 
 __all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trabecula import finish
+from trabecula import fields, finish
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
 from trabecula.core.image import Image, declared
+from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
 from trabecula.exemplar.crop import crop
@@ -22,7 +23,10 @@ from trabecula.io import files
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
 from trabecula.mesh.voxels import scaled, voxelise
+from trabecula.models import shipped
+from trabecula.synth.base import Model
 from trabecula.synth.registry import method
+from trabecula.synth.saved import load_model
 from trabecula.view.still import render
 
 AnyPath = str | os.PathLike[str]
@@ -66,6 +70,7 @@ def rerun(
     fixed: AnyPath | None = None,
     known: AnyPath | None = None,
     target: AnyPath | None = None,
+    model: AnyPath | None = None,
 ) -> Image:
     """Make a file's voxels again from the recipe in it.
 
@@ -76,6 +81,8 @@ def rerun(
         Where the files that the recipe starts from lie now, if they have moved; several in the order of the exemplars.
     mask, fixed, known, target : path, optional
         The same for the other files that the request named.
+    model : path or str, optional
+        The trained model that the recipe names, where it is neither beside the file nor shipped under that name.
 
     Raises
     ------
@@ -93,7 +100,8 @@ def rerun(
     if digest(image.values) != steps[-1].get("sha256"):
         raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
     folder = Path(path).absolute().parent
-    return replay(image.recipe, folder=folder, exemplar=exemplar, mask=mask, fixed=fixed, known=known, target=target)
+    parts = {"mask": mask, "fixed": fixed, "known": known, "target": target, "model": model}
+    return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 
 
 def replay(
@@ -167,10 +175,52 @@ def _surface_again(steps: Sequence[Mapping[str, Any]], places: Places) -> Mesh:
 
 
 def _generate_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    return _model_again(step, places).generate(_request_again(step, places))
+
+
+def _model_again(step: Mapping[str, Any], places: Places) -> Model:
+    """The model: from its file where it learned for long, else learned again."""
+    named = step.get("model")
+    if named is not None:
+        path = _model_file(named, places.of("model"))
+        if path is not None:
+            return _same_model(load_model(path), named["sha256"], f"the model {path} is another")
+        say("the model was never in a file: learning again")
     sources = [
         _replayed(Recipe.from_json(steps), places.of("exemplar", number))
         for number, steps in enumerate(step["exemplars"])
     ]
+    learner: Any = method(step["method"], **step["settings"])
+    model: Model = learner.fit(sources if len(sources) > 1 else sources[0])
+    if named is not None:
+        _same_model(model, named["sha256"], "learning again gave another model (its time, machine or versions differ)")
+    return model
+
+
+def _model_file(named: Mapping[str, Any], places: Places) -> AnyPath | None:
+    """Where a model lies: as given, beside the result, or shipped; None where it was never in a file."""
+    if places.given is not None:
+        return places.given
+    if named["name"] is None:
+        return None
+    beside = places.folder / Path(named["name"]).name
+    if beside.exists() or named["name"] in shipped():
+        return beside if beside.exists() else named["name"]
+    raise FileError(
+        f"the recipe needs the model {named['name']} (SHA-256 {named['sha256'][:12]}), which is not here: give its place "
+        "with --model"
+    )
+
+
+def _same_model(model: Model, sha256: str, otherwise: str) -> Model:
+    if model.sha256 != sha256:
+        raise NotReproducedError(
+            f"{otherwise}: its SHA-256 is {model.sha256[:12]}, the recipe's {sha256[:12]}; give the right one with --model"
+        )
+    return model
+
+
+def _request_again(step: Mapping[str, Any], places: Places) -> Request:
     request = dict(step["request"])
     for name in PARTS:
         if name in request:
@@ -179,8 +229,7 @@ def _generate_again(image: Image | None, step: Mapping[str, Any], places: Places
         name: _replayed(Recipe.from_json(value), places.of("target")) if isinstance(value, list) else value
         for name, value in dict(request.get("target", {})).items()
     }
-    learner: Any = method(step["method"], **step["settings"])
-    return learner.fit(sources if len(sources) > 1 else sources[0]).generate(Request(**request))
+    return Request(**request)
 
 
 def _finish_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
@@ -188,6 +237,14 @@ def _finish_again(image: Image | None, step: Mapping[str, Any], places: Places) 
     for steps in step.get("exemplars", ()):
         settings["exemplar"] = _replayed(Recipe.from_json(steps), places.of("exemplar"))
     return finish.OPERATIONS[step["operation"]](_given(image), **settings)
+
+
+def _field_again(image: Image | None, step: Mapping[str, Any], places: Places) -> Image:
+    settings = dict(step["settings"])
+    if step["make"] in fields.FROM_AN_IMAGE:
+        return fields.FROM_AN_IMAGE[step["make"]](_given(image), **settings)
+    check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
+    return fields.FROM_NOTHING[step["make"]](**settings)
 
 
 def _given(image: Image | None) -> Image:
@@ -210,6 +267,7 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Places], Image]] = 
     "segment": lambda image, step, places: segment(_given(image), step["threshold"], phases=step["phases"]),
     "generate": _generate_again,
     "finish": _finish_again,
+    "field": _field_again,
     "render": lambda image, step, places: render(
         _given(image), **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")}
     ),

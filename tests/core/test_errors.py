@@ -13,6 +13,7 @@ BUILTINS = {
     "MemoryBudgetError": MemoryError,
     "MissingExtraError": ImportError,
     "NotReproducedError": RuntimeError,
+    "TrainingError": RuntimeError,
 }
 
 

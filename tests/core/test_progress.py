@@ -1,6 +1,6 @@
 """Progress: told to whoever listens, at no cost where nobody does."""
 
-from trabecula.core.progress import listen, say, track
+from trabecula.core.progress import listen, say, tell, track
 
 
 def test_items_pass_with_and_without_a_listener():
@@ -31,3 +31,12 @@ def test_listeners_nest_and_end_with_their_block():
             say("one")
         say("two")
     assert (outer, inner) == (["two"], ["one"])
+
+
+def test_work_that_is_no_loop_tells_how_far_it_is():
+    told = []
+    tell("unheard", 0.5)
+    with listen(lambda label, fraction: told.append((label, fraction))):
+        tell("round 1", 0.25)
+        tell("round 2", 1.0)
+    assert told == [("round 1", 0.25), ("round 2", 1.0)]

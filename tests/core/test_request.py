@@ -75,7 +75,7 @@ def test_the_origins_of_the_parts_go_into_the_recipe():
     [
         ({"mask": np.ones((4, 4, 5), bool)}, r"mask has shape \(4, 4, 5\), the request \(4, 4, 4\)"),
         ({"mask": np.ones((4, 4, 4), np.uint8)}, "mask is uint8 .*boolean array"),
-        ({"mask": np.ones((4, 4), bool)}, "boolean array"),
+        ({"mask": np.ones(4, bool)}, "boolean array"),
         ({"mask": np.zeros((4, 4, 4), bool)}, "holds no voxel"),
         ({"mask": tb.Image(np.ones((4, 4, 4)), "grey")}, "mask is grey"),
         ({"shape": None}, "has no shape"),
@@ -134,7 +134,7 @@ def test_what_is_not_known_may_be_anything():
     ("fields", "says"),
     [
         ({"shape": 0}, "must be positive"),
-        ({"shape": (4, 4)}, "has 2 numbers"),
+        ({"shape": (4, 4, 4, 4)}, "has 4 numbers"),
         ({"shape": 4.5}, "whole numbers"),
         ({"shape": 10**9}, "more than 2\\*\\*48"),
         ({"shape": 4, "seed": -1}, "seed -1 is outside"),
@@ -175,11 +175,22 @@ def test_a_target_is_a_number_or_a_field():
         ({"porosity": np.full((2, 2, 2), np.inf)}, "infinite"),
         ({"porosity": tb.Image(np.ones((2, 2, 2), np.uint8), "labels")}, "field of numbers"),
         (0.3, "give names with values"),
+        ({"porosity": 0.3, "volume_fraction": 0.7}, "give one of them"),
+        ({"volume_fraction:solid": 1.5}, r"outside 0 \.\. 1"),
+        ({"volume_fraction:": 0.5}, "did you mean 'volume_fraction'"),
+        ({"surface": -0.1}, r"outside 0 \.\. inf"),
+        ({"euler": "many"}, "give a number, or a field"),
     ],
 )
 def test_a_target_that_says_nothing_is_refused(target, words):
     with pytest.raises(InputError, match=words):
         tb.Request(2, target=target)
+
+
+def test_descriptors_have_their_ranges():
+    asked = {"volume_fraction:binder": 0.2, "surface": 2, "mean_curvature": -0.1, "euler": np.full((2, 2, 2), -3e-4)}
+    kept = tb.Request(2, target=asked).target
+    assert kept["surface"] == 2.0 and kept["mean_curvature"] == -0.1 and kept["euler"].dtype == np.float32
 
 
 def test_targets_are_told():

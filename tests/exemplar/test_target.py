@@ -44,6 +44,18 @@ def test_a_target_is_inside_what_the_exemplar_holds_somewhere():
     check_target_porosity({}, [exemplar])
 
 
+def test_volume_fraction_is_the_complement_and_some_may_lie_beyond():
+    exemplar = halves(2, 5)  # 0.25 .. 0.625 is void
+    check_target_porosity({"volume_fraction": 0.75}, [exemplar])
+    with pytest.raises(RequestError, match=r"target porosity 0\.2 is outside"):
+        check_target_porosity({"volume_fraction": 0.8}, [exemplar])
+    for porosity in (0.125, 0.8125):
+        check_target_porosity({"porosity": porosity}, [exemplar], beyond=0.5)
+    for porosity in (0.12, 0.82):
+        with pytest.raises(RequestError, match=r"0\.125 \.\. 0\.8125 can be made of it"):
+            check_target_porosity({"porosity": porosity}, [exemplar], beyond=0.5)
+
+
 def test_a_field_counts_inside_the_mask():
     field = np.full((3, 3, 3), 0.4, np.float32)
     field[0] = 0.9

@@ -21,6 +21,14 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
 
 
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Settings of a method."""
+    parser.add_argument("--preset", help="ready settings of the method")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable"
+    )
+
+
 def add_parts(parser: argparse.ArgumentParser) -> None:
     """What is asked for beside a shape: a form, axes that repeat, a measured part."""
     group = parser.add_argument_group("forms, tiles and measured parts")
@@ -48,7 +56,7 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="descriptor that the result is to have: porosity=0.25, or porosity=FILE (a field of the result's shape)",
+        help="descriptor that the result is to have: porosity=0.25, or volume_fraction=FILE (a field of the result's shape)",
     )
 
 

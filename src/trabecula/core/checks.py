@@ -69,7 +69,7 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
     try:
         raw: list[Any] = [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
         edges = [float(edge) for edge in raw]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"spacing {value!r} is not made of numbers: give one or {ndim}") from None
     if len(edges) == 1:
         edges = edges * ndim

@@ -41,3 +41,7 @@ class MissingExtraError(TrabeculaError, ImportError):
 
 class NotReproducedError(TrabeculaError, RuntimeError):
     """A recipe that was run again and gave other voxels."""
+
+
+class TrainingError(TrabeculaError, RuntimeError):
+    """A training that diverged or collapsed, and did so again from its last good state."""

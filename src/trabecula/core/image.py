@@ -81,10 +81,15 @@ class Image:
         return self.values.shape[: self.ndim]
 
     def __repr__(self) -> str:
-        size = "x".join(map(str, self.shape))
-        edge = "x".join(f"{s:g}" for s in self.spacing)
-        names = f", phases {'/'.join(self.phases)}" if self.phases else ""
-        return f"<Image {size} {self.kind}, voxel {edge} {self.unit}{names}>"
+        return outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
+
+
+def outline(shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str, phases: Sequence[str]) -> str:
+    """An image in a line, whether or not its values are in memory."""
+    size = "x".join(map(str, shape))
+    edge = "x".join(f"{s:g}" for s in spacing)
+    names = f", phases {'/'.join(phases)}" if phases else ""
+    return f"<Image {size} {kind}, voxel {edge} {unit}{names}>"
 
 
 def _real_array(values: ArrayLike) -> np.ndarray:

@@ -49,3 +49,10 @@ def say(line: str) -> None:
     listener = _listener.get()
     if listener is not None:
         listener(line, -1.0)
+
+
+def tell(label: str, done: float) -> None:
+    """The fraction done, 0..1, of work that is no loop over items; the label may change as it goes on."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(label, done)

@@ -11,8 +11,7 @@ import copy
 import hashlib
 import json
 import platform
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +28,11 @@ class Recipe:
 
     def then(self, verb: str, values: np.ndarray, /, **parameters: Any) -> Recipe:
         """This recipe with one more step, whose result is `values`."""
-        step = {"verb": verb, **_plain(parameters), "sha256": digest(values), "versions": versions()}
+        return self.then_made(verb, digest(values), **parameters)
+
+    def then_made(self, verb: str, sha256: str, /, **parameters: Any) -> Recipe:
+        """This recipe with one more step, of whose result the digest is known."""
+        step = {"verb": verb, **_plain(parameters), "sha256": sha256, "versions": versions()}
         return Recipe((*self.steps, step))
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -51,11 +54,16 @@ class Recipe:
 
 def digest(values: np.ndarray) -> str:
     """SHA-256 of type, shape and voxels, the same in memory and in every format that keeps the type."""
-    array = np.ascontiguousarray(values)
-    if array.dtype.byteorder == ">" or (array.dtype.byteorder == "=" and sys.byteorder == "big"):
-        array = array.astype(array.dtype.newbyteorder("<"))
-    digester = hashlib.sha256(f"{array.dtype.str.lstrip('<=|')}{array.shape}".encode())
-    digester.update(array.data if array.ndim else array.tobytes())
+    return digest_of(values.dtype, values.shape, [values])
+
+
+def digest_of(dtype: np.dtype, shape: Sequence[int], slabs: Iterable[np.ndarray]) -> str:
+    """The digest of an array of which not all is in memory: slabs along the first axis, in their order."""
+    little = dtype.newbyteorder("<")
+    digester = hashlib.sha256(f"{little.str.lstrip('<=|')}{tuple(shape)}".encode())
+    for slab in slabs:
+        array = np.ascontiguousarray(slab, dtype=little)
+        digester.update(array.data if array.ndim else array.tobytes())
     return digester.hexdigest()
 
 

@@ -25,7 +25,8 @@ class Request:
     Parameters
     ----------
     shape : int or sequence of int, optional
-        Voxels along z, y, x; one number means a cube. None takes the mask's.
+        Voxels along z, y, x; one number means a cube, two a picture (y, x), of which all arrays then have two axes. None takes
+        the mask's.
     seed : int
         0 .. 2**63 - 1. The same request gives the same voxels.
     periodic : bool or sequence of bool
@@ -34,9 +35,11 @@ class Request:
         The form to fill; outside it the result is void. Of an Image, everything but the phase "void" (label 0 where none
         has that name) is filled. Kept as a bool array.
     target : mapping of str to float or (Z, Y, X) float array or grey Image
-        Descriptors to have, by name: one number for the whole result, or a field of what each place is to have around it.
-        Today "porosity", the share of the phase "void" (label 0 where none has that name), 0 .. 1, inside the mask where
-        there is one. Fields are kept as float32 arrays.
+        Descriptors to have, by name: one number for the whole result, or a field of what each place is to have around it,
+        inside the mask where there is one. "porosity" is the share of the phase "void" (label 0 where none has that name),
+        "volume_fraction" what remains to 1, "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface",
+        "mean_curvature" and "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
+        "perimeter" and "euler". Methods say which they honour. Fields are kept as float32 arrays.
     fixed : Image, (Z, Y, X), optional
         Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere does not matter.
     known : (Z, Y, X) bool array or Image of labels, optional
@@ -85,9 +88,9 @@ class Request:
             if self.mask is None:
                 raise InputError("the request has no shape: give voxels along z, y, x, or a mask whose shape is taken")
             object.__setattr__(self, "shape", self.mask.shape)
-        object.__setattr__(self, "shape", as_shape(self.shape))
+        object.__setattr__(self, "shape", as_shape(self.shape, ndim=2 if np.shape(self.shape) == (2,) else 3))
         object.__setattr__(self, "seed", as_seed(self.seed))
-        object.__setattr__(self, "periodic", _as_periodic(self.periodic))
+        object.__setattr__(self, "periodic", _as_periodic(self.periodic, len(self.shape)))
         object.__setattr__(self, "target", as_target(self.target, self.shape))
         _check_mask(self.mask, self.shape)
         _check_fixed(self)
@@ -168,7 +171,7 @@ def _as_region(region: Image | ArrayLike | None, *, name: str) -> np.ndarray | N
             raise InputError(f"the {name} is {region.kind}: give labels (segment it first), or a boolean array")
         return region.values != (region.phases.index("void") if "void" in region.phases else 0)
     array = np.asarray(region)
-    if array.dtype != bool or array.ndim != 3:
+    if array.dtype != bool or array.ndim not in (2, 3):
         raise InputError(
             f"the {name} is {array.dtype} of shape {array.shape}: give a boolean array (z, y, x), such as volume > 0"
         )
@@ -206,13 +209,15 @@ def _check_fixed(request: Request) -> None:
     for axis, wraps in enumerate(request.periodic):
         if wraps and known.take(0, axis).any() and known.take(-1, axis).any():
             raise RequestError(
-                f"periodic with a fixed border: known voxels lie at both ends of {_AXES[axis]}, where the result would "
-                "have to go on from one to the other; leave that axis out of periodic, or one end unknown"
+                f"periodic with a fixed border: known voxels lie at both ends of {_AXES[axis - len(shape)]}, where the result "
+                "would have to go on from one to the other; leave that axis out of periodic, or one end unknown"
             )
 
 
-def _as_periodic(value: bool | Sequence[bool]) -> tuple[bool, ...]:
-    axes = (bool(value),) * 3 if isinstance(value, (bool, np.bool_)) else tuple(bool(axis) for axis in value)
-    if len(axes) != 3:
-        raise InputError(f"periodic takes one truth value or three (z, y, x): got {value!r}")
+def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
+    axes = (bool(value),) * ndim if isinstance(value, (bool, np.bool_)) else tuple(bool(axis) for axis in value)
+    if ndim == 2 and len(axes) == 3 and not axes[0]:
+        axes = axes[1:]
+    if len(axes) != ndim:
+        raise InputError(f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} ({_AXES[-ndim:]}): got {value!r}")
     return axes

@@ -12,8 +12,18 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
 
-RANGES = {"porosity": (0.0, 1.0)}
-"""Descriptors that can be asked for, each with what it can be."""
+RANGES = {
+    "porosity": (0.0, 1.0),
+    "volume_fraction": (0.0, 1.0),
+    "surface": (0.0, np.inf),
+    "perimeter": (0.0, np.inf),
+    "mean_curvature": (-np.inf, np.inf),
+    "euler": (-np.inf, np.inf),
+}
+"""Descriptors that can be asked for, each with what it can be. Lengths of a density are voxels."""
+
+OF_A_PHASE = "volume_fraction:"
+"""What a phase's name follows: "volume_fraction:binder" is the share of the phase binder."""
 
 Target = float | np.ndarray
 
@@ -32,9 +42,19 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
         raise InputError(f"target is a {type(given).__name__}: give names with values, such as {{'porosity': 0.3}}")
     found = {}
     for name, value in given.items():
-        check_name(name, RANGES, name="target")
+        if not (isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE):
+            check_name(name, RANGES, name="target")
         found[name] = _checked(value, shape, name=name)
+    if {"porosity", "volume_fraction"} <= set(found):
+        raise InputError("the target has porosity and volume_fraction, which is 1 - porosity: give one of them")
     return found
+
+
+def porosity_of(target: Mapping[str, Target]) -> Target | None:
+    """The porosity that targets ask for, by that name or as 1 - volume_fraction; None where they say nothing of it."""
+    if "volume_fraction" in target:
+        return 1 - target["volume_fraction"]
+    return target.get("porosity")
 
 
 def origins_of(given: Any) -> dict[str, Recipe]:
@@ -50,12 +70,12 @@ def _origin(value: Any) -> Recipe:
 
 
 def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
-    low, high = RANGES[name]
+    low, high = RANGES["volume_fraction" if name.startswith(OF_A_PHASE) else name]
     if isinstance(value, Image) and value.kind != "grey":
         raise InputError(f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')")
     field = np.asarray(value.values if isinstance(value, Image) else value)
     if field.dtype.kind not in "iuf":
-        raise InputError(f"the target {name} is {value!r}: give a number from {low:g} to {high:g}, or a field of them")
+        raise InputError(f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of them")
     check_finite(field, name=f"the target {name}")
     if field.ndim and field.shape != shape:
         raise InputError(
@@ -69,3 +89,8 @@ def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
             else f"the target {name} is {least:g}, outside {low:g} .. {high:g}"
         )
     return field.astype(np.float32) if field.ndim else float(field)
+
+
+def _between(low: float, high: float) -> str:
+    """The range as words; none where it has no end."""
+    return f" from {low:g} to {high:g}" if np.isfinite([low, high]).all() else ""

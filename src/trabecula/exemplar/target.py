@@ -8,7 +8,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.target import Target
+from trabecula.core.target import Target, porosity_of
 
 _WINDOWS = 4
 """A window has this fraction of every side."""
@@ -42,9 +42,13 @@ def porosity_range(exemplar: Image) -> tuple[float, float]:
 
 
 def check_target_porosity(
-    target: Mapping[str, Target], exemplars: Sequence[Image], *, mask: np.ndarray | None = None
+    target: Mapping[str, Target],
+    exemplars: Sequence[Image],
+    *,
+    mask: np.ndarray | None = None,
+    beyond: float = 0.0,
 ) -> None:
-    """Raise where a target porosity is not one that the exemplars hold somewhere.
+    """Raise where a target porosity (or 1 - volume_fraction) is not one that the exemplars hold somewhere.
 
     Parameters
     ----------
@@ -53,27 +57,37 @@ def check_target_porosity(
     exemplars : sequence of Image
     mask : bool array, optional
         Of the request: a field counts inside it only.
+    beyond : float
+        How far outside the exemplars' range is allowed, as a share of the way to 0 and to 1, 0 .. 1.
 
     Raises
     ------
     RequestError
-        Exemplars that are not labels; a porosity, or a part of a field, outside every exemplar's `porosity_range`.
+        Exemplars that are not labels; a porosity, or a part of a field, outside every exemplar's `porosity_range`
+        and what is allowed beyond.
     """
-    if "porosity" not in target:
+    porosity = porosity_of(target)
+    if porosity is None:
         return
     if exemplars[0].kind != "labels":
         raise RequestError(
             f"a target porosity needs phases, the exemplar is {exemplars[0].kind}: segment it (tb.segment, or "
             "--threshold auto), or leave the target out"
         )
-    asked = np.asarray(target["porosity"])
+    asked = np.asarray(porosity)
     asked = asked[mask] if mask is not None and asked.ndim else asked
     ranges = [porosity_range(exemplar) for exemplar in exemplars]
     low, high = min(first for first, _ in ranges), max(last for _, last in ranges)
     # A field is float32, and 1/3 in it is above 1/3.
-    if asked.min() < low - 1e-6 or asked.max() > high + 1e-6:
+    least, most = low * (1 - beyond) - 1e-6, high + (1 - high) * beyond + 1e-6
+    if asked.min() < least or asked.max() > most:
         what = f"{asked.min():.4g} .. {asked.max():.4g}" if asked.ndim else f"{float(asked):.4g}"
         raise RequestError(
             f"the target porosity {what} is outside what the exemplar holds: windows of a quarter of its sides have "
-            f"{low:.4g} .. {high:.4g}; ask for one in between, or give an exemplar that holds it"
+            f"{low:.4g} .. {high:.4g}{_and_more(least, most) if beyond else ''}; ask for one in between, or give an "
+            "exemplar that holds it"
         )
+
+
+def _and_more(least: float, most: float) -> str:
+    return f", and {least:.4g} .. {most:.4g} can be made of it"

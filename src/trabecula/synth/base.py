@@ -6,9 +6,12 @@ The checks, the memory budget and the recipe are here, once; a method fills in `
 
 from __future__ import annotations
 
+import hashlib
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,9 +21,11 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request, check_exemplar
+from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import checkpoint
 from trabecula.engine.plan import Plan, check_budget
 from trabecula.exemplar.target import check_target_porosity
+from trabecula.synth.facts import Facts, facts_of
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,15 @@ class Spec:
         Names of ready settings.
     several : bool
         Whether it learns from more than one exemplar at once.
+    targets : tuple of str
+        Descriptors of a request's target that a method that honours "target" knows; "volume_fraction:" stands for the share of
+        any phase.
+    learns : bool
+        Whether a model holds what it learned instead of its exemplars, so that its file is needed to make a result again.
+    flat : bool
+        Whether it also makes pictures of pictures: 2-D of 2-D, beside 3-D of 3-D.
+    trial : mapping
+        Settings with which learning takes seconds where the defaults take minutes, for tests; what comes out is of no use.
     """
 
     name: str
@@ -59,16 +73,60 @@ class Spec:
     extras: tuple[str, ...] = ()
     presets: tuple[str, ...] = ()
     several: bool = False
+    targets: tuple[str, ...] = ("porosity", "volume_fraction")
+    learns: bool = False
+    flat: bool = False
+    trial: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Model(ABC):
-    """A method that has seen its exemplar."""
+    """A method that has seen its exemplar.
+
+    Attributes
+    ----------
+    facts : tuple of Facts
+        What is known of the exemplars apart from their voxels.
+    exemplars : tuple of Image
+        The exemplars themselves; none where the method `learns` all that it needs of them.
+    name : str, optional
+        Of the file that it was saved to or loaded from, or of the shipped model.
+    """
 
     spec: ClassVar[Spec]
+    name: str | None = None
 
-    def __init__(self, config: Any, exemplars: Sequence[Image]) -> None:
+    def __init__(self, config: Any, exemplars: Sequence[Image | Facts]) -> None:
         self.config = config
-        self.exemplars = tuple(exemplars)
+        self.facts = tuple(facts_of(exemplar) for exemplar in exemplars)
+        self.exemplars = () if self.spec.learns else tuple(one for one in exemplars if isinstance(one, Image))
+
+    def learned(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
+        """Arrays and plain JSON from which `Method.restored` makes the same model, of a method that `learns`."""
+        raise NotImplementedError
+
+    @property
+    def history(self) -> Mapping[str, Any]:
+        """How the learning went, plain JSON: kept in the model's file, and no part of what the model is."""
+        return {}
+
+    @property
+    def sha256(self) -> str:
+        """Digest of all that its results depend on: of the file it is saved as, without its history and versions."""
+        from trabecula.synth.saved import encoded  # which knows the registry, and that knows us
+
+        return hashlib.sha256(encoded(self)).hexdigest()
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the model to a file that `tb.load_model` reads; it holds no voxels where the method `learns`.
+
+        Raises
+        ------
+        FileError
+            The file cannot be written.
+        """
+        from trabecula.synth.saved import save_model
+
+        return save_model(self, path)
 
     def plan(self, request: Request) -> Plan:
         """Forecast memory and disk of a request, without starting it."""
@@ -98,36 +156,56 @@ class Model(ABC):
         MemoryBudgetError
             The forecast exceeds the budget.
         """
-        request = _as_request(shape, seed, parts)
+        request = as_request(shape, seed, parts)
         check_budget(self.plan(request), budget=memory)
         with checkpoint.running(self.spec.name, asdict(self.config), request, self.exemplars):
             made = self._generate(request)
         values, report = made if isinstance(made, tuple) else (made, {})
-        return Image(values, **self._result_fields(), recipe=self._recipe(request, values, report))
+        recipe = Recipe().then("generate", values, **self._step(request, report))
+        return Image(values, **self._result_fields(), recipe=recipe)
 
     def _check_request(self, request: Request) -> None:
         refused = sorted(request.asks_for() - self.spec.honours)
         if refused:
             can = ", ".join(sorted(self.spec.honours)) or "shape and seed alone"
             raise RequestError(f"method {self.spec.name!r} cannot honour {', '.join(refused)}: it honours {can}")
+        strange = [name for name in request.target if name not in self.spec.targets and not self._knows_share(name)]
+        if strange:
+            can = ", ".join(self.spec.targets)
+            raise RequestError(
+                f"method {self.spec.name!r} cannot honour the target {', '.join(strange)}: it honours {can}"
+            )
+        axes = self.facts[0].ndim if self.spec.flat and self.facts else 3
+        if len(request.shape) != axes:
+            raise RequestError(
+                f"method {self.spec.name!r} makes {axes}-D images of this exemplar, the request is for {request.shape}: "
+                f"give {axes} numbers"
+            )
         if self.exemplars:
             check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
-            check_target_porosity(request.target, self.exemplars, mask=request.mask)
+            self._check_target(request)
+
+    def _knows_share(self, name: str) -> bool:
+        return OF_A_PHASE in self.spec.targets and name.startswith(OF_A_PHASE)
+
+    def _check_target(self, request: Request) -> None:
+        """Raise where the exemplars hold nothing like the target; a method that comes as near as it can overrides this."""
+        check_target_porosity(request.target, self.exemplars, mask=request.mask)
 
     def _result_fields(self) -> dict[str, Any]:
-        first = self.exemplars[0]
+        first = self.facts[0]
         return {"kind": first.kind, "spacing": first.spacing, "unit": first.unit, "phases": first.phases}
 
-    def _recipe(self, request: Request, values: np.ndarray, report: Mapping[str, Any]) -> Recipe:
-        return Recipe().then(
-            "generate",
-            values,
-            method=self.spec.name,
-            settings=asdict(self.config),
-            request=request.to_json(),
-            exemplars=[exemplar.recipe.to_json() for exemplar in self.exemplars],
+    def _step(self, request: Request, report: Mapping[str, Any]) -> dict[str, Any]:
+        """What the recipe of a result says of how it was made."""
+        return {
+            "method": self.spec.name,
+            "settings": asdict(self.config),
+            "request": request.to_json(),
+            "exemplars": [facts.recipe.to_json() for facts in self.facts],
+            **({"model": {"name": self.name, "sha256": self.sha256}} if self.spec.learns else {}),
             **({"report": dict(report)} if report else {}),
-        )
+        }
 
     @abstractmethod
     def _plan(self, request: Request) -> Plan: ...
@@ -207,7 +285,7 @@ class Method(ABC):
         spec = self.spec
         if spec.exemplar is None:
             raise InputError(f"method {spec.name!r} takes no exemplar")
-        if f"{image.ndim}d" != spec.exemplar:
+        if f"{image.ndim}d" != spec.exemplar and not (spec.flat and image.ndim == 2):
             raise InputError(
                 f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}"
             )
@@ -232,6 +310,23 @@ class Method(ABC):
     @abstractmethod
     def _fit(self, exemplars: Sequence[Image]) -> Model: ...
 
+    def restored(
+        self,
+        facts: Sequence[Facts],
+        arrays: Mapping[str, np.ndarray],
+        plain: Mapping[str, Any],
+        *,
+        history: Mapping[str, Any],
+    ) -> Model:
+        """The model that told `Model.learned`, of a method whose Spec says `learns`.
+
+        Raises
+        ------
+        ValueError, TypeError, LookupError
+            Arrays or words that are not such a model's.
+        """
+        raise NotImplementedError
+
 
 def as_exemplars(given: Any) -> list[Image]:
     """One or several exemplars as a list of images."""
@@ -241,7 +336,8 @@ def as_exemplars(given: Any) -> list[Image]:
     return [as_image(image, name="the exemplar") for image in images]
 
 
-def _as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
+def as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
+    """A request as it is, or one of a shape, a seed and other parts."""
     if isinstance(shape, Request):
         if parts or seed is not None:
             raise InputError("give a Request, or shape, seed and parts, not both")

@@ -18,6 +18,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
 from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import State, resumed
 from trabecula.engine.plan import Plan
@@ -154,9 +155,7 @@ class MrfModel(PictureModel):
 
     def _porosity(self, request: Request) -> float | None:
         """The porosity that is asked for."""
-        if not request.target:
-            return None
-        wanted = request.target["porosity"]
+        wanted = porosity_of(request.target)
         if isinstance(wanted, np.ndarray):
             raise RequestError("this method honours one number as target porosity, not a field: give a number")
         return wanted

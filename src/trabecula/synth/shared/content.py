@@ -10,6 +10,7 @@ import numpy as np
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.smooth import gaussian
 from trabecula.synth.shared.fields import (
@@ -148,15 +149,16 @@ class Labels(Content):
 
     def _asked(self, request: Request) -> np.ndarray | None:
         """The fractions that a target porosity asks for: the other phases keep their proportions."""
-        if "porosity" not in request.target:
+        asked = porosity_of(request.target)
+        if asked is None:
             return None
-        porosity = np.asarray(request.target["porosity"])
+        porosity = np.asarray(asked)
         if porosity.ndim:
             raise RequestError("this method honours one number as target porosity, not a field: give a number")
         void = np.array([label == self.empty for label in self.present])
         rest = float(self.fractions[~void].sum())
-        asked = np.where(void, float(porosity), self.fractions * ((1 - float(porosity)) / max(rest, 1e-30)))
-        return np.asarray(asked / asked.sum())
+        shares = np.where(void, float(porosity), self.fractions * ((1 - float(porosity)) / max(rest, 1e-30)))
+        return np.asarray(shares / shares.sum())
 
     def _left(self, asked: np.ndarray, request: Request, free: np.ndarray | None) -> np.ndarray:
         """The fractions of what is made, so that with what is known they are those asked for, as far as they can be."""

@@ -18,8 +18,9 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import thread_count
+from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.base import Method, Model
-from trabecula.synth.shared.content import Content, content_of
+from trabecula.synth.shared.content import Content, Labels, content_of
 from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
@@ -29,6 +30,7 @@ from trabecula.synth.shared.pyramid import halve
 from trabecula.synth.shared.statistics.correlate import Correlations, correlations_at
 from trabecula.synth.texture import SPEC, novel
 from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.grading import BEYOND, BYTES, check_phases, evened, shares_by_level, shares_of
 from trabecula.synth.texture.plain import Level, level_of, levels_for, made_plain
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -138,15 +140,30 @@ class TextureModel(Model):
             used = levels_for(request.shape, len(self.levels), self.config)
             regions = regions_of(request, used, self.content.bounds(request), self._quantised)
             votes, told = made_plain(
-                self.levels[:used], regions, request, self.config, self.targets, distances=self.content.distances
+                self.levels[:used],
+                regions,
+                request,
+                self.config,
+                self.targets,
+                distances=self.content.distances,
+                shares=self._shares(request, used),
             )
         inside = (slice(None), *(slice(side) for side in request.shape))
         votes = np.ascontiguousarray(votes[inside])
+        if request.target and isinstance(self.content, Labels):
+            request = evened(request)
         return self.content.delivered(votes, request), {"levels": told} if told else {}
+
+    def _shares(self, request: Request, count: int) -> list[np.ndarray]:
+        """What a target asks of each level; empty where there is none."""
+        if not request.target or not isinstance(self.content, Labels):
+            return []
+        shares = shares_of(request, self.content.present, self.content.empty)
+        return shares_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
         """Whether there is room to lay out something new; beside known voxels neighbourhoods have to fit them."""
-        return self.top > 0 and request.fixed is None and novel.has_room(request.shape, self.top)
+        return self.top > 0 and request.fixed is None and not request.target and novel.has_room(request.shape, self.top)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
@@ -156,6 +173,11 @@ class TextureModel(Model):
                 f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it at a finer spacing, or "
                 "choose a smaller neighbourhood (--set neighbourhood=4)"
             )
+
+    def _check_target(self, request: Request) -> None:
+        check_target_porosity(request.target, self.exemplars, mask=request.mask, beyond=BEYOND)
+        if request.target and isinstance(self.content, Labels):
+            check_phases(self.content.present, self.content.empty)
 
     def _plan(self, request: Request) -> Plan:
         new = self._makes_new(request)
@@ -175,6 +197,9 @@ class TextureModel(Model):
             voxels * (4 * channels + 2 + parts) + sites * 12,
             voxels * (20 * channels + 10 if self.content.distances and channels > 1 else 6 * channels + 12),
         ]
+        if request.target:  # sums over windows; features twice while one more is put to them
+            moments.append(voxels * (BYTES + parts))
+            moments[0] += sites * 2 * dimensions + 14 * voxels + 3 * max(c.features.nbytes for c in kept)
         correlations = self.aims[0].correlations if new else self.targets[0] if self.targets else None
         if correlations is not None:
             moments.append(novel.step_bytes(correlations, request, self.top) + voxels * 4 * channels)

@@ -20,6 +20,7 @@ from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, owed
 from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.grading import Leaning, leaning_grid, settled
 
 _WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
 _BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
@@ -78,10 +79,12 @@ def made_plain(
     targets: Sequence[Correlations] = (),
     *,
     distances: bool,
+    shares: Sequence[np.ndarray] = (),
 ) -> tuple[np.ndarray, list[dict[str, Any]]]:
     """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds go by them.
 
-    Levels and regions are as many, finest first, as are `targets` where `corrections` of the config step towards them.
+    Levels and regions are as many, finest first, as are `targets` where `corrections` of the config step towards them, and
+    `shares` where the request asks for a phase here more and there less (`grading`).
     """
     state: State | None = None
     before: Candidates | None = None
@@ -92,33 +95,53 @@ def made_plain(
         for number, candidates in enumerate(levels[index]):
             if first and 2**index >= _SPARSE_BELOW and config.step:
                 candidates = replace(candidates, step=1)
+            leaning = None
             grid = Grid.over(regions[index], candidates)
+            if shares:
+                grid, leaning = leaning_grid(grid, shares[index], index)
             stage = key(request.seed, f"texture/{index}" + (f"/{number}" if number else ""))
             if state is None or before is None:
-                begin = partial(_started, grid, stage)
+                begin = partial(_started, grid, stage, leaning)
             else:
                 begin = partial(_continued, grid, before, state, finer=number == 0, distances=distances)
             rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
             trims = _trims(grid, rounds, config, distances=distances) if index == 0 else [0] * rounds
-            target = targets[index] if index < len(targets) and request.fixed is None else None
+            even = request.fixed is None and not shares
+            target = targets[index] if index < len(targets) and even else None
             steps = config.corrections[min(index, len(config.corrections) - 1)] if target else 0
             said = f"level {used - index} of {used}"
-            state, trace = _optimised(grid, begin, stage, trims, config, target, steps, finest=index == 0, said=said)
+            state, trace = _optimised(
+                grid, begin, stage, trims, config, target, steps, leaning, finest=index == 0, said=said
+            )
             told += [{"level": index, "width": candidates.basis.width, "energy": trace}] if trace else []
             before = candidates
     assert state is not None  # there is at least one level
-    return state.votes, told
+    return state.votes if leaning is None else settled(state.votes, leaning), told
 
 
-def _cast(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0, histogram: bool = True) -> State:
+def _cast(
+    grid: Grid,
+    match: np.ndarray,
+    weights: np.ndarray,
+    leaning: Leaning | None,
+    *,
+    trim: int = 0,
+    histogram: bool = True,
+) -> State:
     """Vote and match the histogram: the matches become a field."""
     votes = joined_votes(grid.region, voted(grid, match, weights, trim=trim))
-    return State(match, votes, rematched(grid.region, votes, grid.targets if histogram else None))
+    return State(match, votes, _field_of(grid, votes, leaning, histogram=histogram))
 
 
-def _started(grid: Grid, stage: np.uint64) -> State:
+def _field_of(grid: Grid, votes: np.ndarray, leaning: Leaning | None, *, histogram: bool) -> np.ndarray:
+    """With the histogram, or with the shares that are asked for."""
+    field = rematched(grid.region, votes, grid.targets if histogram else None)
+    return field if leaning is None else grid.region.bounded(leaning.leaned(field))
+
+
+def _started(grid: Grid, stage: np.uint64, leaning: Leaning | None) -> State:
     """Random patches."""
-    return _cast(grid, random_matches(grid, stage), grid.active.astype(np.int32))
+    return _cast(grid, random_matches(grid, stage), grid.active.astype(np.int32), leaning)
 
 
 def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, distances: bool) -> State:
@@ -148,6 +171,7 @@ def _optimised(
     config: TextureConfig,
     target: Correlations | None,
     steps: int,
+    leaning: Leaning | None,
     *,
     finest: bool,
     said: str,
@@ -160,13 +184,13 @@ def _optimised(
             votes, balance = balanced(grid, state.field, match, balance, config, trim=trims[number])
             del state
             votes = joined_votes(grid.region, votes)
-            state = State(match, votes, rematched(grid.region, votes, grid.targets if config.histogram else None))
+            state = State(match, votes, _field_of(grid, votes, leaning, histogram=config.histogram))
             if balance.feedback.done:
                 break
         else:
             del state
             weights = robust_weights(grid, distance, config.robustness)
-            state = _cast(grid, match, weights, trim=trims[number], histogram=config.histogram)
+            state = _cast(grid, match, weights, leaning, trim=trims[number], histogram=config.histogram)
             if target is not None and steps:
                 last = finest and number == len(trims) - 1  # nothing comes after it that would take something back
                 debt = (

@@ -25,6 +25,7 @@ class Grid:
     shape: tuple[int, ...]
     active: np.ndarray  # bool, `shape`
     targets: tuple[Histogram, ...]  # that the free voxels are to have, one a channel
+    guide: np.ndarray | None = None  # (`shape`, K) int16: more features, of the place and not of the field
 
     @classmethod
     def over(cls, region: Region, candidates: Candidates, targets: tuple[Histogram, ...] | None = None) -> Grid:
@@ -60,7 +61,16 @@ def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
     """The feature vectors of the output's neighbourhoods."""
     active = None if grid.active.all() else grid.active
-    return project(wrapped(grid, field), grid.candidates.basis, step=grid.candidates.step, active=active)
+    features = project(wrapped(grid, field), grid.candidates.basis, step=grid.candidates.step, active=active)
+    if grid.guide is None:
+        return features
+    np.right_shift(features, 1, out=features)
+    return with_guide(features, grid.guide)
+
+
+def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
+    """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them together fit into int32."""
+    return np.concatenate([features, guide], axis=-1)
 
 
 def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:

@@ -1,0 +1,236 @@
+"""`trabecula field KIND ... --out FILE`: target fields, measured, drawn, interpolated, or from topology optimisation."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from trabecula.cli import options as shared
+from trabecula.cli import terminal
+
+KINDS = {
+    "measure": "of an image: a descriptor of the window around every voxel",
+    "ramp": "even from one face to the opposite one",
+    "radial": "even from a middle outwards",
+    "formula": "by a formula in z y x (positions) and Z Y X (sides)",
+    "picture": "drawn: black is --low, white is --high",
+    "interpolate": "from values at points, by inverse distance",
+    "simp": "the density of the stiffest part under its loads",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The kinds of field, each with its own options."""
+    kinds = parser.add_subparsers(metavar="KIND", dest="made", required=True, parser_class=type(parser))
+    for name, summary in KINDS.items():
+        sub = kinds.add_parser(
+            name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False
+        )
+        _ARGUMENTS[name](sub)
+        sub.add_argument("--out", required=True, metavar="FILE", help="field to write (.npy .tif .zarr ...)")
+        sub.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make the field and write it."""
+    from trabecula.flow import check_target
+    from trabecula.io.files import write
+
+    check_target(options.out)
+    field = _MAKERS[options.made](options)
+    write(field, options.out)
+    told: dict[str, Any] = {"out": options.out, "shape": field.shape, "unit": field.unit, "spacing": field.spacing}
+    told |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
+    told |= {"most": float(field.values.max())}
+    if options.json:
+        terminal.show_json({**told, "recipe": field.recipe.to_json()})
+    else:
+        print(f"{options.out}: {field!r}\n{told['least']:.4g} .. {told['most']:.4g}, mean {told['mean']:.4g}")
+    return 0
+
+
+def _add_grid(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--shape", nargs="+", required=True, metavar="N", help="voxels: one number (a cube), z y x, or y x"
+    )
+    _add_edges(parser)
+
+
+def _add_edges(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or one per axis (default 1)"
+    )
+    parser.add_argument("--unit", default="voxel", help="unit of the spacing (default voxel)")
+
+
+def _grid(options: argparse.Namespace) -> dict[str, Any]:
+    spacing = shared.numbers(options.spacing, name="--spacing") if options.spacing else None
+    shape = shared.integers(options.shape, name="--shape")
+    return {"shape": shape[0] if len(shape) == 1 else shape, "spacing": spacing, "unit": options.unit}
+
+
+def _number(word: str, name: str) -> float:
+    return shared.numbers([word], name=name)[0]
+
+
+def _add_measure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help="volume or picture of labels, or a scan, or sample:NAME")
+    parser.add_argument(
+        "--name", default="volume_fraction", help="descriptor: volume_fraction (default), porosity, ..."
+    )
+    parser.add_argument("--size", required=True, metavar="N", help="side of the windows in voxels")
+    parser.add_argument("--phase", metavar="NAME", help="phase that is measured (default: solid)")
+    shared.add_reading(parser)
+
+
+def _measure(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+
+    image = shared.load_exemplar(options.file, options)
+    return fields.measure(image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase)
+
+
+def _add_ramp(parser: argparse.ArgumentParser) -> None:
+    _add_grid(parser)
+    parser.add_argument("--axis", default="z", metavar="A", help="along z (default), y or x")
+    parser.add_argument("--from", dest="start", required=True, metavar="V", help="value of the first voxel")
+    parser.add_argument("--to", dest="end", required=True, metavar="V", help="value of the last voxel")
+
+
+def _ramp(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+
+    ends: dict[str, Any] = {"start": _number(options.start, "--from"), "end": _number(options.end, "--to")}
+    return fields.ramp(**_grid(options), axis=options.axis, **ends)
+
+
+def _add_radial(parser: argparse.ArgumentParser) -> None:
+    _add_grid(parser)
+    parser.add_argument("--inside", required=True, metavar="V", help="value in the middle")
+    parser.add_argument("--outside", required=True, metavar="V", help="value from the radius outwards")
+    parser.add_argument("--radius", metavar="R", help="in the unit of the spacing (default: half the shortest side)")
+    parser.add_argument("--centre", nargs="+", metavar="C", help="in the unit of the spacing (default: the middle)")
+    parser.add_argument("--axis", metavar="A", help="around a line along z, y or x (default: around a point)")
+
+
+def _radial(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+
+    return fields.radial(
+        **_grid(options),
+        inside=_number(options.inside, "--inside"),
+        outside=_number(options.outside, "--outside"),
+        radius=None if options.radius is None else _number(options.radius, "--radius"),
+        centre=None if options.centre is None else shared.numbers(options.centre, name="--centre"),
+        axis=options.axis,
+    )
+
+
+def _add_formula(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("formula", metavar="FORMULA", help="such as '0.3 + 0.2 * sin(2 * pi * x / X)'")
+    _add_grid(parser)
+
+
+def _formula(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+
+    given = _grid(options)
+    return fields.formula(given.pop("shape"), options.formula, **given)
+
+
+def _add_picture(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help="picture (.png .jpg .tif)")
+    _add_grid(parser)
+    parser.add_argument("--low", required=True, metavar="V", help="value of black")
+    parser.add_argument("--high", required=True, metavar="V", help="value of white")
+    parser.add_argument("--axis", default="z", metavar="A", help="direction one looks along: z (default), y or x")
+
+
+def _picture(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+    from trabecula.flow import load
+
+    given = _grid(options)
+    ends: dict[str, Any] = {"low": _number(options.low, "--low"), "high": _number(options.high, "--high")}
+    image = load(options.file, threshold="none")
+    if image.kind == "labels":  # a drawing of few levels: its greys count, not their order
+        image = load(options.file, threshold="none", kind="grey")
+    return fields.picture(image, given.pop("shape"), axis=options.axis, **ends, **given)
+
+
+def _add_interpolate(parser: argparse.ArgumentParser) -> None:
+    _add_grid(parser)
+    parser.add_argument(
+        "--point",
+        action="append",
+        nargs="+",
+        required=True,
+        metavar="N",
+        help="position (z y x or y x, in the unit of the spacing, from the first corner) and value there; repeatable",
+    )
+    parser.add_argument("--power", default="4", metavar="P", help="of the distance (default 4)")
+    parser.add_argument("--mask", metavar="FILE", help="volume: the domain, inside which distances are counted")
+
+
+def _interpolate(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+    from trabecula.flow import load
+
+    points = [shared.numbers(words, name="--point") for words in options.point]
+    where, values = [words[:-1] for words in points], [words[-1] for words in points]
+    mask = None
+    if options.mask is not None:
+        domain = load(options.mask)
+        mask = domain.values != (domain.phases.index("void") if "void" in domain.phases else 0)
+    given = _grid(options)
+    return fields.interpolate(
+        given.pop("shape"), where, values, power=_number(options.power, "--power"), mask=mask, **given
+    )
+
+
+def _add_simp(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("case", metavar="CASE", help="cantilever, wheel, or a .json file with supports and loads")
+    parser.add_argument("--elements", nargs="+", metavar="N", help="elements along z (up) y x (default: the case's)")
+    parser.add_argument("--shape", nargs="+", metavar="N", help="voxels of the field (default: one an element)")
+    for name, words in (
+        ("volume", "mean density"),
+        ("low", "least density"),
+        ("high", "greatest density"),
+        ("penalty", "exponent from density to stiffness"),
+    ):
+        parser.add_argument(f"--{name}", metavar="V", help=f"{words} (default: the case's)")
+    parser.add_argument("--radius", default="1.5", metavar="R", help="of the density filter in elements (default 1.5)")
+    _add_edges(parser)
+
+
+def _simp(options: argparse.Namespace) -> Any:
+    from trabecula import fields
+
+    given = {name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")}
+    numbers: dict[str, Any] = {name: _number(word, f"--{name}") for name, word in given.items() if word is not None}
+    elements = shared.integers(options.elements, name="--elements") if options.elements else None
+    spacing = shared.numbers(options.spacing, name="--spacing") if options.spacing else None
+    field = fields.simp(options.case, elements, spacing=spacing, unit=options.unit, **numbers)
+    if options.shape is None:
+        return field
+    return fields.resample(field, shared.integers(options.shape, name="--shape"))
+
+
+_ARGUMENTS = {
+    "measure": _add_measure,
+    "ramp": _add_ramp,
+    "radial": _add_radial,
+    "formula": _add_formula,
+    "picture": _add_picture,
+    "interpolate": _add_interpolate,
+    "simp": _add_simp,
+}
+_MAKERS = {
+    "measure": _measure,
+    "ramp": _ramp,
+    "radial": _radial,
+    "formula": _formula,
+    "picture": _picture,
+    "interpolate": _interpolate,
+    "simp": _simp,
+}

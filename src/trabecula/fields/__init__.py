@@ -1,0 +1,49 @@
+"""Fields: descriptors that vary from place to place, measured, interpolated, drawn, or from topology optimisation.
+
+A field is a grey Image of float32 with the spacing of its grid; a request takes it as a target where it has the result's
+shape. `windowed` is for those who need the descriptors of every window as arrays.
+"""
+
+from collections.abc import Callable
+
+from trabecula.core.image import Image
+from trabecula.fields.interpolate import fill, interpolate
+from trabecula.fields.local import windowed
+from trabecula.fields.measure import directions, measure
+from trabecula.fields.resample import resample, rescale
+from trabecula.fields.shapes import formula, picture, radial, ramp
+from trabecula.fields.topology import case, simp
+
+# By the name that stands in a recipe's step, so that the step can be done again.
+FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
+    "measure": measure,
+    "picture": picture,
+    "resample": resample,
+    "rescale": rescale,
+    "fill": fill,
+}
+FROM_NOTHING: dict[str, Callable[..., Image]] = {
+    "ramp": ramp,
+    "radial": radial,
+    "formula": formula,
+    "interpolate": interpolate,
+    "simp": simp,
+}
+
+__all__ = [
+    "FROM_AN_IMAGE",
+    "FROM_NOTHING",
+    "case",
+    "directions",
+    "fill",
+    "formula",
+    "interpolate",
+    "measure",
+    "picture",
+    "radial",
+    "ramp",
+    "resample",
+    "rescale",
+    "simp",
+    "windowed",
+]

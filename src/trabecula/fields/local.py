@@ -1,0 +1,174 @@
+"""Descriptors of every neighbourhood of an image, as fields: volume fractions and densities of Minkowski functionals.
+
+Every voxel, and every cube of 2x2x2 voxels, adds a number that a table gives (`measure.cubes`). The sum over a window
+follows from the one beside it: a layer enters, a layer leaves. The tables are made whole numbers first, so the sums are
+exact whatever the order, and a window costs the same at any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_number, as_spacing, check_name
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, phase_index
+from trabecula.engine.compile import kernel
+from trabecula.engine.tiles import for_slabs
+from trabecula.measure.cubes import cube_euler, curvature_table, square_euler, surface_table
+from trabecula.measure.phases import as_connectivity, indicator
+
+FUNCTIONALS = {2: ("perimeter", "euler"), 3: ("surface", "mean_curvature", "euler")}
+"""Names of the Minkowski functionals beside the volume fraction, by dimension."""
+
+_UNIT = 1 << 24  # a table's 1 in whole numbers
+
+
+def windowed(
+    values: Image | ArrayLike,
+    *,
+    size: int,
+    names: str | Sequence[str] = ("volume_fraction",),
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    spacing: float | Sequence[float] | None = None,
+) -> dict[str, np.ndarray]:
+    """Descriptors of every window of `size` voxels a side that lies wholly inside.
+
+    Parameters
+    ----------
+    values : Image or array of labels, (Z, Y, X) or (Y, X)
+    size : int
+        Side s of the windows in voxels, from 2 to the shortest side.
+    names : str or sequence of str
+        "volume_fraction" (of `phase`), "porosity" (of the phase void), "volume_fraction:PHASE" (of that phase), and in 3-D
+        "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler" (of `phase`).
+    phase : str or int, optional
+        Default: "solid", which is every phase but "void".
+    connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
+        Neighbours within the phase. Default: those that share a face.
+    spacing : float or one per axis, optional
+        Voxel edges. Default: 1, so that densities are per voxel, whatever the image's own spacing.
+
+    Returns
+    -------
+    fields : dict of str to (Z - s + 1, Y - s + 1, X - s + 1) float32
+        Element (z, y, x) is of the window whose first voxel is (z, y, x). Fractions are of the s^3 voxels; functionals
+        are densities over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as `measure.minkowski` of the window gives.
+
+    Raises
+    ------
+    InputError
+        Not labels, or a window that does not fit.
+    UnknownNameError
+        No such descriptor in this dimension, or no such phase.
+
+    Examples
+    --------
+    >>> bar = np.zeros((4, 5), np.uint8)
+    >>> bar[:, 2:] = 1
+    >>> windowed(bar, size=2, names=["volume_fraction"])["volume_fraction"][0]
+    array([0. , 0.5, 1. , 1. ], dtype=float32)
+    """
+    image, inside = indicator(values, phase)
+    width = int(as_number(size, name="size", low=2, high=1 << 20, whole=True))
+    if width > min(image.shape):
+        raise InputError(f"a window of {width} voxels does not fit into {image.shape}: give a smaller size")
+    names = [names] if isinstance(names, str) else [str(name) for name in names]
+    for name in names:
+        _check_descriptor(name, image)
+    edges = as_spacing(spacing, ndim=image.ndim)
+    neighbours = as_connectivity(connectivity, image.ndim)
+    codes = _codes(inside) if set(names) & set(FUNCTIONALS[image.ndim]) else None
+    fields = {}
+    for name in names:
+        if codes is not None and name in FUNCTIONALS[image.ndim]:
+            fields[name] = _mean_of(codes, _functional_table(name, edges, neighbours), width - 1)
+        else:
+            which = inside if name == "volume_fraction" else image.values == _label(name, image)
+            fields[name] = _mean_of(which.view(np.uint8), np.arange(256) == 1, width)
+    return fields
+
+
+def _check_descriptor(name: str, image: Image) -> None:
+    head, sign, _ = name.partition(":")
+    known = ("porosity", "volume_fraction", *FUNCTIONALS[image.ndim])
+    if head == "volume_fraction" and sign:
+        _label(name, image)
+        return
+    check_name(name, known, name=f"descriptor of {image.ndim}-D windows")
+
+
+def _label(name: str, image: Image) -> int:
+    """The phase that a fraction is of."""
+    return phase_index(image, None if name == "porosity" else name.partition(":")[2], default="void")
+
+
+def _codes(inside: np.ndarray) -> np.ndarray:
+    """(Z - 1, Y - 1, X - 1) uint8: every cube's number among the 256 (every square's among the 16)."""
+    shape = tuple(side - 1 for side in inside.shape)
+    codes = np.zeros(shape, np.uint8)
+    for bit, corner in enumerate(np.ndindex((2,) * inside.ndim)):
+        part = inside[tuple(slice(at, at + side) for at, side in zip(corner, shape, strict=True))]
+        codes |= part.view(np.uint8) << np.uint8(bit)
+    return codes
+
+
+def _functional_table(name: str, spacing: tuple[float, ...], connectivity: int) -> np.ndarray:
+    """(256,) what each cube adds to a density; of a square, whose number is below 16."""
+    flat = len(spacing) == 2
+    if name in ("surface", "perimeter"):
+        return surface_table((1.0, *spacing) if flat else spacing, flat=flat)
+    if name == "mean_curvature":
+        return curvature_table(spacing, connectivity)
+    share = square_euler(connectivity)[np.arange(256) & 15] if flat else cube_euler(connectivity)
+    return np.asarray(share / np.prod(spacing))
+
+
+def _mean_of(codes: np.ndarray, table: np.ndarray, width: int) -> np.ndarray:
+    """The table's mean over every window of `width` codes a side, float32."""
+    deep = np.ascontiguousarray(codes if codes.ndim == 3 else codes[None])
+    depth = width if codes.ndim == 3 else 1
+    largest = max(1.0, float(np.abs(table).max()))
+    unit = _UNIT / largest  # voxels finer than the unit of length make large densities
+    whole = np.rint(np.asarray(table, np.float64) * unit).astype(np.int64)
+    means = np.empty((deep.shape[0] - depth + 1, *(side - width + 1 for side in deep.shape[1:])), np.float32)
+    scale = 1.0 / (unit * width**codes.ndim)
+    for_slabs(lambda start, stop: _slide(deep, whole, depth, width, scale, means, start, stop), len(means))
+    return means if codes.ndim == 3 else means[0]
+
+
+@kernel
+def _slide(codes, table, depth, width, scale, means, start, stop):
+    """Windows of depth x width x width codes: columns along z, then rows of them, then the windows."""
+    _, height, length = codes.shape
+    columns = np.zeros((height, length), np.int64)
+    band = np.zeros(length, np.int64)
+    for z in range(start, start + depth - 1):
+        for y in range(height):
+            for x in range(length):
+                columns[y, x] += table[codes[z, y, x]]
+    for z in range(start, stop):
+        for y in range(height):
+            for x in range(length):
+                columns[y, x] += table[codes[z + depth - 1, y, x]]
+        band[:] = 0
+        for y in range(height):
+            for x in range(length):
+                band[x] += columns[y, x]
+            row = y - width + 1
+            if row < 0:
+                continue
+            total = np.int64(0)
+            for x in range(length):
+                total += band[x]
+                if x >= width - 1:
+                    means[z, row, x - width + 1] = total * scale
+                    total -= band[x - width + 1]
+            for x in range(length):
+                band[x] -= columns[row, x]
+        for y in range(height):
+            for x in range(length):
+                columns[y, x] -= table[codes[z, y, x]]

@@ -1,0 +1,243 @@
+"""Fields that are drawn: ramps, balls and cylinders, formulas, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_number, as_spacing
+from trabecula.core.errors import InputError
+from trabecula.core.expression import Expression
+from trabecula.core.image import Image
+from trabecula.fields.grid import AXES, as_axis, as_field, as_sides, history_of, middles
+from trabecula.fields.resample import resampled
+
+_FAR = 1e6  # values beyond this are no descriptor's
+
+
+def ramp(
+    shape: int | Sequence[int],
+    *,
+    axis: str | int = "z",
+    start: float,
+    end: float,
+    spacing: float | Sequence[float] | None = None,
+    unit: str = "voxel",
+) -> Image:
+    """A field that runs evenly from one face to the opposite one.
+
+    Parameters
+    ----------
+    shape : int or two or three ints
+        Voxels along (z, y, x), or (y, x); one number means a cube.
+    axis : {"z", "y", "x"} or int
+        Along which it runs.
+    start, end : float
+        Values of the first and the last voxel along it.
+    spacing, unit
+        Of the grid.
+
+    Returns
+    -------
+    field : Image
+        Grey, float32.
+
+    Raises
+    ------
+    InputError
+        A shape, axis or value that is none.
+
+    Examples
+    --------
+    >>> ramp((5, 1), axis="y", start=0.2, end=0.6).values.ravel()
+    array([0.2, 0.3, 0.4, 0.5, 0.6], dtype=float32)
+    """
+    sides = as_sides(shape)
+    along = as_axis(axis, len(sides))
+    ends = [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("start", start), ("end", end))]
+    line = np.linspace(ends[0], ends[1], sides[along]).reshape([-1 if k == along else 1 for k in range(len(sides))])
+    settings = {"shape": sides, "axis": AXES[len(sides)][along], "start": ends[0], "end": ends[1]}
+    return _drawn(np.broadcast_to(line, sides), "ramp", settings, spacing, unit)
+
+
+def radial(
+    shape: int | Sequence[int],
+    *,
+    inside: float,
+    outside: float,
+    radius: float | None = None,
+    centre: Sequence[float] | None = None,
+    axis: str | int | None = None,
+    spacing: float | Sequence[float] | None = None,
+    unit: str = "voxel",
+) -> Image:
+    """A field that runs evenly from a centre to a radius, and stays what it is there beyond.
+
+    Parameters
+    ----------
+    shape, spacing, unit
+        As for `ramp`.
+    inside, outside : float
+        Values at the centre, and from the radius outwards.
+    radius : float, optional
+        In the unit of the spacing. Default: half the shortest side that counts.
+    centre : one float per axis, optional
+        In the unit of the spacing, from the first voxel's corner. Default: the middle.
+    axis : {"z", "y", "x"} or int, optional
+        Distance is counted from the line along this axis (a cylinder). Default: from the point (a ball).
+
+    Returns
+    -------
+    field : Image
+
+    Raises
+    ------
+    InputError
+        A radius that is not positive, or another argument that is none.
+
+    Examples
+    --------
+    >>> radial((1, 5), inside=0, outside=1, radius=2, centre=(0.5, 2.5)).values
+    array([[1. , 0.5, 0. , 0.5, 1. ]], dtype=float32)
+    """
+    sides = as_sides(shape)
+    edges = as_spacing(spacing, ndim=len(sides))
+    extent = [side * edge for side, edge in zip(sides, edges, strict=True)]
+    line = None if axis is None else as_axis(axis, len(sides))
+    counted = [k for k in range(len(sides)) if k != line]
+    reach = min(extent[k] for k in counted) / 2 if radius is None else radius
+    reach = as_number(reach, name="radius", low=1e-9 * max(extent), high=1e9 * max(extent))
+    middle = _centre(centre, extent)
+    squares = [(at - middle[k]) ** 2 for k, at in enumerate(middles(sides, edges)) if k != line]
+    share = np.minimum(np.sqrt(sum(squares)) / reach, 1)
+    ends = [
+        as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("inside", inside), ("outside", outside))
+    ]
+    settings = {
+        "shape": sides,
+        "inside": ends[0],
+        "outside": ends[1],
+        "radius": reach,
+        "centre": middle,
+        "axis": None if line is None else AXES[len(sides)][line],
+    }
+    return _drawn(np.broadcast_to(ends[0] + (ends[1] - ends[0]) * share, sides), "radial", settings, spacing, unit)
+
+
+def _centre(centre: Sequence[float] | None, extent: list[float]) -> list[float]:
+    if centre is None:
+        return [length / 2 for length in extent]
+    found = [as_number(at, name="centre", low=-1e9, high=1e9) for at in np.atleast_1d(np.asarray(centre, object))]
+    if len(found) != len(extent):
+        raise InputError(f"centre has {len(found)} numbers: give {len(extent)}, slowest axis first")
+    return found
+
+
+def formula(
+    shape: int | Sequence[int],
+    text: str,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    unit: str = "voxel",
+) -> Image:
+    """A field by a formula in the position.
+
+    Parameters
+    ----------
+    shape, spacing, unit
+        As for `ramp`.
+    text : str
+        In z, y, x (position of a voxel's middle, in the unit of the spacing, from the first face) and Z, Y, X (the sides
+        of the whole in that unit), read by `core.expression.Expression`: "0.3 + 0.2 * z / Z".
+
+    Returns
+    -------
+    field : Image
+
+    Raises
+    ------
+    InputError
+        A formula that cannot be read, or that has no value somewhere.
+    UnknownNameError
+        A name or a function that there is not.
+
+    Examples
+    --------
+    >>> formula((2, 4), "0.2 if x < X / 2 else y").values
+    array([[0.2, 0.2, 0.5, 0.5],
+           [0.2, 0.2, 1.5, 1.5]], dtype=float32)
+    """
+    sides = as_sides(shape)
+    edges = as_spacing(spacing, ndim=len(sides))
+    letters = AXES[len(sides)]
+    parsed = Expression(text, (*letters, *letters.upper()))
+    values = dict(zip(letters, middles(sides, edges), strict=True))
+    extent = {letter.upper(): side * edge for letter, side, edge in zip(letters, sides, edges, strict=True)}
+    found = np.broadcast_to(parsed(**values, **extent), sides)
+    if not np.isfinite(found).all():
+        bad = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
+        raise InputError(f"the formula {text!r} has no finite value at voxel {bad}: give one that has")
+    return _drawn(found, "formula", {"shape": sides, "text": text}, spacing, unit)
+
+
+def picture(
+    image: Image | ArrayLike,
+    shape: int | Sequence[int],
+    *,
+    low: float,
+    high: float,
+    axis: str | int = "z",
+    spacing: float | Sequence[float] | None = None,
+    unit: str = "voxel",
+) -> Image:
+    """A field drawn as a picture: black is `low`, white is `high`, the same at every depth.
+
+    Parameters
+    ----------
+    image : Image or array, (Y, X) or colour
+        Stretched over the faces across `axis`; of a colour the mean of its channels. Of 0 .. 255 in integers of a byte, else
+        its own least and greatest values are black and white.
+    shape : int or two or three ints
+        Of the field; with two numbers the picture is the field.
+    low, high : float
+        Values of black and white.
+    axis : {"z", "y", "x"} or int
+        The direction one looks along.
+    spacing, unit
+        Of the grid.
+
+    Returns
+    -------
+    field : Image
+
+    Raises
+    ------
+    InputError
+        Not a picture, or a shape that is none.
+    """
+    source = image if isinstance(image, Image) else Image(np.asarray(image), "grey")
+    if source.ndim != 2:
+        raise InputError(f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice of it")
+    sides = as_sides(shape)
+    ends = [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("low", low), ("high", high))]
+    grey = source.values.astype(np.float64)
+    grey = grey.mean(axis=-1) if source.kind == "colour" else grey
+    black, white = (
+        (0.0, 255.0) if source.values.dtype == np.uint8 and source.kind != "labels" else (grey.min(), grey.max())
+    )
+    share = (grey - black) / max(white - black, 1e-300)
+    flat = len(sides) == 2
+    along = 0 if flat else as_axis(axis, 3)
+    face = sides if flat else tuple(side for k, side in enumerate(sides) if k != along)
+    drawn = ends[0] + (ends[1] - ends[0]) * resampled(share, face)
+    deep = drawn if flat else np.broadcast_to(np.expand_dims(drawn, along), sides)
+    edges = as_spacing(spacing, ndim=len(sides))
+    settings = {"shape": sides, "low": ends[0], "high": ends[1], "axis": AXES[3][along], "spacing": edges, "unit": unit}
+    return as_field(deep, "picture", settings, spacing=edges, unit=unit, before=history_of(source))
+
+
+def _drawn(values: np.ndarray, make: str, settings: dict, spacing: float | Sequence[float] | None, unit: str) -> Image:
+    edges = as_spacing(spacing, ndim=values.ndim)
+    return as_field(values, make, {**settings, "spacing": edges, "unit": unit}, spacing=edges, unit=unit)

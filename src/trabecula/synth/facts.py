@@ -1,0 +1,71 @@
+"""What a model knows of its exemplar apart from the voxels: enough to describe what it makes, and to tell where it is from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.checks import as_shape, as_spacing, check_name
+from trabecula.core.image import KINDS, Image
+from trabecula.core.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Facts:
+    """An exemplar without its voxels.
+
+    Attributes
+    ----------
+    kind, spacing, unit, phases, recipe :
+        As of `Image`; the recipe's last step holds the SHA-256 of the voxels.
+    shape : tuple of int
+    shares : tuple of float
+        Of every phase, 0 .. 1; of what has no phases, none.
+    """
+
+    kind: str
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    unit: str
+    phases: tuple[str, ...]
+    shares: tuple[float, ...]
+    recipe: Recipe
+
+    @property
+    def ndim(self) -> int:
+        """Number of spatial axes, 2 or 3."""
+        return len(self.spacing)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return {**asdict(self), "recipe": self.recipe.to_json()}
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> Facts:
+        """What `to_json` gave.
+
+        Raises
+        ------
+        ValueError, TypeError, LookupError
+            Something else.
+        """
+        check_name(plain["kind"], KINDS, name="kind of image")
+        spacing = as_spacing(plain["spacing"], ndim=len(plain["spacing"]))
+        phases, shares = tuple(map(str, plain["phases"])), tuple(float(share) for share in plain["shares"])
+        if len(shares) != len(phases) or not isinstance(plain["unit"], str):
+            raise ValueError(f"{len(phases)} phases have {len(shares)} shares, in unit {plain['unit']!r}")
+        shape = as_shape(plain["shape"], ndim=len(spacing))
+        return cls(plain["kind"], shape, spacing, plain["unit"], phases, shares, Recipe.from_json(plain["recipe"]))
+
+
+def facts_of(exemplar: Image | Facts) -> Facts:
+    """The facts of an exemplar."""
+    if isinstance(exemplar, Facts):
+        return exemplar
+    values = exemplar.values
+    shares = tuple(np.count_nonzero(values == label) / values.size for label in range(len(exemplar.phases)))
+    fields = (exemplar.spacing, exemplar.unit, exemplar.phases, shares, exemplar.recipe)
+    return Facts(exemplar.kind, exemplar.shape, *fields)
