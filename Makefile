@@ -6,13 +6,16 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test check docs bench wheel clean
+.PHONY: demo test test-learn check docs bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
 
 test: $(VENV)/dev.stamp             ## the test suite
 	$(BIN)/python -m pytest
+
+test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
+	$(BIN)/python -m pytest tests/synth/gan tests/contract -k gan
 
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
 	$(BIN)/ruff check src tests benchmarks docs
@@ -37,6 +40,10 @@ $(VENV)/base.stamp: requirements/base.txt pyproject.toml
 
 $(VENV)/dev.stamp: $(VENV)/base.stamp requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/dev.txt
+	touch $@
+
+$(VENV)/learn.stamp: $(VENV)/base.stamp requirements/learn.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/learn.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt

@@ -129,7 +129,7 @@ def _maker(name: str, preset: str | None) -> Maker:
 def _gaussian(images: Sequence[tb.Image], side: int, seed: int) -> tb.Image:
     """The baseline: of the first picture, every direction alike."""
     flat = tb.Image(images[0].values[None], "labels", phases=images[0].phases)
-    return tb.method("noise", isotropic=True).fit(flat).generate(side, seed=seed)
+    return tb.method("noise", isotropic=True, exact=True).fit(flat).generate(side, seed=seed)
 
 
 def shown(picture: tb.Image) -> tb.Image:

@@ -13,6 +13,8 @@ import inspect
 import sys
 from collections.abc import Callable
 
+import gan
+import graded
 import image
 import image_paper
 import image_speed
@@ -59,10 +61,19 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_energy": texture.energy,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
+    "gan_models": gan.models,
+    "gan_speed": gan.speed,
+    "gan_ablation": gan.ablation,
+    "gan_smoke": gan.smoke,
     "image_likeness": image.image_likeness,
     "image_paper": image_paper.image_paper,
     "image_truth": image_truth.image_truth,
     "image_speed": image_speed.image_speed,
+    "graded_lattice": graded.graded_lattice,
+    "graded_cells": graded.graded_cells,
+    "graded_section": graded.graded_section,
+    "graded_bone": graded.graded_bone,
+    "graded_speed": graded.graded_speed,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,

@@ -143,7 +143,7 @@ def fidelity() -> None:
     kinds = list(presets("default", "best"))
     for name, exemplar in exemplars().items():
         reference = reference_of(exemplar)
-        baseline = judged(reference, tb.method("noise", kind="gaussian").fit(exemplar).generate(SIDE, seed=0))
+        baseline = judged(reference, tb.method("noise", exact=True).fit(exemplar).generate(SIDE, seed=0))
         row(f"{name}, real band", *(band_of(baseline.get(figure), how) for figure, how in FIGURES.values()), "", "")
         row(f"{name}, Gaussian field", *cells(baseline), "", "")
         for kind, settings in kinds:

@@ -8,6 +8,7 @@ from trabecula.core.errors import (
     NotReproducedError,
     RequestError,
     TrabeculaError,
+    TrainingError,
     UnknownNameError,
 )
 
@@ -19,5 +20,6 @@ __all__ = [
     "NotReproducedError",
     "RequestError",
     "TrabeculaError",
+    "TrainingError",
     "UnknownNameError",
 ]

@@ -19,6 +19,7 @@ from trabecula.exemplar.samples import sample
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.loading import load, load_fixed, load_like, load_mask, voxels_of
+from trabecula.making import generate_to, plan_to
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.surface import mesh
@@ -35,10 +36,12 @@ __all__ = [
     "check_target",
     "demo",
     "export",
+    "generate_to",
     "load",
     "load_fixed",
     "load_like",
     "load_mask",
+    "plan_to",
     "replay",
     "rerun",
     "voxels_of",
@@ -122,12 +125,6 @@ def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: 
     if a_folder and target.exists() and not target.is_dir():
         raise FileError(f"cannot write {path}: a file of that name is there; choose another name, or remove it")
     check_folder(path, size=size)
-
-
-def part_of(path: str | os.PathLike[str]) -> Path:
-    """Where the state of an unfinished run is kept: beside its result, as rock.zarr.part of rock.zarr."""
-    target = Path(path).absolute()
-    return target.with_name(target.name + ".part")
 
 
 def check_folder(path: str | os.PathLike[str], *, size: int = 0) -> None:

@@ -221,7 +221,7 @@ def test_an_interrupted_write_leaves_the_old_file(suffix, tmp_path, monkeypatch)
         raise StoppedError
 
     # The last moment at which a write can die: everything is written, nothing is in place.
-    monkeypatch.setattr("trabecula.engine.files._put_in_place", stop)
+    monkeypatch.setattr("trabecula.engine.files.put_in_place", stop)
     with pytest.raises(StoppedError):
         tb.write(tb.Image(1 - np.minimum(old.values, 1), "labels"), path)
     monkeypatch.undo()

@@ -1,8 +1,9 @@
-"""`trabecula generate EXEMPLAR ... --method NAME --shape Z Y X --seed N --out FILE`."""
+"""`trabecula generate EXEMPLAR ... --method NAME --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -22,22 +23,22 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     """The options that `plan` shares."""
     parser.add_argument(
         "exemplars",
-        nargs="+",
+        nargs="*",
         metavar="EXEMPLAR",
         help="scan to learn from, or sample:NAME; several where the method can",
     )
-    parser.add_argument("--method", default="texture", help="see trabecula methods (default: texture)")
+    parser.add_argument("--method", help="see trabecula methods (default: texture)")
+    parser.add_argument(
+        "--model", metavar="FILE|NAME", help="instead of EXEMPLAR and --method: what fit wrote, or see trabecula models"
+    )
     parser.add_argument(
         "--shape",
         nargs="+",
         metavar="N",
-        help="voxels: one number (a cube), or z y x (default: that of --mask, --fixed)",
+        help="voxels: one number (a cube), z y x, or y x of a picture (default: that of --mask, --fixed)",
     )
     parser.add_argument("--seed", default="0", help="0 .. 2**63 - 1 (default 0)")
-    parser.add_argument("--preset", help="ready settings of the method")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable"
-    )
+    shared.add_settings(parser)
     parser.add_argument(
         "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
     )
@@ -46,48 +47,76 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     shared.add_reading(parser)
 
 
-def prepare(options: argparse.Namespace) -> tuple[Any, Any, Any]:
-    """The method, its exemplar (a list of several) and the request. What can be refused without work is refused first."""
+@dataclass(frozen=True)
+class Job:
+    """What the options ask for: a request, and either a method with its exemplar (a list of several) or a model."""
+
+    request: Any
+    method: Any = None
+    exemplar: Any = None
+    model: Any = None
+
+    def fitted(self, *, memory: int | None) -> Any:
+        """The model."""
+        return self.method.fit(self.exemplar, memory=memory) if self.model is None else self.model
+
+
+def prepare(options: argparse.Namespace) -> Job:
+    """What the options ask for. What can be refused without work is refused first."""
     from trabecula.core.checks import as_seed, as_shape
     from trabecula.core.errors import InputError
     from trabecula.core.request import Request
-    from trabecula.synth.registry import method
 
-    chosen = method(options.method, preset=options.preset, **shared.settings(options.set))
+    chosen, model = _source(options)
     if options.shape is None and options.mask is None and options.fixed is None:
         raise InputError("the size of the result is not given: add --shape N, or --shape Z Y X (or a --mask)")
-    shape = None if options.shape is None else as_shape(shared.integers(options.shape, name="--shape"))
+    sides = None if options.shape is None else shared.integers(options.shape, name="--shape")
+    shape = None if sides is None else as_shape(sides, ndim=2 if len(sides) == 2 else 3)
     seed = as_seed(shared.integer(options.seed, name="--seed"))
     periodic = shared.periodic(options.periodic)
-    exemplars = [shared.load_exemplar(source, options) for source in options.exemplars]
-    parts = shared.load_parts(options, exemplars, shape, getattr(chosen.config, "views", ()))
+    exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] if chosen else list(model.facts)
+    parts = shared.load_parts(options, exemplars, shape, getattr((chosen or model).config, "views", ()))
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
-    return chosen, exemplars if len(exemplars) > 1 else exemplars[0], request
+    if model is not None:
+        return Job(request, model=model)
+    return Job(request, chosen, exemplars if len(exemplars) > 1 else exemplars[0])
+
+
+def _source(options: argparse.Namespace) -> tuple[Any, Any]:
+    """The method that is to learn, or the model that has."""
+    from trabecula.core.errors import InputError
+    from trabecula.synth.registry import method
+    from trabecula.synth.saved import load_model
+
+    if options.model is None:
+        if not options.exemplars:
+            raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
+        return method(options.method or "texture", preset=options.preset, **shared.settings(options.set)), None
+    names = ("exemplars", "method", "preset", "set", "kind", "spacing", "unit", "phases", "threshold", "crop")
+    given = [name for name in names if getattr(options, name)]
+    if given:
+        what = "an exemplar" if given[0] == "exemplars" else f"--{given[0]}"
+        raise InputError(f"{what} beside --model {options.model}: the model has learned with settings of its own")
+    return None, load_model(options.model)
 
 
 def run(options: argparse.Namespace) -> int:
     """Generate and write; a run that was interrupted goes on from what it left beside --out."""
-    from trabecula.engine.checkpoint import kept_at
     from trabecula.engine.tiles import thread_count, threads
-    from trabecula.flow import check_target, part_of
-    from trabecula.io.files import write
+    from trabecula.flow import check_target, generate_to, plan_to
 
     check_target(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
-        method, exemplar, request = prepare(options)
-        model = method.fit(exemplar, memory=options.memory)
-        plan = model.plan(request)
+        job = prepare(options)
+        model = job.fitted(memory=options.memory)
+        plan = plan_to(model, job.request, options.out, memory=options.memory)
         check_target(options.out, size=plan.disk)
-        with kept_at(part_of(options.out)):
-            material = model.generate(request, memory=options.memory)
-            write(material, options.out)
-    digest = material.recipe.steps[-1]["sha256"]
+        made = generate_to(model, job.request, options.out, memory=options.memory)
     if options.json:
-        terminal.show_json(
-            {"out": options.out, "shape": material.shape, "sha256": digest, "recipe": material.recipe.to_json()}
-        )
+        found = {"out": options.out, "shape": made.shape, "sha256": made.sha256, "recipe": made.recipe.to_json()}
+        terminal.show_json(found)
     else:
-        print(f"{options.out}: {material!r}\nsha256 {digest}")
+        print(f"{options.out}: {made.text}\nsha256 {made.sha256}")
     return 0

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from trabecula.cli import terminal
-from trabecula.cli.generate import add_request, prepare
+from trabecula.cli.generate import Job, add_request, prepare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The request of `generate`."""
     add_request(parser)
+    parser.add_argument(
+        "--out",
+        default="",
+        metavar="FILE",
+        help="a .zarr may be made block by block where all at once is over the budget",
+    )
     parser.add_argument("--json", action="store_true", help="print the forecast as JSON, in bytes")
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the forecast."""
-    from trabecula.engine.plan import available_memory, format_bytes
+    from trabecula.engine.plan import Plan, available_memory, format_bytes
 
-    method, exemplar, request = prepare(options)
-    learning = method.plan_fit(exemplar)
-    making = method.fit(exemplar, memory=options.memory).plan(request)
+    job = prepare(options)
+    learning = Plan() if job.method is None else job.method.plan_fit(job.exemplar)
+    making = _making(job, options)
     peak = max(learning.peak, making.peak)
     if options.json:
         found = {**making.to_json(), "peak": peak, "learning": learning.to_json(), "available": available_memory()}
@@ -31,3 +38,10 @@ def run(options: argparse.Namespace) -> int:
     rows += [("peak memory", format_bytes(peak)), ("available", format_bytes(available_memory()))]
     terminal.show_rows([*rows, ("disk", format_bytes(making.disk))])
     return 0
+
+
+def _making(job: Job, options: argparse.Namespace) -> Any:
+    from trabecula.flow import plan_to
+
+    model = job.fitted(memory=options.memory)
+    return plan_to(model, job.request, options.out, memory=options.memory) if options.out else model.plan(job.request)

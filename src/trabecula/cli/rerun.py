@@ -13,6 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     for part in ("mask", "fixed", "known", "target"):
         parser.add_argument(f"--{part}", metavar="FILE", help=f"where the file that was --{part} lies now")
+    parser.add_argument("--model", metavar="FILE", help="where the trained model of the recipe lies now")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -20,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.core.recipe import digest
     from trabecula.flow import rerun
 
-    moved = {name: getattr(options, name) for name in ("exemplar", "mask", "fixed", "known", "target")}
+    moved = {name: getattr(options, name) for name in ("exemplar", "mask", "fixed", "known", "target", "model")}
     image = rerun(options.file, **moved)
     print(f"{options.file}: the same voxels\nsha256 {digest(image.values)}")
     return 0

@@ -216,8 +216,10 @@ def _check_fixed(request: Request) -> None:
 
 def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     axes = (bool(value),) * ndim if isinstance(value, (bool, np.bool_)) else tuple(bool(axis) for axis in value)
-    if ndim == 2 and len(axes) == 3 and not axes[0]:
+    if ndim == 2 and len(axes) == 3 and (all(axes) or not axes[0]):
         axes = axes[1:]
     if len(axes) != ndim:
-        raise InputError(f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} ({_AXES[-ndim:]}): got {value!r}")
+        raise InputError(
+            f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} ({_AXES[-ndim:]}): got {value!r}"
+        )
     return axes

@@ -111,7 +111,7 @@ def running(method: str, settings: Mapping[str, Any], request: Request, exemplar
     if keeper is None:
         yield
         return
-    keeper.identity = _identity(method, settings, request, exemplars)
+    keeper.identity = identity_of(method, settings, request, exemplars)
     keeper.left = _left_by_the_same(keeper)
     try:
         yield
@@ -204,7 +204,7 @@ def _left_by_the_same(keeper: _Keeper) -> dict[str, Any] | None:
     return left
 
 
-def _identity(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> str:
+def identity_of(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> str:
     """SHA-256 of all that the voxels depend on."""
     parts = {
         "method": method,

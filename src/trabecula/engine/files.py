@@ -27,7 +27,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        _put_in_place(temporary, path)
+        put_in_place(temporary, path)
     except OSError as error:
         if isinstance(error, FileError):
             raise
@@ -38,7 +38,8 @@ def replacing(path: Path) -> Iterator[Path]:
         _remove(temporary)
 
 
-def _put_in_place(temporary: Path, path: Path) -> None:
+def put_in_place(temporary: Path, path: Path) -> None:
+    """Give a finished file or folder its name; what had that name before goes."""
     if path.is_dir() and not temporary.is_dir():
         raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
     if path.is_dir() and not path.is_symlink():

@@ -20,7 +20,9 @@ from trabecula.engine.files import replacing
 
 KEY = "trabecula"
 ARRAY = "0"
-_CHUNK = 128  # voxels along an axis: 2 MiB of labels, a unit that disks and networks like
+CHUNK = 128  # voxels along an axis: 2 MiB of labels, a unit that disks and networks like
+_OF = "identity"
+_EVERY_CHUNK: Any = {"write_empty_chunks": True}  # a chunk that is not there is then a chunk that was lost
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
 
 
@@ -101,11 +103,11 @@ def create(
         ARRAY,
         shape=tuple(shape),
         dtype=dtype,
-        chunks=tuple(side if axis == "c" else min(side, _CHUNK) for axis, side in zip(axes, shape, strict=True)),
+        chunks=tuple(side if axis == "c" else min(side, CHUNK) for axis, side in zip(axes, shape, strict=True)),
         compressors=[ZstdCodec(level=_LEVEL, checksum=True)],
         fill_value=0,
         dimension_names=axes,
-        config={"write_empty_chunks": True},  # a chunk that is not there is then a chunk that was lost
+        config=_EVERY_CHUNK,
     )
     return group, array
 
@@ -113,6 +115,58 @@ def create(
 def finish(group: Any) -> None:
     """Mark a store as complete."""
     group.attrs[KEY] = {**group.attrs[KEY], "complete": True}
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A store that is still being written, and of what."""
+
+    path: Path
+    group: Any
+    array: Any
+    identity: str
+
+    def chunk(self, voxel: Sequence[int]) -> Path:
+        """The file of the chunk that holds a voxel."""
+        return self.path.joinpath(ARRAY, "c", *(str(place // CHUNK) for place in voxel))
+
+    def finish(self, fields: Mapping[str, Any]) -> None:
+        """Mark the store as complete, with the fields that nobody knew before the last chunk."""
+        # The identity stays, for a run that is killed before the store has its own name.
+        self.group.attrs[KEY] = {**fields, _OF: self.identity, "complete": True}
+
+
+def create_unfinished(
+    path: Path,
+    shape: Sequence[int],
+    dtype: np.dtype,
+    *,
+    scale: Sequence[float],
+    unit: str | None,
+    identity: str,
+    name: str,
+) -> Unfinished:
+    """An empty store that says `identity` of what will be in it, until it is finished."""
+    with replacing(path) as temporary:
+        create(temporary, shape, dtype, scale=scale, unit=unit, fields={_OF: identity}, name=name)
+    made = open_unfinished(path)
+    if made is None:
+        raise FileError(f"cannot write {path}: what was written there cannot be read back; check the disk")
+    return made
+
+
+def open_unfinished(path: Path) -> Unfinished | None:
+    """What `create_unfinished` left, whether or not it was finished; None where something else is there."""
+    import zarr
+
+    try:
+        group: Any = zarr.open_group(str(path), mode="r+")
+        # Which chunks are written is no part of what a store says of itself, and open_array overlooks its config.
+        with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
+            array = group[ARRAY]
+        return Unfinished(path, group, array, str(group.attrs[KEY][_OF]))
+    except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
+        return None
 
 
 def open_finished(path: Path) -> Store:

@@ -16,7 +16,7 @@ def gaussian_field(exemplar: Image) -> Image:
     flat = exemplar.ndim == 2
     lifted = with_values(exemplar, exemplar.values[None], spacing=(1.0, *exemplar.spacing)) if flat else exemplar
     shape = tuple(min(side, LARGEST) for side in lifted.shape)
-    field = method("noise", kind="gaussian").fit(lifted).generate(shape, seed=0)
+    field = method("noise", exact=True).fit(lifted).generate(shape, seed=0)
     if not flat:
         return field
     return with_values(field, np.ascontiguousarray(field.values[0]), spacing=exemplar.spacing)

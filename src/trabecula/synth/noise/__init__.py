@@ -8,7 +8,7 @@ SPEC = Spec(
     paper="Quiblier (1984), A new three-dimensional modeling technique for studying porous media",
     exemplar="3d",
     kinds=("labels",),
-    scaling="whole",
+    scaling="window",
     target="trabecula.synth.noise.method:Noise",
     honours=frozenset({"periodic"}),
 )

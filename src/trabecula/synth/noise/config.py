@@ -28,10 +28,15 @@ class NoiseConfig:
     """Whether all directions are alike: the two-point function is averaged over them. A picture as a flat exemplar (1, Y, X)
     then gives a volume. Voxel edges count as equal."""
 
+    exact: bool = False
+    """Whether the shares of the phases come out to the voxel instead of scattering as those of any window do. Then all
+    voxels are ranked at once, and no box can be made alone."""
+
     def __post_init__(self) -> None:
         check_name(self.kind, KINDS, name="kind of noise")
-        if self.isotropic not in (True, False):
-            raise InputError(f"isotropic={self.isotropic!r} should be true or false")
+        for name in ("isotropic", "exact"):
+            if getattr(self, name) not in (True, False):
+                raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         object.__setattr__(self, "reach", as_number(self.reach, name="reach", low=4, high=200, whole=True))
         object.__setattr__(
             self, "corrections", as_number(self.corrections, name="corrections", low=0, high=200, whole=True)

@@ -1,32 +1,44 @@
-"""`noise`: fit finds one filter per phase but the last, generate convolves white noise and cuts it by rank.
+"""`noise`: fit finds one filter per phase but the last, generate convolves white noise and cuts it at a level.
 
 The phases come one after another, each within what the ones before left: the field of a phase is independent of the
 others', so that the conditional S2 (pairs in the phase over pairs in what was left) is that of a cut Gaussian field.
+
+White noise and filters are whole numbers, so that their convolution is one as well. The Fourier transform finds it with an
+error far below one half: any cut of the volume, and any machine, gives the same voxels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise, product
+from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
-from trabecula.core.errors import InputError
+from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.engine.blocks import Box
+from trabecula.engine.normals import quantiles
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine.tiles import thread_count
 from trabecula.measure.fft import fast_side
-from trabecula.synth.base import Method, Model
+from trabecula.synth.base import Method
 from trabecula.synth.noise import SPEC
 from trabecula.synth.noise.config import NoiseConfig
+from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transformed, white
 from trabecula.synth.noise.covariance import Filter, averaged, counts_by_offset, fitted_filter
-from trabecula.synth.noise.kernels import white_plane
+from trabecula.synth.windows import WindowModel
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it
-_ROWS = 4  # rows of columns along z that are transformed at once
 _LEAST = 8  # voxels along an axis of the exemplar, unless it is 1 thick
+_PIECE = 256  # voxels along an axis that are made at once, at most: 16 bytes a voxel of it and of the reach around it
+_GAIN = 1 << 18  # and of a filter whose squares sum up to one: products stay far below 2**53
 
 
 class Noise(Method):
@@ -62,7 +74,7 @@ class Noise(Method):
         )
 
 
-class NoiseModel(Model):
+class NoiseModel(WindowModel):
     """A filter per phase but the last, and the fractions.
 
     Attributes
@@ -73,6 +85,7 @@ class NoiseModel(Model):
 
     spec = SPEC
     config: NoiseConfig
+    block = _PIECE
 
     def __init__(self, config: NoiseConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
@@ -87,55 +100,91 @@ class NoiseModel(Model):
             self.filters.append(_filter(inside, left, self.reach, config))
             left &= ~inside
 
-    def _generate(self, request: Request) -> np.ndarray:
-        result = np.full(request.shape, self.present[-1], np.uint8)
-        ends = np.rint(np.cumsum(self.fractions) * result.size).astype(np.int64)
-        left: np.ndarray | None = None  # what no phase has taken; None while that is everything
+    def _box(self, request: Request, box: Box) -> np.ndarray:
+        result = np.full([stop - start for start, stop in box], self.present[-1], np.uint8)
         for i, part in enumerate(self.filters):
-            field = self._field(part, request, key(request.seed, f"noise/{i}"))
-            count = int(ends[i] - (ends[i - 1] if i else 0))
-            chosen = _highest(field.ravel() if left is None else field[left], count)
-            if left is None:
-                result[chosen.reshape(result.shape)] = self.present[i]
-            else:
-                result[left] = np.where(chosen, np.uint8(self.present[i]), np.uint8(self.present[-1]))
-            del field, chosen  # before the next field is made
-            left = result == self.present[-1] if i + 1 < len(self.filters) else None
+            level = _level(_whole(part), self._share(i))
+
+            def cut(piece: tuple[slice, ...], z: int, plane: np.ndarray, i: int = i, level: float = level) -> None:
+                target = result[piece][z]
+                target[(plane > level) & (target == self.present[-1])] = self.present[i]
+
+            self._convolve(i, request, box, cut)
         return result
 
-    def _field(self, part: Filter, request: Request, stage: np.uint64) -> np.ndarray:
-        """White noise convolved with the filter, (Z, Y, X) float32, in a box wide enough that its faces do not meet."""
-        box = self._box(request)
-        spectrum = _transformed(lambda z: _white(box, z, stage), box)
-        spectrum *= _transformed(lambda z: _folded(part.values, box, z), box)
-        field = np.empty(request.shape, np.float32)
-        first = tuple(0 if wraps else far for far, wraps in zip(self.reach, request.periodic, strict=True))
-        _back(spectrum, box, first, field)
-        return field
+    def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        if not self.config.exact:
+            return super()._generate(request)
+        result = np.full(request.shape, self.present[-1], np.uint8)
+        ends = np.rint(np.cumsum(self.fractions) * result.size).astype(np.int64)
+        field = np.empty(request.shape, np.int32)
 
-    def _box(self, request: Request) -> tuple[int, ...]:
+        def keep(piece: tuple[slice, ...], z: int, plane: np.ndarray) -> None:
+            field[piece][z] = np.rint(plane)
+
+        for i in range(len(self.filters)):
+            self._convolve(i, request, tuple((0, side) for side in request.shape), keep)
+            left = result == self.present[-1]
+            found = result[left]
+            found[_highest(field[left], int(ends[i] - (ends[i - 1] if i else 0)))] = self.present[i]
+            result[left] = found
+        return result, {}
+
+    def _share(self, i: int) -> float:
+        """Of a phase, of what the phases before it leave."""
+        return float(self.fractions[i] / self.fractions[i:].sum())
+
+    def _convolve(self, i: int, request: Request, box: Box, use: Use) -> None:
+        """The field of phase i in a box, in pieces: `use(piece, z, plane)` gets its planes as whole numbers, almost."""
+        shape = [stop - start for start, stop in box]
+        around, weights = self._around(shape), _whole(self.filters[i])
+        stage = key(request.seed, f"noise/{i}")
+        response = transformed(lambda z: folded(weights, around, z), around)
+        for piece in product(*(_pieces(side) for side in shape)):
+            corner = [start + cut.start - far for (start, _), cut, far in zip(box, piece, self.reach, strict=True)]
+            spectrum = transformed(white(around, corner, request, stage), around)
+            spectrum *= response
+            back(spectrum, around, self.reach, piece, use)
+            del spectrum  # before the next one is made
+
+    def _around(self, shape: Sequence[int]) -> tuple[int, ...]:
+        """The box of the transforms: a piece and the reach of the filters on both sides, so that its faces do not meet."""
         return tuple(
-            side if wraps else fast_side(side + 2 * far)
-            for side, far, wraps in zip(request.shape, self.reach, request.periodic, strict=True)
+            fast_side(max(cut.stop - cut.start for cut in _pieces(side)) + 2 * far)
+            for side, far in zip(shape, self.reach, strict=True)
         )
 
     def _plan(self, request: Request) -> Plan:
-        z, y, x = self._box(request)
-        voxels = int(np.prod(request.shape, dtype=np.int64))
-        spectrum = 8 * z * y * (x // 2 + 1)
-        scratch = thread_count() * (64 * y * x + 48 * z * (x // 2 + 1) * _ROWS)
-        # Three moments compete for the peak: two spectra and their product, the way back, the choice of voxels by rank.
-        more = 0 if len(self.present) == 2 else 6 * voxels  # what is left, and its part of the field
-        moments = (2 * spectrum + voxels, spectrum + 5 * voxels, 11 * voxels)
-        return Plan(
-            memory={
-                "interpreter and kernels": _PROCESS,
-                "exemplar": sum(part.values.nbytes for part in self.filters) + self.exemplars[0].values.size,
-                "output": max(moments) + more,
-                "scratch": scratch,
-            },
-            disk=voxels,  # uncompressed; most formats take a tenth
-        )
+        plan, voxels = super()._plan(request), self._size(request)
+        # The field beside its transforms, or the choice of its highest.
+        ranked = max(4 * voxels, 20 * voxels - plan.memory["transforms"]) if self.config.exact else 0
+        return replace(plan, memory={**plan.memory, "output": voxels + ranked})
+
+    def plan_block(self, request: Request, side: int) -> Plan:
+        """Forecast of making the request in blocks (see `WindowModel`)."""
+        self._check_windows()
+        return super().plan_block(request, side)
+
+    def values_of(self, request: Request, box: Box) -> np.ndarray:
+        """The values of a box (see `WindowModel`)."""
+        self._check_windows()
+        return super().values_of(request, box)
+
+    def _check_windows(self) -> None:
+        if self.config.exact:
+            raise RequestError(
+                "exact shares are found by rank over all voxels at once, no box of which is made alone: leave exact out"
+            )
+
+    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        z, y, x = self._around(shape)
+        spectrum = 16 * z * y * (x // 2 + 1)
+        planes = thread_count() * (96 * y * x + 96 * z * (x // 2 + 1) * ROWS)
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": sum(part.values.nbytes for part in self.filters) + self.exemplars[0].values.size,
+            "transforms": 2 * spectrum + planes + 2 * 8 * self.filters[0].values.size,
+        }
 
 
 def _reach(shape: tuple[int, ...], config: NoiseConfig) -> tuple[int, ...]:
@@ -172,58 +221,20 @@ def _highest(values: np.ndarray, count: int) -> np.ndarray:
     return chosen
 
 
-def _white(box: tuple[int, ...], z: int, stage: np.uint64) -> np.ndarray:
-    plane = np.empty(box[1:], np.float32)
-    white_plane(plane, z, stage)
-    return plane
+def _pieces(side: int) -> list[slice]:
+    """Cuts of an axis into pieces that are nearly equal, and not too long."""
+    count = -(-side // _PIECE)
+    bounds = [side * i // count for i in range(count + 1)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
-def _folded(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | None:
-    """Plane z of the filter in the box, offset 0 at its origin, wrapped around where the box is the smaller."""
-    middle = [side // 2 for side in values.shape]
-    offsets = np.flatnonzero((np.arange(len(values)) - middle[0]) % box[0] == z)
-    if not len(offsets):
-        return None
-    rows, columns = (
-        (np.arange(side) - mid) % width for side, mid, width in zip(values.shape[1:], middle[1:], box[1:], strict=True)
-    )
-    plane = np.zeros(box[1:], np.float32)
-    np.add.at(plane, (rows[:, None], columns), values[offsets].sum(0))
-    return plane
+def _whole(part: Filter) -> np.ndarray:
+    """A filter in whole numbers."""
+    return np.rint(part.values * np.float64(_GAIN))
 
 
-def _transformed(plane_at: Callable[[int], np.ndarray | None], box: tuple[int, ...]) -> np.ndarray:
-    """The Fourier transform, (Z, Y, X // 2 + 1) complex64, of planes that are made one at a time; None is a plane of 0."""
-    spectrum = np.zeros((box[0], box[1], box[2] // 2 + 1), np.complex64)
-
-    def planes(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            plane = plane_at(z)
-            if plane is not None:
-                spectrum[z] = np.fft.fft(np.fft.rfft(plane, axis=1), axis=0)
-
-    for_slabs(planes, box[0])
-    _along_z(spectrum, np.fft.fft)
-    return spectrum
-
-
-def _along_z(spectrum: np.ndarray, transform: Callable[..., np.ndarray]) -> None:
-    def columns(start: int, stop: int) -> None:
-        for y in range(start, stop, _ROWS):
-            rows = spectrum[:, y : min(y + _ROWS, stop)]
-            rows[:] = transform(rows, axis=0)
-
-    for_slabs(columns, spectrum.shape[1])
-
-
-def _back(spectrum: np.ndarray, box: tuple[int, ...], first: tuple[int, ...], field: np.ndarray) -> None:
-    """The way back, into the part of the box that starts at `first`."""
-    _along_z(spectrum, np.fft.ifft)
-    _, y, x = (slice(start, start + side) for start, side in zip(first, field.shape, strict=True))
-
-    def planes(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            lines = np.fft.ifft(spectrum[first[0] + z], axis=0)[y]
-            field[z] = np.fft.irfft(lines, box[2], axis=1)[:, x]
-
-    for_slabs(planes, len(field))
+def _level(weights: np.ndarray, share: float) -> float:
+    """Between the two whole numbers above which the field has the share."""
+    table = quantiles(WHITE).astype(np.float64)
+    spread = math.sqrt(float((weights**2).sum()) * float(np.mean(table**2)))
+    return math.floor(NormalDist().inv_cdf(1 - share) * spread) + 0.5

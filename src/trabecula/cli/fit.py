@@ -1,0 +1,80 @@
+"""`trabecula fit EXEMPLAR --method NAME --out MODEL [--set KEY=VALUE] [--minutes M] [--device D] [--run FOLDER]`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from trabecula.cli import options as shared
+from trabecula.cli import terminal
+
+_SHORT = ("minutes", "device", "run")
+"""Options that are settings, of the methods that have them."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to learn from, how, and where to put what was learned."""
+    parser.add_argument("exemplars", nargs="+", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME")
+    parser.add_argument("--method", required=True, help="see trabecula methods")
+    parser.add_argument("--out", required=True, metavar="MODEL", help="file to write, for generate --model")
+    shared.add_settings(parser)
+    parser.add_argument("--minutes", type=float, metavar="M", help="time to learn for, where the method takes any")
+    parser.add_argument("--device", help="cpu, cuda or auto, where the method can use either")
+    parser.add_argument(
+        "--run", metavar="FOLDER", help="where the method leaves figures, pictures and states of the training"
+    )
+    parser.add_argument(
+        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+    parser.add_argument("--json", action="store_true", help="print what was learned as JSON")
+    shared.add_reading(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Learn, and write the model."""
+    from trabecula.engine.tiles import thread_count, threads
+    from trabecula.synth.registry import method
+
+    chosen = method(options.method, preset=options.preset, **_settings(options))
+    _check_place(options.out)
+    with threads(options.threads if options.threads is not None else thread_count()):
+        exemplars = [shared.load_exemplar(source, options) for source in options.exemplars]
+        model = chosen.fit(exemplars if len(exemplars) > 1 else exemplars[0], memory=options.memory)
+        path = model.save(options.out)
+    if options.json:
+        found = {"out": str(path), "sha256": model.sha256, "bytes": path.stat().st_size, "history": dict(model.history)}
+        terminal.show_json(found)
+    else:
+        print(f"{path}: a model of {options.method}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}")
+    return 0
+
+
+def _check_place(out: str) -> None:
+    """Raise before any work is done where the model cannot be written."""
+    from trabecula.core.errors import FileError
+    from trabecula.flow import check_folder
+
+    if Path(out).is_dir():
+        raise FileError(f"cannot write {out}: a folder of that name is there; choose another name")
+    check_folder(out)
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings given, by --set or by an option of their own."""
+    from trabecula.core.errors import InputError
+    from trabecula.synth.registry import method
+
+    found = shared.settings(options.set)
+    known = vars(method(options.method, preset=options.preset).config)
+    for name in _SHORT:
+        value = getattr(options, name)
+        if value is None:
+            continue
+        if name in found:
+            raise InputError(f"--{name} and --set {name}: give one of them")
+        if name not in known:
+            raise InputError(f"--{name} {value}: method {options.method!r} has no such setting; leave it out")
+        found[name] = value
+    return found

@@ -1,0 +1,18 @@
+"""A generator learnt from one exemplar that then makes material of any size. See README.md in this folder."""
+
+from trabecula.synth.base import Spec
+
+SPEC = Spec(
+    name="gan",
+    summary="a generator learnt from one exemplar in minutes, which then makes material without limit in a moment",
+    paper="Zhang, Yang, Li, Wu, Wang (2021), ScaffoldGAN",
+    exemplar="3d",
+    kinds=("labels", "grey"),
+    honours=frozenset({"periodic", "mask"}),
+    scaling="window",
+    learns=True,
+    trial={"iterations": 2, "minutes": 1000.0, "width": 2, "batch": 2, "crop": 64},
+    target="trabecula.synth.gan.method:Gan",
+    extras=("learn",),
+    presets=("compact", "paper", "3dgan", "patchgan", "gram", "structural", "all"),
+)

@@ -1,0 +1,215 @@
+"""Settings of `gan`: the only home of its defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from trabecula.core.checks import as_number, check_name
+from trabecula.core.errors import InputError
+
+GENERATORS = ("subpixel", "deconvolution", "deconvolution+conv")
+DISCRIMINATORS = ("scales", "patch", "score")
+ADVERSARIAL = ("relativistic", "standard")
+DEVICES = ("auto", "cpu", "cuda")
+PRECISIONS = ("auto", "bf16", "float32")
+ORIENTATIONS = ("none", "inverted", "mirrors", "all")
+
+
+@dataclass(frozen=True)
+class GanConfig:
+    """Settings of `gan`."""
+
+    generator: str = "subpixel"
+    """Network that makes: "subpixel" (convolutions without padding, sub-pixel steps), "deconvolution" (the paper's table read
+    with its fifth layer as the output: B) or "deconvolution+conv" (with an output convolution after it: A)."""
+
+    discriminator: str = "scales"
+    """Network that judges: "scales" (a verdict for every place, on two scales), or the paper's layers with one verdict for the
+    whole crop ("score") or one for every place ("patch")."""
+
+    width: int = 16
+    """Channels of the finest layer of both networks, 2 .. 128; coarser ones have 2, 4 and 8 times as many. The paper's: 64."""
+
+    smoothing: int = 1
+    """Blurs of 1 2 1 along every axis that end the sub-pixel generator, 0 .. 2: none lets chequerboards through, one leaves
+    specks, two make interfaces as smooth as a signed distance is."""
+
+    latent: int = 16
+    """Channels of the latent, 1 .. 512. The paper's: 100."""
+
+    crop: int = 64
+    """Edge of the crops that are judged, voxels, 32 .. 128: a multiple of 8 of at least 40, for the paper's networks of 32."""
+
+    batch: int = 2
+    """Crops an iteration, 1 .. 512."""
+
+    adversarial: str = "relativistic"
+    """Loss: "relativistic" (pairs of a real and a made crop) or "standard" (the paper's, non-saturating)."""
+
+    penalty: float = 0.5
+    """Weight of the gradient penalty R1 on real crops (squared gradient of all verdicts over their number), 0 .. 1000; 0
+    leaves it out. Too much and the judge sees nothing, too little and it runs away from the maker."""
+
+    noise: tuple[float, float] = (0.1, 0.02)
+    """Standard deviation of the noise that both kinds of crops get before they are judged, at the start and at the end."""
+
+    warmup: float = 0.12
+    """Share of the training that matches sliced distributions of neighbourhoods, before anything is judged, 0 .. 1."""
+
+    sliced: float = 2.0
+    """Weight of the same term beside the verdict afterwards, 0 .. 1000."""
+
+    gram: float = 0.0
+    """Weight of the gram loss, 0 .. 1000. The paper's: 0.1."""
+
+    structural: float = 0.0
+    """Weight of the structural loss, 0 .. 1000. The paper's: 1."""
+
+    rate: float = 1e-3
+    """Learning rate of Adam, 1e-6 .. 0.1. The paper's: 2e-4."""
+
+    decay: float = 0.4
+    """Share of the training, at its end, over which the rate falls to nothing, 0 .. 1."""
+
+    average: float = 0.995
+    """How much of the averaged weights is kept an iteration, 0 .. 0.99999; 0 keeps the last weights alone."""
+
+    clip: float = 5.0
+    """Voxels at which the signed distance that stands for labels saturates, 0 .. 50; 0 learns -1 and 1 (the paper's)."""
+
+    orientations: str = "inverted"
+    """Copies of the exemplar that are learnt from as well: "none", "inverted" (its point reflection, which has the same
+    two-point function along every direction), "mirrors" (about the axes), or "all" 48."""
+
+    minutes: float = 10.0
+    """Time to train for, 0 .. 100000 minutes by the clock; 0 leaves it to the iterations."""
+
+    iterations: int = 0
+    """Iterations to train for, 0 .. 10**8; 0 leaves it to the minutes. Only then does the same seed give the same model; give
+    minutes as well, and it stops where they are over."""
+
+    looks: int = 24
+    """Looks at what is made in a run, 1 .. 1000: figures, a picture, and a state to go on from."""
+
+    patience: int = 0
+    """Looks without a better two-point function after which the training stops, 0 .. 1000; 0 goes on."""
+
+    seed: int = 0
+    """Of the training: weights, crops and noise."""
+
+    device: str = "auto"
+    """Where to train and to generate: "cpu", "cuda", or "auto" (a GPU where there is one)."""
+
+    precision: str = "auto"
+    """Of the networks' arithmetic in training: "bf16", "float32", or "auto" (bf16 where the processor multiplies in it)."""
+
+    run: str = ""
+    """Folder for metrics.csv, pictures and checkpoints of the training; none where empty."""
+
+    @classmethod
+    def preset(cls, name: str) -> dict[str, Any]:
+        """Settings of a preset."""
+        return PRESETS[name]
+
+    def __post_init__(self) -> None:
+        check_name(self.generator, GENERATORS, name="generator")
+        check_name(self.discriminator, DISCRIMINATORS, name="discriminator")
+        check_name(self.adversarial, ADVERSARIAL, name="adversarial loss")
+        check_name(self.device, DEVICES, name="device")
+        check_name(self.precision, PRECISIONS, name="precision")
+        check_name(self.orientations, ORIENTATIONS, name="orientations")
+        for name, low, high, whole in _RANGES:
+            object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
+        object.__setattr__(self, "noise", _as_pair(self.noise))
+        self._check_crop()
+        if not self.minutes and not self.iterations:
+            raise InputError("minutes=0 and iterations=0 train for ever: give one of them")
+        if (self.gram or self.structural) and self.discriminator == "scales":
+            raise InputError(
+                "gram and structural losses compare features of the paper's networks: discriminator='score'"
+            )
+
+    def _check_crop(self) -> None:
+        step = 8 if self.discriminator == "scales" else 32
+        if self.crop % max(step, self.cell) or self.crop < self.least_crop:
+            raise InputError(
+                f"crop={self.crop} should be a multiple of {max(step, self.cell)} voxels, {self.least_crop} at least, with "
+                f"generator={self.generator!r} and discriminator={self.discriminator!r}"
+            )
+
+    @property
+    def least_crop(self) -> int:
+        """Edge of the smallest crop that its networks take, voxels."""
+        least = 40 if self.discriminator == "scales" else 32
+        return least if self.generator == "subpixel" else max(64, least)
+
+    @property
+    def cell(self) -> int:
+        """Edge of a cell of the latent, voxels."""
+        return 8 if self.generator == "subpixel" else 16
+
+
+_RANGES = (
+    ("width", 2, 128, True),
+    ("smoothing", 0, 2, True),
+    ("latent", 1, 512, True),
+    ("crop", 32, 128, True),
+    ("batch", 1, 512, True),
+    ("penalty", 0, 1000, False),
+    ("warmup", 0, 1, False),
+    ("sliced", 0, 1000, False),
+    ("gram", 0, 1000, False),
+    ("structural", 0, 1000, False),
+    ("rate", 1e-6, 0.1, False),
+    ("decay", 0, 1, False),
+    ("average", 0, 0.99999, False),
+    ("clip", 0, 50, False),
+    ("minutes", 0, 1e5, False),
+    ("iterations", 0, 10**8, True),
+    ("looks", 1, 1000, True),
+    ("patience", 0, 1000, True),
+    ("seed", 0, 2**63 - 1, True),
+)
+
+
+def _as_pair(noise: Any) -> tuple[float, float]:
+    """The two standard deviations of `noise`."""
+    try:
+        first, last = noise
+    except (TypeError, ValueError):
+        raise InputError(f"noise={noise!r} should be two numbers, at the start and at the end") from None
+    values = [float(as_number(value, name="noise", low=0, high=10)) for value in (first, last)]
+    return values[0], values[1]
+
+
+_PAPER: dict[str, Any] = {
+    "generator": "deconvolution",
+    "discriminator": "score",
+    "width": 64,
+    "latent": 100,
+    "crop": 64,
+    "batch": 100,
+    "adversarial": "standard",
+    "penalty": 0.0,
+    "noise": (0.0, 0.0),
+    "warmup": 0.0,
+    "sliced": 0.0,
+    "orientations": "none",
+    "rate": 2e-4,
+    "decay": 0.0,
+    "average": 0.0,
+    "clip": 0.0,
+    "minutes": 0.0,
+    "iterations": 40000,
+}
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "compact": {},
+    "paper": {**_PAPER, "gram": 0.1, "structural": 1.0},
+    "3dgan": _PAPER,
+    "patchgan": {**_PAPER, "discriminator": "patch"},
+    "gram": {**_PAPER, "gram": 0.1},
+    "structural": {**_PAPER, "structural": 1.0},
+    "all": {**_PAPER, "gram": 0.1, "structural": 1.0},
+}

@@ -1,0 +1,172 @@
+"""What a trained generator makes: `GanModel`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import RequestError
+from trabecula.core.image import Image
+from trabecula.core.optional import need
+from trabecula.core.request import Request
+from trabecula.core.seeds import key
+from trabecula.engine.blocks import Box
+from trabecula.engine.tiles import thread_count
+from trabecula.synth.facts import Facts
+from trabecula.synth.gan import SPEC
+from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.decode import decode
+from trabecula.synth.windows import WindowModel
+
+PROCESS = 470 << 20
+"""Bytes of the interpreter with NumPy, Numba and torch loaded."""
+
+_LATENT = 200 << 10  # bytes of a tile's latent and the places of the tiles
+
+
+class GanModel(WindowModel):
+    """A trained generator.
+
+    Parameters
+    ----------
+    config : GanConfig
+    exemplars : sequence of Image or Facts
+    state : dict
+        "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see `decode` and `train`).
+    """
+
+    spec = SPEC
+    config: GanConfig
+
+    def __init__(self, config: GanConfig, exemplars: Sequence[Image | Facts], state: Mapping[str, Any]) -> None:
+        # Where the training left its pictures is no part of what it learned.
+        super().__init__(replace(config, run=""), exemplars)
+        weights = {name: _as_array(tensor) for name, tensor in state["generator"].items()}
+        self.state = {**state, "generator": weights}
+        self._network: Any = None
+
+    @property
+    def calibration(self) -> Mapping[str, Any]:
+        """How fields become values (see `decode`)."""
+        found: Mapping[str, Any] = self.state["calibration"]
+        return found
+
+    @property
+    def channels(self) -> int:
+        """Of the generator's output."""
+        count = len(self.calibration.get("present", ()))
+        return count if count > 2 else 1
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the values."""
+        return np.dtype(self.calibration.get("dtype", "uint8"))
+
+    @property
+    def network(self) -> Any:
+        """The generator on the processor, where it gives the same voxels whatever trained it."""
+        if self._network is None:
+            need("torch", extra="learn", purpose="method 'gan'")
+            from trabecula.synth.gan.loading import network_of
+
+            self._network = network_of(self.config, self.channels, self.state["generator"])
+        return self._network
+
+    def learned(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
+        """The weights, and how fields become values."""
+        return self.state["generator"], {"calibration": self.calibration}
+
+    @property
+    def history(self) -> Mapping[str, Any]:
+        """How the training went."""
+        return dict(self.state.get("training", {}))
+
+    def _box(self, request: Request, box: Box) -> np.ndarray:
+        network = self.network
+        from trabecula.synth.gan.window import made
+
+        cell = self.config.cell
+        periods = tuple(
+            side // cell if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)
+        )
+        become = partial(decode, calibration=self.calibration)
+        return made(network, key(request.seed, "gan/latent"), box, periods, become, self.dtype)
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        cell = self.config.cell
+        for side, wraps, axis in zip(request.shape, request.periodic, "zyx", strict=True):
+            if wraps and side % cell:
+                near = sorted({max(cell, side // cell * cell), -(-side // cell) * cell})
+                raise RequestError(
+                    f"this model repeats after multiples of {cell} voxels, the shape has {side} along {axis}: ask for "
+                    f"{' or '.join(map(str, near))}, or leave {axis} out of periodic"
+                )
+
+    def _report(self) -> Mapping[str, Any]:
+        """Last bits of a network depend on both, so a few voxels near a threshold do."""
+        torch = need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.loading import arithmetic
+
+        return {"torch": str(torch.__version__), "arithmetic": arithmetic(self.config)}
+
+    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.loading import tile_bytes
+        from trabecula.synth.gan.window import CELLS
+
+        weights = sum(array.nbytes for array in self.state["generator"].values())
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": 2 * weights,
+            "network": thread_count() * tile_bytes(self.config, self.channels),
+            "tiles": thread_count() * 2 * (CELLS * self.config.cell) ** 3 * self.dtype.itemsize + _LATENT,
+        }
+
+
+def opened(config: GanConfig, facts: Sequence[Facts], state: Mapping[str, Any]) -> GanModel:
+    """The model of a file, whose parts are checked here.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError
+        Not a generator's weights and calibration.
+    MissingExtraError
+        PyTorch is not installed.
+    """
+    calibration = state["calibration"]
+    grey = calibration["kind"] == "grey"
+    if calibration["kind"] != facts[0].kind:
+        raise ValueError(f"it is calibrated for {calibration['kind']!r}, its exemplar is {facts[0].kind}")
+    if grey:
+        _check_table(calibration)
+    else:
+        _check_labels(calibration, len(facts[0].phases))
+    model = GanModel(config, facts, state)
+    _ = model.network  # which checks the weights
+    return model
+
+
+def _check_table(calibration: Mapping[str, Any]) -> None:
+    dtype = np.dtype(calibration["dtype"])
+    levels = [np.asarray(calibration[name], np.float64) for name in ("from", "to")]
+    if dtype.kind not in "iuf" or any(level.ndim != 1 or len(level) < 2 for level in levels):
+        raise ValueError("its calibration of grey values is damaged")
+    if len(levels[0]) != len(levels[1]) or not all(np.isfinite(level).all() for level in levels):
+        raise ValueError("its calibration of grey values is damaged")
+
+
+def _check_labels(calibration: Mapping[str, Any], phases: int) -> None:
+    present = [int(label) for label in calibration["present"]]
+    offsets = np.asarray(calibration["offsets"], np.float64)
+    rising = present == sorted(set(present)) and len(present) >= 2 and present[0] >= 0 and present[-1] < phases
+    if not rising or offsets.shape != (len(present) if len(present) > 2 else 1,) or not np.isfinite(offsets).all():
+        raise ValueError(f"its calibration of the phases {present} is damaged")
+
+
+def _as_array(tensor: Any) -> np.ndarray:
+    return tensor if isinstance(tensor, np.ndarray) else tensor.detach().cpu().numpy()

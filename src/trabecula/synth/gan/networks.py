@@ -1,0 +1,249 @@
+"""The networks. A module that imports torch: reached through `core.optional` alone.
+
+A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent that it needs beyond each
+side) and `latent` (channels), and makes with `cells` the voxels of the inner cells, whatever lies beyond the halo. A
+discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its layers on request.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool3d, leaky_relu
+
+from trabecula.synth.gan.config import GanConfig
+
+_SLOPE = 0.2
+_MIDDLE = 40  # voxels
+
+
+def generator_of(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
+    """The generator that a config asks for, with fresh weights.
+
+    Parameters
+    ----------
+    config : GanConfig
+    channels : int
+        Of its output.
+    """
+    if config.generator == "subpixel":
+        return Subpixel(config.latent, config.width, channels, config.smoothing)
+    return Deconvolution(config.latent, config.width, channels, last=config.generator == "deconvolution+conv")
+
+
+def discriminator_of(config: GanConfig, channels: int) -> Patches | Score:
+    """The discriminator that a config asks for, with fresh weights."""
+    if config.discriminator == "scales":
+        return Patches(config.width, channels)
+    return Score(config.width, channels, config.crop, whole=config.discriminator == "score")
+
+
+class Subpixel(nn.Module):
+    """Convolutions without padding that double by sub-pixels: a voxel never knows where its tile ends.
+
+    Parameters
+    ----------
+    latent, width, channels : int
+        Channels of the latent, of the finest layer and of the output.
+    smoothing : int
+        How often the output is blurred.
+    """
+
+    cell = 8
+    halo = 3
+
+    def __init__(self, latent: int, width: int, channels: int, smoothing: int) -> None:
+        super().__init__()
+        self.latent, self.smoothing = latent, smoothing
+        self.layers = nn.ModuleList(
+            [
+                nn.Conv3d(latent, 4 * width, 3),
+                nn.Conv3d(4 * width, 8 * 2 * width, 2),
+                nn.Conv3d(2 * width, 2 * width, 3),
+                nn.Conv3d(2 * width, 8 * width, 2),
+                nn.Conv3d(width, width, 3),
+                nn.Conv3d(width, 8 * channels, 3),
+            ]
+        )
+        for layer in self.layers:
+            nn.init.kaiming_normal_(layer.weight, a=_SLOPE)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, z: Tensor) -> Tensor:
+        """(B, C, a + 6, b + 6, c + 6) as (B, K, 8 a, 8 b, 8 c)."""
+        x = z
+        for place, layer in enumerate(self.layers):
+            x = layer(x)
+            x = doubled(x) if place % 2 else x
+            x = leaky_relu(x, _SLOPE) if place < 5 else x
+        x = x.float()
+        for _ in range(self.smoothing):
+            x = blurred(x)
+        return torch.tanh(trimmed(x, *(8 * (side - 6) for side in z.shape[2:])))
+
+    cells = forward
+
+
+def doubled(x: Tensor) -> Tensor:
+    """(B, 8 K, Z, Y, X) as (B, K, 2 Z, 2 Y, 2 X): every channel a place in the finer cell."""
+    b, k, z, y, w = x.shape
+    x = x.permute(0, 2, 3, 4, 1).reshape(b, z, y, w, 2, 2, 2, k // 8)
+    x = x.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(b, 2 * z, 2 * y, 2 * w, k // 8)
+    return x.permute(0, 4, 1, 2, 3)  # channels last in memory, as the convolutions like it
+
+
+def halved(x: Tensor) -> Tensor:
+    """The way back of `doubled`."""
+    b, k, z, y, w = x.shape
+    x = x.permute(0, 2, 3, 4, 1).reshape(b, z // 2, 2, y // 2, 2, w // 2, 2, k)
+    x = x.permute(0, 1, 3, 5, 2, 4, 6, 7).reshape(b, z // 2, y // 2, w // 2, 8 * k)
+    return x.permute(0, 4, 1, 2, 3)
+
+
+def blurred(x: Tensor) -> Tensor:
+    """A mean with weights 1 2 1 along every axis, which no chequerboard passes; a voxel is lost on each side."""
+    for axis in (2, 3, 4):
+        n = x.shape[axis] - 2
+        x = 0.25 * (x.narrow(axis, 0, n) + x.narrow(axis, 2, n)) + 0.5 * x.narrow(axis, 1, n)
+    return x
+
+
+def trimmed(x: Tensor, *sides: int) -> Tensor:
+    """The middle of a volume."""
+    for axis, side in enumerate(sides, start=2):
+        x = x.narrow(axis, (x.shape[axis] - side) // 2, side)
+    return x
+
+
+class Deconvolution(nn.Module):
+    """The paper's generator (its section 3.4): transposed convolutions of 4^3, the first from 1 to 4, the others doubling.
+
+    Parameters
+    ----------
+    latent, width, channels : int
+        Channels of the latent, of the finest layer (64 in the paper) and of the output.
+    last : bool
+        Whether an output convolution follows the fifth layer (reading A), or that is the output (reading B).
+    """
+
+    cell = 16
+    halo = 3
+
+    def __init__(self, latent: int, width: int, channels: int, *, last: bool) -> None:
+        super().__init__()
+        self.latent = latent
+        maps = [latent, 8 * width, 8 * width, 4 * width, 2 * width, width if last else channels]
+        layers: list[nn.Module] = []
+        for place, (before, after) in enumerate(pairwise(maps)):
+            step, padding = (1, 0) if place == 0 else (2, 1)
+            layers.append(nn.ConvTranspose3d(before, after, 4, step, padding))
+            if place < 4 or last:
+                layers += [nn.BatchNorm3d(after), nn.ReLU()]
+        if last:
+            layers.append(nn.Conv3d(width, channels, 3, padding=1))
+        self.layers = nn.Sequential(*layers, nn.Tanh())
+        self.layers.apply(_as_in_dcgan)
+
+    def forward(self, z: Tensor) -> Tensor:
+        """(B, C, a, b, c) as (B, K, 16 a + 48, 16 b + 48, 16 c + 48)."""
+        return self.layers(torch.erf(z * 0.5**0.5))  # uniform in -1 .. 1, as the paper's
+
+    def cells(self, z: Tensor) -> Tensor:
+        """The voxels that padding has not reached: 64 less on one side, 80 on the other."""
+        x = self(z)
+        for axis in (2, 3, 4):
+            x = x.narrow(axis, 64, (z.shape[axis] - 6) * 16)
+        return x
+
+
+class Patches(nn.Module):
+    """Verdicts for every place on two scales, 20 voxels wide and 40 on a field of half the resolution, without padding.
+
+    Parameters
+    ----------
+    width, channels : int
+    """
+
+    def __init__(self, width: int, channels: int) -> None:
+        super().__init__()
+        self.near, self.far = (
+            nn.ModuleList(
+                [
+                    nn.Conv3d(8 * channels, 2 * width, 3),
+                    nn.Conv3d(2 * width, 4 * width, 4, 2),
+                    nn.Conv3d(4 * width, 8 * width, 3),
+                    nn.Conv3d(8 * width, 1, 1),
+                ]
+            )
+            for _ in range(2)
+        )
+        for layer in (*self.near[:3], *self.far[:3]):
+            nn.init.kaiming_normal_(layer.weight, a=_SLOPE)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, K, Z, Y, X), a multiple of 4 and at least 40, as verdicts (B, 1, ...).
+
+        The near ones come from the middle: there are many of them, and they are dear.
+        """
+        return [
+            _verdicts(self.near, trimmed(x, *(min(side, _MIDDLE) for side in x.shape[2:]))),
+            _verdicts(self.far, avg_pool3d(x, 2)),
+        ]
+
+
+def _verdicts(layers: nn.ModuleList, x: Tensor) -> Tensor:
+    x = halved(x)
+    for layer in layers[:-1]:
+        x = leaky_relu(layer(x), _SLOPE)
+    return layers[-1](x)
+
+
+class Score(nn.Module):
+    """The paper's discriminator: five convolutions of 4^3; `features` are those after its first three.
+
+    Parameters
+    ----------
+    width, channels, crop : int
+    whole : bool
+        One verdict for the whole crop, or one for every place of the last layer (PatchGAN).
+    """
+
+    def __init__(self, width: int, channels: int, crop: int, *, whole: bool) -> None:
+        super().__init__()
+        maps = [channels, width, 2 * width, 4 * width, 8 * width]
+        self.blocks = nn.ModuleList(
+            nn.Sequential(nn.Conv3d(before, after, 4, 2, 1), nn.BatchNorm3d(after), nn.LeakyReLU(_SLOPE))
+            for before, after in pairwise(maps)
+        )
+        self.fifth = nn.Conv3d(8 * width, 8 * width, 4, 2, 1)
+        self.head = nn.Conv3d(8 * width, 1, crop // 32 if whole else 1)
+        self.apply(_as_in_dcgan)
+
+    def features(self, x: Tensor) -> list[Tensor]:
+        """After each of the first three layers, which the gram and the structural loss compare."""
+        found = []
+        for block in self.blocks[:3]:
+            x = block(x)
+            found.append(x)
+        return found
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, K, Z, Y, X) as verdicts (B, 1, ...), before the sigmoid."""
+        return self.judged(self.features(x))
+
+    def judged(self, features: list[Tensor]) -> list[Tensor]:
+        """The verdicts on features that are at hand."""
+        return [self.head(leaky_relu(self.fifth(self.blocks[3](features[-1])), _SLOPE))]
+
+
+def _as_in_dcgan(layer: nn.Module) -> None:
+    """Radford, Metz, Chintala (2016): normal weights of standard deviation 0.02."""
+    if isinstance(layer, (nn.Conv3d, nn.ConvTranspose3d)):
+        nn.init.normal_(layer.weight, 0.0, 0.02)
+        nn.init.zeros_(layer.bias)
+    elif isinstance(layer, nn.BatchNorm3d):
+        nn.init.normal_(layer.weight, 1.0, 0.02)
+        nn.init.zeros_(layer.bias)

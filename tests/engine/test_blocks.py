@@ -1,0 +1,219 @@
+"""Volumes in blocks: what is finished is not made again, an unfinished store says so, and nothing is lost on the way."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.core.progress import listen
+from trabecula.core.recipe import Recipe, digest
+from trabecula.engine import blocks, store
+from trabecula.engine.blocks import Volume, boxes_of, slices_of, stream
+from trabecula.errors import FileError
+
+SHAPE = (300, 130, 257)
+FIELDS = {"kind": "labels", "spacing": [2.0, 2.0, 2.0], "unit": "um", "phases": ["void", "solid"]}
+
+
+def voxels(box):
+    z, y, x = np.ogrid[slices_of(box)]
+    return ((z * 7 + y * 5 + x * 3) % 11 < 4).astype(np.uint8)
+
+
+WHOLE = voxels(tuple((0, side) for side in SHAPE))
+
+
+class Maker:
+    """Makes voxels, remembers which, and stops where it is told to."""
+
+    def __init__(self, stop_at=None, error=KeyboardInterrupt):
+        self.made, self.stop_at, self.error = [], stop_at, error
+
+    def __call__(self, box):
+        if len(self.made) == self.stop_at:
+            raise self.error
+        self.made.append(box)
+        return voxels(box)
+
+
+def volume(make, identity="one", shape=SHAPE):
+    return Volume(
+        shape=shape,
+        dtype=np.dtype(np.uint8),
+        make=make,
+        describe=lambda sha256: {**FIELDS, "recipe": Recipe().then_made("generate", sha256).to_json()},
+        identity=identity,
+        scale=(2.0,) * 3,
+        unit="micrometer",
+    )
+
+
+@pytest.fixture
+def run(tmp_path):
+    def one(make, *, side=128, **fields):
+        said = []
+        with listen(lambda label, fraction: said.append(label) if fraction < 0 else None):
+            sha256 = stream(volume(make, **fields), tmp_path / "x.zarr", part=tmp_path / "x.zarr.part", side=side)
+        return sha256, said
+
+    return one
+
+
+@pytest.mark.parametrize("side", [128, 256])
+def test_the_store_is_the_one_that_is_written_at_once(run, tmp_path, side):
+    make = Maker()
+    sha256, _ = run(make, side=side)
+    image = tb.read(tmp_path / "x.zarr")
+    assert np.array_equal(image.values, WHOLE) and sha256 == digest(WHOLE)
+    assert (image.spacing, image.unit, image.phases) == ((2, 2, 2), "um", ("void", "solid"))
+    assert image.recipe.steps[-1]["sha256"] == sha256
+    assert make.made == boxes_of(SHAPE, side)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
+
+
+def test_blocks_of_nothing_but_void_are_written_and_not_made_again(tmp_path):
+    names = {"path": tmp_path / "x.zarr", "part": tmp_path / "x.zarr.part", "side": 128}
+    with pytest.raises(KeyboardInterrupt):
+        make = Maker(stop_at=3)
+        stream(volume(lambda box: make(box) * np.uint8(0)), **names)
+    make = Maker()
+    stream(volume(lambda box: make(box) * np.uint8(0)), **names)
+    assert make.made == boxes_of(SHAPE, 128)[3:]
+    assert not tb.read(tmp_path / "x.zarr").values.any()
+
+
+def test_what_is_finished_is_not_made_again(run, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker(stop_at=7))
+    assert not (tmp_path / "x.zarr").exists()
+    with pytest.raises(FileError, match="did not finish"):
+        tb.read(tmp_path / "x.zarr.part")
+    second = Maker()
+    sha256, said = run(second)
+    assert second.made == boxes_of(SHAPE, 128)[7:]
+    assert sha256 == digest(WHOLE) and said == ["going on from x.zarr.part"]
+
+
+def test_a_spoilt_or_lost_chunk_is_made_again(run, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker(stop_at=5))
+    chunks = tmp_path / "x.zarr.part" / "0" / "c" / "0"
+    (chunks / "0" / "1").write_bytes((chunks / "0" / "1").read_bytes()[:-9])
+    (chunks / "1" / "0").unlink()
+    second = Maker()
+    assert run(second)[0] == digest(WHOLE)
+    order = boxes_of(SHAPE, 128)
+    assert second.made == [order[1], order[3], *order[5:]]
+
+
+@pytest.mark.parametrize("other", [{"identity": "two"}, {"shape": (300, 130, 250)}])
+def test_another_runs_part_is_not_gone_on_from(run, tmp_path, other):
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker(stop_at=7))
+    make = Maker()
+    _, said = run(make, **other)
+    assert said == ["x.zarr.part was left by another run: starting from the beginning"]
+    assert make.made == boxes_of(other.get("shape", SHAPE), 128)
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "store"])
+def test_what_is_no_part_is_left_alone(run, tmp_path, kind):
+    part = tmp_path / "x.zarr.part"
+    if kind == "file":
+        part.write_bytes(b"mine")
+    elif kind == "folder":
+        part.mkdir()
+        (part / "mine").touch()
+    else:
+        tb.write(tb.Image(WHOLE[:4, :4, :4], "labels"), tmp_path / "y.zarr").rename(part)
+    before = sorted(part.rglob("*")) if part.is_dir() else part.read_bytes()
+    with pytest.raises(FileError, match="something else of that name"):
+        run(Maker())
+    assert before == (sorted(part.rglob("*")) if part.is_dir() else part.read_bytes())
+
+
+def test_the_old_store_stays_until_the_new_one_is_whole(run, tmp_path):
+    run(Maker())
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker(stop_at=3), identity="two")
+    assert np.array_equal(tb.read(tmp_path / "x.zarr").values, WHOLE)
+    run(Maker(), identity="two")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
+
+
+def test_a_full_disk_leaves_what_is_finished(run, tmp_path):
+    with pytest.raises(FileError, match=r"No space left.*x.zarr.part"):
+        run(Maker(stop_at=4, error=OSError(28, "No space left on device")))
+    second = Maker()
+    run(second)
+    assert len(second.made) == len(boxes_of(SHAPE, 128)) - 4
+
+
+def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatch):
+    def die(*names):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(blocks, "put_in_place", die)
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker())
+    monkeypatch.undo()
+    second = Maker()
+    assert run(second)[0] == digest(WHOLE) and second.made == []
+
+
+def test_planes_for_the_digest_never_fall_into_two_rows_of_chunks(run, monkeypatch):
+    for at_once in (1, 5 * 130 * 257, 50 * 130 * 257, 1 << 30):
+        monkeypatch.setattr(blocks, "_AT_ONCE", at_once)
+        depth = blocks._depth(SHAPE, np.dtype(np.uint8))
+        assert store.CHUNK % depth == 0 and (depth == 1 or depth * 130 * 257 <= at_once)
+    monkeypatch.setattr(blocks, "_AT_ONCE", 5 * 130 * 257)
+    assert run(Maker())[0] == digest(WHOLE)
+
+
+def test_blocks_that_share_chunks_are_refused(run):
+    with pytest.raises(ValueError, match="share chunks"):
+        run(Maker(), side=100)
+
+
+SLOW = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_blocks import volume, voxels
+from trabecula.engine.blocks import stream
+
+def make(box):
+    time.sleep(0.05)
+    return voxels(box)
+
+stream(volume(make), Path({path!r}), part=Path({path!r} + ".part"), side=128)
+"""
+
+
+def test_killed_at_random_moments(run, tmp_path):
+    """A process that is killed again and again goes on until it is done; no chunk is half a chunk."""
+    path = tmp_path / "x.zarr"
+    program = SLOW.format(tests=str(Path(__file__).parent), path=str(path))
+    rng = np.random.default_rng(0)
+    kills = 0
+
+    def chunks():
+        return [entry for entry in (tmp_path / "x.zarr.part").rglob("c/*/*/*") if entry.suffix == ""]
+
+    for _ in range(3):
+        before = len(chunks())
+        process = subprocess.Popen([sys.executable, "-c", program])
+        while len(chunks()) == before and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(float(rng.uniform(0, 0.2)))
+        kills += process.poll() is None
+        process.kill()
+        process.wait()
+    assert kills
+    make = Maker()
+    assert run(make)[0] == digest(WHOLE) and len(make.made) <= len(boxes_of(SHAPE, 128)) - kills
+    assert [entry.name for entry in path.rglob("*.partial")] == []

@@ -1,0 +1,193 @@
+"""The training: it learns, resumes where it stopped, sees when it fails, and says what it cannot do."""
+
+import csv
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'")
+
+import trabecula as tb  # noqa: E402
+from trabecula.core.progress import listen  # noqa: E402
+from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noqa: E402
+from trabecula.synth.gan import train  # noqa: E402
+from trabecula.synth.gan.config import GanConfig  # noqa: E402
+from trabecula.synth.gan.figures import trouble_with  # noqa: E402
+from trabecula.synth.gan.players import Players  # noqa: E402
+
+TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
+
+
+@pytest.fixture(scope="module")
+def stripes():
+    """Plates across z, eight voxels apart: what a few iterations can learn."""
+    values = np.zeros((48, 48, 48), np.uint8)
+    values[np.arange(48) % 8 < 3] = 1
+    return tb.Image(values, "labels")
+
+
+def weights_of(state):
+    return {name: tensor.numpy() for name, tensor in state["generator"].items()}
+
+
+def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
+    settings = {**TINY, "width": 4, "iterations": 40, "warmup": 1.0, "rate": 4e-3}
+    train.trained(GanConfig(**settings, run=str(tmp_path)), stripes)
+    rows = list(csv.DictReader((tmp_path / "metrics.csv").open()))
+    first, last = float(rows[0]["distance"]), float(rows[-1]["distance"])
+    assert last < 0.5 * first
+    assert (tmp_path / "training.png").stat().st_size > 0
+    assert (tmp_path / f"slice-{int(rows[-1]['iteration']):06d}.png").exists()
+
+
+@pytest.mark.parametrize(
+    "preset", [{"sliced": 1.0}, {"discriminator": "score", "crop": 64, "gram": 0.1, "structural": 1.0}]
+)
+def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, preset):
+    big = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
+    settings = {**TINY, **preset, "iterations": 4, "warmup": 0.25, "looks": 2}
+    straight = train.trained(GanConfig(**settings), big)
+
+    class KilledError(Exception):
+        pass
+
+    def kill(label, done):
+        if done >= 0.75:
+            raise KilledError
+
+    config = GanConfig(**settings, run=str(tmp_path))
+    with pytest.raises(KilledError), listen(kill):
+        train.trained(config, big)
+    said = []
+    with listen(lambda label, done: said.append(label) if done < 0 else None):
+        resumed = train.trained(config, big)
+    assert any("going on after" in line for line in said)
+    assert straight["calibration"] == resumed["calibration"]
+    for name, tensor in weights_of(straight).items():
+        assert np.array_equal(tensor, weights_of(resumed)[name]), name
+
+
+def test_the_seed_of_the_training_makes_the_model(stripes):
+    settings = {**TINY, "iterations": 2, "warmup": 0.5}
+    one, again, other = (weights_of(train.trained(GanConfig(**settings, seed=s), stripes)) for s in (1, 1, 2))
+    assert all(np.array_equal(one[name], again[name]) for name in one)
+    assert not all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_global_random_numbers_are_left_alone(stripes):
+    torch.manual_seed(3)
+    wanted = torch.rand(4)
+    torch.manual_seed(3)
+    train.trained(GanConfig(**TINY, iterations=1), stripes)
+    assert torch.equal(torch.rand(4), wanted)
+
+
+def test_a_training_that_diverges_goes_back_and_slows_down(stripes, monkeypatch):
+    play, failed = Players.play, []
+
+    def failing(self, real, draw, iteration, noise):
+        told = play(self, real, draw, iteration, noise)
+        if len(failed) < 1 and iteration == 9:
+            failed.append(iteration)
+            told["maker"] = float("nan")
+            with torch.no_grad():
+                next(self.maker.parameters()).fill_(torch.nan)
+        return told
+
+    monkeypatch.setattr(Players, "play", failing)
+    said = []
+    with listen(lambda label, done: said.append(label) if done < 0 else None):
+        state = train.trained(GanConfig(**TINY, iterations=12, warmup=0), stripes)
+    assert any("not a number" in line and "rate times 0.5" in line for line in said)
+    assert state["training"]["restarts"] == 1
+    assert all(np.isfinite(tensor).all() for tensor in weights_of(state).values())
+
+
+def test_a_training_that_always_diverges_is_given_up(stripes, monkeypatch):
+    monkeypatch.setattr(Players, "play", lambda *_: {"judge": float("nan"), "maker": 0.0})
+    with pytest.raises(TrainingError, match="lower rate"):
+        train.trained(GanConfig(**TINY, iterations=12, warmup=0), stripes)
+
+
+MEASURE = """
+import resource
+import numpy as np
+import trabecula as tb
+
+values = np.random.default_rng(0).integers(0, 2, (12, 12, 12)).repeat(8, 0).repeat(8, 1).repeat(8, 2)
+method = tb.method("gan", minutes=0, iterations=3, looks=1, warmup=0.4, batch=10, width=12)
+plan = method.plan_fit(tb.Image(values, "labels"))
+method.fit(tb.Image(values, "labels"))
+print(plan.peak, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
+def test_the_forecast_of_memory_holds():
+    done = subprocess.run([sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True)
+    forecast, peak = map(int, done.stdout.split())
+    assert peak <= forecast <= 2 * peak
+
+
+def test_collapse_is_seen():
+    draw = torch.Generator().manual_seed(0)
+    real = torch.randn(2, 1, 8, 8, 8, generator=draw)
+    made = torch.randn(2, 1, 8, 8, 8, generator=draw)
+    told = {"maker": 1.0}
+    assert trouble_with(made, real, told) == ""
+    assert "one phase" in trouble_with(torch.full_like(made, 0.9) + 0.01 * made, real, told)
+    assert "again and again" in trouble_with(made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told)
+    assert "not a number" in trouble_with(made, real, {"maker": float("inf")})
+    assert trouble_with(0.01 * made, real, told, grown=False) == ""
+
+
+def test_it_stops_when_nothing_improves(stripes):
+    state = train.trained(GanConfig(**{**TINY, "looks": 100}, iterations=200, patience=1, rate=1e-6), stripes)
+    assert state["training"]["iterations"] < 60
+
+
+def test_it_stops_when_the_time_is_over(stripes):
+    state = train.trained(GanConfig(**{**TINY, "minutes": 0.02}, iterations=100000), stripes)
+    assert state["training"]["iterations"] < 1000
+
+
+def test_an_exemplar_smaller_than_a_crop_is_refused(stripes):
+    with pytest.raises(InputError, match=r"64 voxels.*crop=48"):
+        tb.method("gan").fit(stripes)
+    with pytest.raises(InputError, match=r"larger exemplar$"):
+        tb.method("gan").fit(tb.Image(stripes.values[:32], "labels"))
+
+
+def test_a_gpu_that_is_not_there_is_told(stripes, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match="device='cpu'"):
+        train.trained(GanConfig(**TINY, iterations=1, device="cuda"), stripes)
+
+
+def test_a_gpu_that_is_too_small_is_told(stripes, monkeypatch):
+    def full(*_):
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr(Players, "play", full)
+    with pytest.raises(MemoryBudgetError, match="lower batch"):
+        train.trained(GanConfig(**TINY, iterations=1, warmup=0), stripes)
+
+
+@pytest.mark.parametrize("kind", ["three phases", "grey"])
+def test_other_kinds_are_learnt_and_made(kind):
+    values = np.random.default_rng(0).integers(0, 3, (12, 12, 12)).repeat(4, 0).repeat(4, 1).repeat(4, 2)
+    if kind == "grey":
+        image = tb.Image(
+            (100 * values + np.random.default_rng(1).integers(0, 40, values.shape)).astype(np.uint16), "grey"
+        )
+    else:
+        image = tb.Image(values.astype(np.uint8), "labels", phases=("pore", "clay", "quartz"))
+    made = tb.method("gan", **TINY, iterations=2, warmup=0.5).fit(image).generate((40, 33, 20), seed=1)
+    assert (made.kind, made.phases, made.shape) == (image.kind, image.phases, (40, 33, 20))
+    assert made.values.dtype == image.values.dtype
+    if kind == "grey":
+        assert image.values.min() <= made.values.min() < made.values.max() <= image.values.max()
+    else:
+        assert set(np.unique(made.values)) <= {0, 1, 2}
