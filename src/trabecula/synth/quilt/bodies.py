@@ -1,0 +1,178 @@
+"""Connectivity by construction (section 4.3): bodies of the phases that are to hang together, followed while the output grows.
+
+A *body* is a connected set of voxels of one class (the solid, or the void). It may still grow as long as it has *ends*: faces
+towards voxels that are not made yet. A piece is taken if
+1. whatever hung together outside its box still does (seen in a window with a margin around the box), and
+2. no body is closed, that is without an end, while there is another of its class.
+So there is one body of a class in the end, beside islands of a few voxels, which may be closed and are painted over when all is
+made. Void that reaches a face of the volume or of the form is out: all of it is body 0, which never closes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.measure.labelling import label_components
+from trabecula.synth.quilt.body_kernels import entered, first_ends, flooded, islands, judged
+from trabecula.synth.quilt.marks import FIXED, OUT
+
+FINE, TORN, CLOSED = 0, 1, 2
+"""Verdicts on a piece."""
+
+SOLID, VOID = 1, 2
+_ALWAYS = 1 << 40  # ends of what is out
+_MORE = 4096  # bodies by which the book grows
+
+
+def classes_for(connected: str, void: int, labels: int) -> np.ndarray:
+    """(256,) uint8: class of every value of a voxel; 0 where it does not matter what hangs together."""
+    table = np.zeros(256, np.uint8)
+    for label in range(labels):
+        kind = VOID if label == void else SOLID
+        if connected == "both" or connected == ("void" if kind == VOID else "solid"):
+            table[label] = table[label + FIXED] = kind
+    if connected in ("void", "both"):
+        table[OUT] = VOID
+    return table
+
+
+class Bodies:
+    """The bodies of an output: the number of every voxel's, and a book of which are one, with their ends.
+
+    Attributes
+    ----------
+    of : (Z, Y, X) int32
+        A voxel's body; what counts is the root of it in the book.
+    alive : (2, 3) int64
+        Bodies of every class that have ends, body 0 among them where void is followed; and those that were closed as the only
+        one, after which none may begin.
+    """
+
+    def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
+        self.classes = classes
+        self.of = np.zeros(canvas.shape, np.int32)
+        self.parent: np.ndarray = np.zeros(_MORE, np.int32)
+        self.ends: np.ndarray = np.zeros(_MORE, np.int64)
+        self.sizes: np.ndarray = np.zeros(_MORE, np.int64)
+        self.mark: np.ndarray = np.zeros(_MORE, np.int32)
+        self.ends[0] = _ALWAYS
+        self.count = 1
+        self.alive = np.zeros((2, 3), np.int64)
+        self.alive[0, VOID] = int(classes[OUT] == VOID)
+        if canvas.min() < OUT:
+            self._begin(canvas, wraps)
+
+    def _begin(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
+        """Bodies of what is there from the start; those without an end are nobody's business."""
+        for kind in (SOLID, VOID):
+            inside = self.classes[canvas] == kind
+            if not inside.any():
+                continue
+            labels, sizes = label_components(inside, periodic=wraps)
+            self.make_room(len(sizes))
+            mine = self.ends[self.count : self.count + len(sizes)]
+            out = np.zeros(len(sizes), np.bool_)
+            first_ends(canvas, labels, wraps, mine, out)
+            numbers = np.arange(self.count, self.count + len(sizes), dtype=np.int32)
+            if kind == VOID:
+                numbers[out] = 0
+            self.parent[self.count : self.count + len(sizes)] = numbers
+            self.sizes[self.count : self.count + len(sizes)] = sizes
+            self.alive[0, kind] += np.count_nonzero((mine > 0) & (numbers > 0))
+            self.of[inside] = numbers[labels[inside] - 1]
+            self.count += len(sizes)
+
+    def page(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What the book says of these bodies, and how many there are."""
+        kept = numbers.copy()
+        return kept, self.parent[kept], self.ends[kept], self.sizes[kept], self.alive.copy(), np.array(self.count)
+
+    def restore(self, page: tuple[np.ndarray, ...]) -> None:
+        """Let the book say again what it said."""
+        numbers, parents, ends, sizes, alive, count = page
+        self.parent[numbers], self.ends[numbers], self.sizes[numbers] = parents, ends, sizes
+        self.alive[:], self.count = alive, int(count)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it, for a checkpoint."""
+        used = slice(self.count)
+        return {
+            "of": self.of,
+            "parent": self.parent[used],
+            "ends": self.ends[used],
+            "sizes": self.sizes[used],
+            "alive": self.alive,
+        }
+
+    def take_over(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take what `arrays` gave."""
+        self.of[:], self.alive[:], self.count = arrays["of"], arrays["alive"], 0
+        self.make_room(len(arrays["parent"]))
+        self.count = len(arrays["parent"])
+        for name in ("parent", "ends", "sizes"):
+            getattr(self, name)[: self.count] = arrays[name]
+
+    def islands(self, most: int) -> np.ndarray:
+        """(count,) bool: numbers of bodies of at most so many voxels; the largest and what is out are none."""
+        found = np.zeros(self.count, np.bool_)
+        # Of void all is out; of solid the largest is what the others should have joined.
+        islands(self.parent[: self.count], self.sizes, most, bool((self.classes == SOLID).any()), found)
+        return found
+
+    def make_room(self, more: int) -> None:
+        """Let the book hold so many more bodies."""
+        while self.count + more > len(self.parent):
+            self.parent = np.concatenate([self.parent, np.zeros_like(self.parent)])
+            self.ends = np.concatenate([self.ends, np.zeros_like(self.ends)])
+            self.sizes = np.concatenate([self.sizes, np.zeros_like(self.sizes)])
+            self.mark = np.zeros(len(self.parent), np.int32)
+
+
+class Judge:
+    """What one size of window needs for judging, held for all windows of a run."""
+
+    def __init__(self, window: tuple[int, ...], margin: tuple[int, ...], *, island: int) -> None:
+        self.margin, self.island = margin, island
+        count = int(np.prod(window))
+        self.before, self.after = np.empty(window, np.int32), np.empty(window, np.int32)
+        self.stack = np.empty(count, np.int32)
+        self.parts = np.empty((8, count + 1), np.int64)
+        self.seen = np.empty(count + 1, np.int64)
+        self.tally = np.zeros((4, 3), np.int64)
+        self.count = 0
+        self.old_seen: np.ndarray | None = None
+        self.new_seen: np.ndarray | None = None
+
+    @property
+    def growth(self) -> int:
+        """Bodies that the window judged last adds to those that may still grow; one that it ends counts as two."""
+        return int((self.tally[1] - self.tally[0] + 2 * self.tally[2]).sum())
+
+    def verdict(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
+        """Whether `new` may stand in place of the window `old`, whose bodies are `of` (uint8, and int32, of one shape)."""
+        if old is not self.old_seen:
+            flooded(old, bodies.classes, self.before, self.stack)
+            self.old_seen = old
+        return self._judged(bodies, old, new, of)
+
+    def enter(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Write a window into the book whatever the verdict, and its bodies into `of`; returns what `Bodies.restore` takes."""
+        bodies.make_room(new.size)
+        if new is not self.new_seen or old is not self.old_seen:
+            flooded(old, bodies.classes, self.before, self.stack)
+            self._judged(bodies, old, new, of)
+        before = bodies.page(self.seen[1 : 1 + self.seen[0]])
+        bodies.count = entered(
+            new, self.margin, bodies.classes, self.after, of, bodies.parent, bodies.ends, bodies.sizes, bodies.alive,
+            bodies.count, self.parts, self.seen, self.tally,
+        )  # fmt: skip
+        return before
+
+    def _judged(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
+        self.count = count = int(flooded(new, bodies.classes, self.after, self.stack))
+        self.parts[:, : count + 1] = 0
+        self.new_seen = new
+        return int(judged(
+            old, new, self.margin, bodies.classes, self.before, self.after, of, bodies.parent, bodies.ends, bodies.sizes,
+            bodies.mark, bodies.alive, count, self.parts, self.seen, self.stack, self.tally, self.island,
+        ))  # fmt: skip

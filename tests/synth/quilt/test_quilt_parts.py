@@ -1,0 +1,180 @@
+"""Words, candidates, periods, bodies: each against a plain way to the same."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from quilt_lattice import lattice, reference
+from scipy import ndimage
+
+import trabecula as tb
+from trabecula.synth.quilt.bodies import FINE, SOLID, VOID, Bodies, Judge, classes_for
+from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.period import in_phase, period_along, periods_of, shifts_of
+from trabecula.synth.quilt.pools import Descriptors, Pool
+from trabecula.synth.quilt.thin import thin_voxels
+from trabecula.synth.quilt.windows import Frame, near_empty
+from trabecula.synth.quilt.words import Words, mismatches, planes_for, query_of
+
+
+@given(st.integers(0, 10**6), st.sampled_from([(7, 3, 2), (14, 4, 2), (9, 5, 3), (6, 2, 11)]))
+def test_mismatches_are_counted_voxel_by_voxel(seed, sizes):
+    patch, overlap, labels = sizes
+    rng = np.random.default_rng(seed)
+    stack = rng.integers(0, labels, (2, patch + 2, patch + 3, patch + 4)).astype(np.uint8)
+    words = Words.of(stack, patch=patch, overlap=overlap, planes=planes_for(labels))
+    box = rng.integers(0, labels, (patch,) * 3).astype(np.uint8)
+    box[rng.random(box.shape) < 0.2] += FIXED
+    near = np.zeros(box.shape, bool)
+    near[:overlap] = near[:, :, :overlap] = True
+    near[:, -2:] |= rng.random((patch, 2, patch)) < 0.5
+    query = query_of(words, box, near, (stack.shape[2] * stack.shape[3], stack.shape[3]))
+    assert query.voxels == near.sum()
+    places = [(s, z, y, x) for s in range(2) for z in (0, 2) for y in (0, 3) for x in (0, 4)]
+    at = np.array([np.ravel_multi_index(place, stack.shape) for place in places], np.int32)
+    plain = [
+        int(((stack[s, z : z + patch, y : y + patch, x : x + patch] != box % FIXED) & near).sum())
+        for s, z, y, x in places
+    ]
+    assert mismatches(words, query, at).tolist() == plain
+
+
+@given(st.integers(0, 10**6), st.integers(1, 3), st.integers(1, 60))
+def test_the_nearest_candidates_are_the_nearest(seed, names, count):
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 200, (names, 60)).astype(np.int32)
+    values = values[:, np.argsort(values[0], kind="stable")]
+    weights, target = rng.integers(1, 9, names), rng.integers(-50, 250, names)
+    pool = Pool(np.arange(60, dtype=np.int32), values)
+    at, differences = pool.nearest(target, weights, count)
+    every = (weights[:, None] * np.abs(values - target[:, None])).sum(axis=0)
+    assert len(set(at.tolist())) == count
+    assert np.array_equal(differences, every[at])
+    assert sorted(differences.tolist()) == sorted(every.tolist())[:count]
+
+
+def test_descriptors_are_those_of_the_windows_over_their_range():
+    image = tb.Image(reference(24), "labels")
+    learnt = tb.method("quilt", patch=8, overlap=2, period="none", connected="none").fit(image).learnt
+    found = Descriptors.of(learnt, ["volume_fraction", "euler"], {"euler": 3})
+    assert found.names == ("euler", "volume_fraction"), "the heavier first"
+    assert found.weights.tolist() == [768, 256]
+    shares = ndimage.uniform_filter(image.values.astype(float), 8, origin=-4)[:17, :17, :17].ravel()
+    shares = (shares - shares.min()) / (shares.max() - shares.min())
+    assert np.allclose(found.values[1] / 65535, shares, atol=1e-4)
+
+
+@pytest.mark.parametrize("period", [6, 9, 13])
+def test_a_period_is_found_and_noise_has_none(period):
+    x = np.indices((3 * period + 1, 40, 40))[2]
+    layers = ((x % period < period // 2) ^ (np.random.default_rng(0).random(x.shape) < 0.1)).astype(np.uint8)
+    assert period_along(layers, 2) == period
+    assert period_along(layers, 1) is None
+    assert period_along(tb.sample("bone").values[:48, :48, :48], 2) is None
+
+
+def test_a_period_that_is_no_whole_number_is_told_from_its_multiples():
+    x = np.arange(80)
+    bars = np.tile(((x % 7.25) < 3).astype(np.uint8), (4, 4, 1))
+    assert period_along(bars, 2) == pytest.approx(7.25, abs=0.1)
+
+
+def test_exemplars_out_of_step_are_brought_into_step():
+    cells = lattice(np.full((40, 40, 40), 0.4))
+    stack = [np.ascontiguousarray(part) for part in (cells[:32, :32, :32], cells[3:35, 5:37, 1:33])]
+    periods = periods_of(stack)
+    assert periods == (8.0, 8.0, 8.0)
+    shifts = shifts_of(stack, periods)
+    for key in (0, 8, 20):  # quarters of a voxel
+        cell = []
+        for labels, shift in zip(stack, shifts, strict=True):
+            begin = [in_phase(24, key, int(by), 8.0)[0] for by in shift]
+            cell.append(labels[tuple(slice(first, first + 8) for first in begin)])
+        assert np.mean(cell[0] != cell[1]) < 0.02, "but for voxels that lie on the surface"
+
+
+def test_what_is_near_to_be_made():
+    box = np.ones((1, 1, 9), np.uint8)
+    box[..., 6:] = EMPTY
+    assert near_empty(box, 2)[0, 0].tolist() == [False] * 4 + [True] * 2 + [False] * 3
+
+
+def test_frames_cover_every_voxel_once_or_more():
+    for wraps in ((False,) * 3, (True, False, True)):
+        frame = Frame((23, 17, 30), wraps, (8, 8, 8), (5, 5, 5), (0, -3, 0))
+        seen = np.zeros(frame.shape, int)
+        for number in range(int(np.prod(frame.counts))):
+            seen[np.ix_(*frame.indices(frame.corner(number)))] += 1
+        assert seen.min() >= 1
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 10**6), st.integers(2, 3))
+def test_thin_solid_is_what_an_opening_takes_away(seed, size):
+    rng = np.random.default_rng(seed)
+    window = (ndimage.gaussian_filter(rng.random((12, 12, 12)), 1) > 0.5).astype(np.uint8)
+    solid = np.arange(256) == 1
+    # What lies beyond the window may be solid.
+    beyond = np.pad(window == 1, size, constant_values=True)
+    opened = np.zeros(beyond.shape, bool)
+    for at in np.ndindex(tuple(side - size + 1 for side in beyond.shape)):
+        cube = tuple(slice(first, first + size) for first in at)
+        if beyond[cube].all():
+            opened[cube] = True
+    opened = opened[size:-size, size:-size, size:-size]
+    margin = (2, 2, 2)
+    inner = (slice(2, -2),) * 3
+    assert thin_voxels(window, margin, size, solid) == np.count_nonzero((window[inner] == 1) & ~opened[inner])
+
+
+def laid(seed, connected, density):
+    """A volume laid box by box from random pieces, each only if the judge has nothing against it."""
+    rng = np.random.default_rng(seed)
+    shape, patch, step = (14, 14, 21), (7, 7, 7), (5, 5, 5)
+    canvas = np.full(shape, EMPTY, np.uint8)
+    frame = Frame(shape, (False,) * 3, patch, step, (0, 0, 0))
+    classes = classes_for(connected, 0, 2)
+    bodies = Bodies(canvas, frame.wraps, classes)
+    window = tuple(side + 2 * m for side, m in zip(patch, frame.margin, strict=True))
+    judge = Judge(window, frame.margin, island=0)
+    inner = tuple(slice(m, -m) for m in frame.margin)
+    for number in range(int(np.prod(frame.counts))):
+        corner = frame.corner(number)
+        old, of = np.empty(window, np.uint8), np.empty(window, np.int32)
+        frame.cut_out(canvas, corner, old, OUT)
+        frame.cut_out(bodies.of, corner, of, 0)
+        for _ in range(60):
+            new = old.copy()
+            piece = (ndimage.gaussian_filter(rng.random(patch), 1.2) < np.quantile(rng.random(9), density)).astype(
+                np.uint8
+            )
+            keep = (old[inner] >= OUT) if rng.random() < 0.5 else old[inner] == EMPTY
+            new[inner] = np.where((old[inner] != OUT) & (keep | (rng.random() < 0.3)), piece, old[inner])
+            if judge.verdict(bodies, old, new, of) == FINE:
+                break
+        else:
+            return None, bodies
+        judge.enter(bodies, old, new, of)
+        frame.put_back(canvas, corner, new)
+        frame.put_back(bodies.of, corner, of)
+    return canvas, bodies
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from(["solid", "void", "both"]), st.floats(0.3, 0.7))
+def test_pieces_that_pass_make_one_body(seed, connected, density):
+    canvas, bodies = laid(seed, connected, density)
+    if canvas is None:
+        return  # no random piece would do
+    if connected in ("solid", "both"):
+        assert ndimage.label(canvas == 1)[1] <= 1
+    if connected in ("void", "both"):
+        pores, count = ndimage.label(canvas == 0)
+        faces = np.concatenate([np.unique(pores.take(end, axis)) for axis in range(3) for end in (0, -1)])
+        assert set(range(1, count + 1)) <= set(faces.tolist())
+    assert bodies.alive[0, SOLID] == 0 and bodies.alive[0, VOID] <= 1
+
+
+def test_random_pieces_do_pass_sometimes():
+    """So that the test above is not empty."""
+    assert sum(laid(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3
