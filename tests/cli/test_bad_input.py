@@ -159,7 +159,7 @@ def test_exemplars_that_nothing_can_be_learnt_from(place, name, says):
         (("--shape", "16", "-1", "16"), "must be positive"),
         (("--shape", "16.5"), "--shape 16.5: give one whole number or three"),
         (("--shape", "nan"), "--shape nan: give one whole number"),
-        (("--shape", "16", "16"), "has 2 numbers: give one (a cube) or 3"),
+        (("--shape", "16", "16"), "makes 3-D images of this exemplar, the request is for (16, 16): give 3 numbers"),
         (("--shape", "1", "2", "3", "4"), "has 4 numbers"),
         (("--shape", "1" * 5000), "give one whole number"),
         (("--shape", "9" * 30), "more than 2**48 voxels"),

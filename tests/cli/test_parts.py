@@ -240,7 +240,7 @@ BAD = [
     (("--shape", 40, "--target", "porosity=field.npy"), "there is no file field.npy"),
     (("--shape", 40, "--target", "porosity=grey.npy"), "has shape (20, 20, 20), the request (40, 40, 40)"),
     (("--shape", 20, "--target", "porosity=grey.npy"), "runs from 0 to 7999"),
-    (("--shape", 40, "--target", "porosity=0.2"), "cannot honour target"),
+    (("--shape", 40, "--target", "surface=0.2"), "cannot honour the target surface: it honours porosity"),
     (("--shape", 28, "--fixed", "scan.zarr", "--at", 0, 0, 0), "every voxel is known, nothing is left to make"),
     (("--fixed", "scan.zarr", "--known", "full.npy"), "known has shape (20, 20, 20), the request (28, 28, 28)"),
     (

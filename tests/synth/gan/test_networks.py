@@ -17,7 +17,7 @@ from trabecula.synth.gan.networks import (  # noqa: E402
 GENERATORS = {
     "subpixel": GanConfig(width=4, latent=3),
     "subpixel, raw": GanConfig(width=4, latent=3, smoothing=0),
-    "subpixel, smooth": GanConfig(width=4, latent=3, smoothing=2),
+    "subpixel, smooth": GanConfig(width=4, latent=3, smoothing=1, polish=1),
     "B": GanConfig(generator="deconvolution", width=2, latent=3),
     "A": GanConfig(generator="deconvolution+conv", width=2, latent=3),
 }
@@ -124,6 +124,19 @@ def test_the_judge_of_two_scales_takes_the_crops_that_the_config_allows(crop):
     assert near.shape[0] == far.shape[0] == 2
     assert near[0].numel() >= 1
     assert far[0].numel() >= 1
+
+
+def test_polish_comes_after_the_training():
+    """Two blurs as it becomes material, one as the judge sees it."""
+    networks = [generator_of(GanConfig(width=2, latent=2, smoothing=1, polish=polish), 1) for polish in (0, 1)]
+    networks[1].load_state_dict(networks[0].state_dict())
+    z = latent(networks[0], 1, 1, 1)
+    with torch.inference_mode():
+        assert torch.equal(networks[0](z), networks[1](z))
+        assert torch.equal(networks[0](z), networks[0].cells(z))
+        assert networks[1].cells(z).std() < networks[1](z).std()
+    with pytest.raises(InputError, match="polish"):
+        GanConfig(smoothing=2, polish=1)
 
 
 def test_crops_that_no_network_takes_are_refused():

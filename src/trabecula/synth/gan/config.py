@@ -32,8 +32,11 @@ class GanConfig:
     """Channels of the finest layer of both networks, 2 .. 128; coarser ones have 2, 4 and 8 times as many. The paper's: 64."""
 
     smoothing: int = 1
-    """Blurs of 1 2 1 along every axis that end the sub-pixel generator, 0 .. 2: none lets chequerboards through, one leaves
-    specks, two make interfaces as smooth as a signed distance is."""
+    """Blurs of 1 2 1 along every axis that end the sub-pixel generator, 0 .. 2: without any there are chequerboards."""
+
+    polish: int = 0
+    """Further blurs when material is made, after the training, 0 .. 2 - smoothing: fewer specks, smoother interfaces, fewer
+    connections."""
 
     latent: int = 16
     """Channels of the latent, 1 .. 512. The paper's: 100."""
@@ -123,6 +126,10 @@ class GanConfig:
             object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
         object.__setattr__(self, "noise", _as_pair(self.noise))
         self._check_crop()
+        if self.smoothing + self.polish > 2:
+            raise InputError(
+                f"smoothing={self.smoothing} and polish={self.polish} are more than 2 blurs: lower one of them"
+            )
         if not self.minutes and not self.iterations:
             raise InputError("minutes=0 and iterations=0 train for ever: give one of them")
         if (self.gram or self.structural) and self.discriminator == "scales":
@@ -153,6 +160,7 @@ class GanConfig:
 _RANGES = (
     ("width", 2, 128, True),
     ("smoothing", 0, 2, True),
+    ("polish", 0, 2, True),
     ("latent", 1, 512, True),
     ("crop", 32, 128, True),
     ("batch", 1, 512, True),

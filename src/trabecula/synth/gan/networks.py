@@ -29,7 +29,7 @@ def generator_of(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
         Of its output.
     """
     if config.generator == "subpixel":
-        return Subpixel(config.latent, config.width, channels, config.smoothing)
+        return Subpixel(config.latent, config.width, channels, smoothing=config.smoothing, polish=config.polish)
     return Deconvolution(config.latent, config.width, channels, last=config.generator == "deconvolution+conv")
 
 
@@ -47,16 +47,16 @@ class Subpixel(nn.Module):
     ----------
     latent, width, channels : int
         Channels of the latent, of the finest layer and of the output.
-    smoothing : int
-        How often the output is blurred.
+    smoothing, polish : int
+        How often the output is blurred, and how often more when material is made.
     """
 
     cell = 8
     halo = 3
 
-    def __init__(self, latent: int, width: int, channels: int, smoothing: int) -> None:
+    def __init__(self, latent: int, width: int, channels: int, *, smoothing: int, polish: int) -> None:
         super().__init__()
-        self.latent, self.smoothing = latent, smoothing
+        self.latent, self.smoothing, self.polish = latent, smoothing, polish
         self.layers = nn.ModuleList(
             [
                 nn.Conv3d(latent, 4 * width, 3),
@@ -72,18 +72,23 @@ class Subpixel(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, z: Tensor) -> Tensor:
-        """(B, C, a + 6, b + 6, c + 6) as (B, K, 8 a, 8 b, 8 c)."""
+        """(B, C, a + 6, b + 6, c + 6) as (B, K, 8 a, 8 b, 8 c), as the judge sees it."""
+        return self._made(z, self.smoothing)
+
+    def cells(self, z: Tensor) -> Tensor:
+        """The same as it becomes material."""
+        return self._made(z, self.smoothing + self.polish)
+
+    def _made(self, z: Tensor, blurs: int) -> Tensor:
         x = z
         for place, layer in enumerate(self.layers):
             x = layer(x)
             x = doubled(x) if place % 2 else x
             x = leaky_relu(x, _SLOPE) if place < 5 else x
         x = x.float()
-        for _ in range(self.smoothing):
+        for _ in range(blurs):
             x = blurred(x)
         return torch.tanh(trimmed(x, *(8 * (side - 6) for side in z.shape[2:])))
-
-    cells = forward
 
 
 def doubled(x: Tensor) -> Tensor:

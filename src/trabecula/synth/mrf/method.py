@@ -18,8 +18,8 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.core.target import porosity_of
 from trabecula.core.seeds import key
+from trabecula.core.target import porosity_of
 from trabecula.engine.checkpoint import State, resumed
 from trabecula.engine.plan import Plan
 from trabecula.engine.tiles import thread_count
