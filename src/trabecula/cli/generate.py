@@ -93,7 +93,8 @@ def _source(options: argparse.Namespace) -> tuple[Any, Any]:
     if options.model is None:
         if not options.exemplars:
             raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
-        return method("texture" if options.method is None else options.method, preset=options.preset, **shared.settings(options.set)), None
+        name = "texture" if options.method is None else options.method
+        return method(name, preset=options.preset, **shared.settings(options.set)), None
     names = ("exemplars", "method", "preset", "set", "kind", "spacing", "unit", "phases", "threshold", "crop")
     given = [name for name in names if getattr(options, name)]
     if given:
