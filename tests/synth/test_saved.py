@@ -195,7 +195,11 @@ def test_shipped_models_are_found_by_name(noise, tmp_path, monkeypatch):
 def test_every_shipped_model_has_a_card_and_can_be_read():
     for name, path in models.shipped().items():
         assert models.summary(name), f"{name} has no card"
+        card = models.card(name)
+        assert all(word in card for word in ("Licence and credit", "Recipe", "Figures", "Known failures")), name
         said, arrays = about(path.read_bytes())
         assert said["method"] in tb.methods() and arrays
+        source = said["exemplars"][0]["recipe"][0]["source"]
+        assert "/" not in source and source.removesuffix(".tif") in card, "it names its scan, not where it lay"
         assert path.stat().st_size <= 60 << 20
         assert struct.unpack("<Q", path.read_bytes()[:8])[0] < 1 << 20
