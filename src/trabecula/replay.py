@@ -193,7 +193,9 @@ def _model_again(step: Mapping[str, Any], places: Places) -> Model:
     learner: Any = method(step["method"], **step["settings"])
     model: Model = learner.fit(sources if len(sources) > 1 else sources[0])
     if named is not None:
-        _same_model(model, named["sha256"], "learning again gave another model (its time, threads, machine or versions differ)")
+        _same_model(
+            model, named["sha256"], "learning again gave another model (its time, threads, machine or versions differ)"
+        )
     return model
 
 
