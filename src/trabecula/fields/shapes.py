@@ -56,7 +56,7 @@ def ramp(
     """
     sides = as_sides(shape)
     along = as_axis(axis, len(sides))
-    ends = [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("start", start), ("end", end))]
+    ends = _values(start=start, end=end)
     line = np.linspace(ends[0], ends[1], sides[along]).reshape([-1 if k == along else 1 for k in range(len(sides))])
     settings = {"shape": sides, "axis": AXES[len(sides)][along], "start": ends[0], "end": ends[1]}
     return _drawn(np.broadcast_to(line, sides), "ramp", settings, spacing, unit)
@@ -112,9 +112,7 @@ def radial(
     middle = _centre(centre, extent)
     squares = [(at - middle[k]) ** 2 for k, at in enumerate(middles(sides, edges)) if k != line]
     share = np.minimum(np.sqrt(sum(squares)) / reach, 1)
-    ends = [
-        as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("inside", inside), ("outside", outside))
-    ]
+    ends = _values(inside=inside, outside=outside)
     settings = {
         "shape": sides,
         "inside": ends[0],
@@ -221,7 +219,7 @@ def picture(
     if source.ndim != 2:
         raise InputError(f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice of it")
     sides = as_sides(shape)
-    ends = [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in (("low", low), ("high", high))]
+    ends = _values(low=low, high=high)
     grey = source.values.astype(np.float64)
     grey = grey.mean(axis=-1) if source.kind == "colour" else grey
     black, white = (
@@ -236,6 +234,10 @@ def picture(
     edges = as_spacing(spacing, ndim=len(sides))
     settings = {"shape": sides, "low": ends[0], "high": ends[1], "axis": AXES[3][along], "spacing": edges, "unit": unit}
     return as_field(deep, "picture", settings, spacing=edges, unit=unit, before=history_of(source))
+
+
+def _values(**given: float) -> list[float]:
+    return [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in given.items()]
 
 
 def _drawn(values: np.ndarray, make: str, settings: dict, spacing: float | Sequence[float] | None, unit: str) -> Image:

@@ -31,8 +31,5 @@ class ChenConfig(SolidConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep_numbers(self, _RANGES)
+        keep_numbers(self, {"position_penalty": (0, 10)})
         keep_choices(self, {"discrete": (True, False)})
-
-
-_RANGES = {"index_penalty": (0, 10), "position_penalty": (0, 10), "nearest": (1, 100), "tries": (0, 64)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, mean_edge, quantise
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import features_of, nearest_matches, random_matches, swept
+from trabecula.synth.shared.matching.levels import grain_of, levels_for, variance_in
 from trabecula.synth.shared.matching.planes import Frame, Plane
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.rounds import joined_votes, refined, rematched, robust_weights
@@ -32,36 +33,11 @@ from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes
 from trabecula.synth.shared.orient import oriented, symmetries
 from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.solid_config import SolidConfig
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, correlations_at, owed
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-_BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
-_WIDE = 8  # pixels: a neighbourhood that is described by enough blocks
-_WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
-
-
-class SolidConfig(Protocol):
-    """The settings that both methods have; what they mean stands in their configs."""
-
-    neighbourhood: int
-    step: int
-    levels: int
-    first_rounds: int
-    rounds: tuple[int, ...]
-    clip: float
-    variance: float
-    components: int
-    search: str
-    nearest: int
-    sweeps: tuple[int, ...]
-    tries: int
-    index_penalty: float
-    robustness: float
-    histogram: bool
-    corrections: tuple[int, ...]
-    orientations: str
-    trim: int
 
 
 @dataclass(frozen=True)
@@ -98,7 +74,7 @@ class Solid(PictureMethod):
         size = channels * sum(int(np.prod(image.shape)) for image in exemplars)
         kept, peak = 0, 16 * size
         for index in range(_levels_that_fit(min(min(image.shape) for image in exemplars), self.config)):
-            smooth = exemplars[0].kind == "labels" and index == 0 and _has_blocks(width)
+            smooth = grain_of(width, smooth=exemplars[0].kind == "labels" and index == 0) == 2
             length = channels * width**2 // (4 if smooth else 1)
             places = [[side // 2**index - width + 1 for side in image.shape] for image in exemplars]
             count = turns * sum(y * x for y, x in places)
@@ -146,15 +122,14 @@ class SolidModel(PictureModel):
         turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
         stack = Stack.of([oriented(field[:, 0], turn)[:, None] for turn in turns])
         width = config.neighbourhood
-        # On the finest level distances are so smooth that the sums over blocks tell neighbourhoods apart.
-        smooth = index == 0 and self.content.distances and _has_blocks(width)
+        grain = grain_of(width, smooth=index == 0 and self.content.distances)
         return Candidates.of(
             stack,
             width=width,
             step=config.step,
-            variance=1 - (1 - config.variance) * _BLOCKS_MISS if smooth else config.variance,
+            variance=variance_in(grain, config.variance),
             most=config.components,
-            grain=2 if smooth else 1,
+            grain=grain,
             k=config.nearest,
             flat=True,
         )
@@ -166,7 +141,7 @@ class SolidModel(PictureModel):
         return quantise(field, clip=FULL)
 
     def _generate(self, request: Request) -> np.ndarray:
-        used = _levels_for(request.shape, len(self.levels), self.config)
+        used = levels_for(request.shape, len(self.levels), width=self.config.neighbourhood)
         regions = regions_of(request, used, self.content.bounds(request, thin=True), self._quantised, thin=True)
         state: State | None = None
         for index in reversed(range(used)):
@@ -325,11 +300,6 @@ def channels_of(exemplars: Sequence[Image]) -> int:
     return 1 if present == 2 else present
 
 
-def _has_blocks(width: int) -> bool:
-    """Whether a neighbourhood is wide enough to be told by its blocks of 2 x 2."""
-    return width >= _WIDE and width % 2 == 0
-
-
 def _at(counts: tuple[int, ...], index: int) -> int:
     """What a setting says of a level: finest first, the last counts for the rest."""
     return counts[min(index, len(counts) - 1)]
@@ -339,14 +309,5 @@ def _levels_that_fit(smallest: int, config: SolidConfig) -> int:
     """Resolutions at which a picture has room for a neighbourhood."""
     count = 1
     while count < config.levels and smallest // 2**count >= config.neighbourhood + ROOM:
-        count += 1
-    return count
-
-
-def _levels_for(shape: tuple[int, ...], most: int, config: SolidConfig) -> int:
-    """Resolutions at which the output is some neighbourhoods wide: else the first rounds would copy the picture whole."""
-    side = float(np.prod(shape, dtype=np.float64)) ** (1 / len(shape))
-    count = 1
-    while count < most and side / 2**count >= _WIDTHS * config.neighbourhood:
         count += 1
     return count

@@ -51,6 +51,16 @@ class SolidConfig:
     sweeps: tuple[int, ...] = (1, 3)
     """Search sweeps per round, finest level first, each 1 .. 10; the last counts for the rest."""
 
+    nearest: int = 1
+    """Neighbourhoods that the exact search looks at, 1 .. 100; more than one only with an index penalty."""
+
+    tries: int = 4
+    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the best, ever nearer."""
+
+    index_penalty: float = 0.0
+    """How much being chosen too often adds to a distance in the search, 0 .. 10: a neighbourhood chosen n times as often as even
+    use has its distance multiplied by 1 + this times (n - 1)."""
+
     variance: float = 0.95
     """Share of the neighbourhoods' variance that the principal components keep, 0.5 .. 1 (the paper: 0.95)."""
 
@@ -100,6 +110,9 @@ _RANGES = {
     "first_rounds": (1, 200),
     "robustness": (0, 2),
     "clip": (2, 20),
+    "nearest": (1, 100),
+    "tries": (0, 64),
+    "index_penalty": (0, 10),
     "variance": (0.5, 1),
     "components": (4, 128),
 }

@@ -22,6 +22,7 @@ from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.base import Method, Model
 from trabecula.synth.shared.content import Content, Labels, content_of
 from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
+from trabecula.synth.shared.matching.levels import levels_for
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes
@@ -31,7 +32,7 @@ from trabecula.synth.shared.statistics.correlate import Correlations, correlatio
 from trabecula.synth.texture import SPEC, novel
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.grading import BEYOND, BYTES, check_phases, evened, shares_by_level, shares_of
-from trabecula.synth.texture.plain import Level, level_of, levels_for, made_plain
+from trabecula.synth.texture.plain import Level, level_of, made_plain
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
@@ -137,7 +138,7 @@ class TextureModel(Model):
             votes = novel.made_new(self.aims, self.slices, schedule, request, self.config)
             told: list[dict[str, Any]] = []
         else:
-            used = levels_for(request.shape, len(self.levels), self.config)
+            used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             regions = regions_of(request, used, self.content.bounds(request), self._quantised)
             votes, told = made_plain(
                 self.levels[:used],

@@ -13,6 +13,7 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.synth.shared.matching.grid import Grid, features_of, nearest_matches, random_matches, swept
+from trabecula.synth.shared.matching.levels import grain_of, variance_in
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import joined_votes, refined, rematched, robust_weights, voted
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
@@ -22,10 +23,7 @@ from trabecula.synth.texture.balance import Balance, balanced
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.grading import Leaning, leaning_grid, settled
 
-_WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
-_BLOCKS_MISS = 0.4  # of the variance that may be dropped, the share that is left for sums over blocks
 _SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
-_WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
 
 Level = tuple[Candidates, ...]
 """The exemplars' neighbourhoods at one resolution, one entry per width of the config."""
@@ -44,31 +42,19 @@ def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool
     """Learn one level; `distances` says whether its field is smooth."""
     made = []
     for width in config.neighbourhood:
-        # On the finest level distances are so smooth that ten components hold them, and those of blocks are nearly the
-        # same ones; what varies within a block is missing from the variance that they share.
-        grain = 2 if index == 0 and distances and width >= _WIDE and width % 2 == 0 else 1
-        share = config.variance if grain == 1 else 1 - (1 - config.variance) * _BLOCKS_MISS
+        grain = grain_of(width, smooth=index == 0 and distances)
         made.append(
             Candidates.of(
                 stack,
                 width=width,
                 step=config.step_of(width),
-                variance=share,
+                variance=variance_in(grain, config.variance),
                 most=config.components,
                 grain=grain,
                 k=config.nearest,
             )
         )
     return tuple(made)
-
-
-def levels_for(shape: tuple[int, ...], most: int, config: TextureConfig) -> int:
-    """Resolutions at which the output is some neighbourhoods wide: else the first rounds would copy the exemplar whole."""
-    side = float(np.prod(shape, dtype=np.float64)) ** (1 / len(shape))
-    count = 1
-    while count < most and side / 2**count >= _WIDTHS * max(config.neighbourhood):
-        count += 1
-    return count
 
 
 def made_plain(
