@@ -135,7 +135,7 @@ def test_every_step_is_compared(place):
         (lambda steps: steps[0].update(verb=["generate"]), "unknown step of a recipe"),
         (lambda steps: steps[0].pop("sha256"), "the recipe is damaged: its step 'generate'"),
         (lambda steps: steps[0].pop("exemplars"), "the recipe is damaged: its step 'generate'"),
-        (lambda steps: steps[0].update(exemplars=[]), "the recipe is damaged: its step 'generate'"),
+        (lambda steps: steps[0].update(exemplars=[]), "no exemplar was given"),
         (lambda steps: steps[0].update(exemplars=[3]), "the recipe is damaged: it should be a list of steps"),
         (lambda steps: steps[0].update(method="textrue"), "did you mean 'texture'"),
         (lambda steps: steps[0]["settings"].update(wings=2), "unknown setting of texture 'wings'"),

@@ -135,7 +135,7 @@ def _was_left(model: WindowModel, request: Request, path: str | os.PathLike[str]
 
 
 def _streamed(model: WindowModel, request: Request, path: Path, side: int) -> Written:
-    fields = model.fields
+    fields = model.fields(request)
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
     say(f"making {path.name} in blocks of {side} voxels")
     volume = Volume(

@@ -191,7 +191,7 @@ def _model_again(step: Mapping[str, Any], places: Places) -> Model:
         for number, steps in enumerate(step["exemplars"])
     ]
     learner: Any = method(step["method"], **step["settings"])
-    model: Model = learner.fit(sources if len(sources) > 1 else sources[0])
+    model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(sources)
     if named is not None:
         _same_model(
             model, named["sha256"], "learning again gave another model (its time, threads, machine or versions differ)"

@@ -343,6 +343,34 @@ def test_an_exemplar_that_cannot_be_used_is_refused(name, spec, exemplar, spoil,
         fitted(spec, spoil(exemplar))
 
 
+def test_without_an_exemplar_settings_are_enough_or_one_is_asked_for(name, spec, tmp_path):
+    method = tb.method(name, **spec.trial)
+    if not spec.alone:
+        with pytest.raises(InputError, match="no exemplar was given"):
+            method.fit()
+        return
+    model = method.fit(spacing=0.5, unit="mm")
+    made = model.generate(SHAPE, seed=5)
+    assert (made.shape, made.kind, made.spacing, made.unit) == (SHAPE, "labels", (0.5, 0.5, 0.5), "mm")
+    assert made.phases == ("void", "solid")
+    assert 0 < made.values.mean() < 1
+    assert np.array_equal(method.fit(spacing=0.5, unit="mm").generate(SHAPE, seed=5).values, made.values)
+    tb.write(made, tmp_path / "made.npy")
+    assert np.array_equal(tb.rerun(tmp_path / "made.npy").values, made.values)
+    again = tb.load_model(model.save(tmp_path / "one.model"))
+    assert np.array_equal(again.generate(SHAPE, seed=5).values, made.values)
+    if spec.scaling == "window":
+        assert np.array_equal(model.window(SHAPE, BOXES[1], seed=5), made.values[tuple(slice(*e) for e in BOXES[1])])
+    if spec.flat:
+        picture = model.generate((40, 50), seed=5)
+        assert (picture.shape, picture.spacing) == ((40, 50), (0.5, 0.5))
+
+
+def test_the_voxels_of_an_exemplar_are_its_own(name, exemplar):
+    with pytest.raises(InputError, match="those of the exemplar"):
+        tb.method(name).fit(exemplar, spacing=0.5)
+
+
 def test_an_unknown_setting_suggests_the_nearest(name):
     field = dataclasses.fields(tb.method(name).config)[0].name
     with pytest.raises(UnknownNameError, match=field):

@@ -37,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.engine.tiles import thread_count, threads
     from trabecula.synth.registry import method
 
-    chosen = method(options.method, preset=options.preset, **_settings(options))
+    preset, settings = _configured(options)
+    chosen = method(options.method, preset=preset, **settings)
     _check_place(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
         exemplars = [shared.load_exemplar(source, options) for source in options.exemplars]
@@ -61,13 +62,13 @@ def _check_place(out: str) -> None:
     check_folder(out)
 
 
-def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings given, by --set or by an option of their own."""
+def _configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
+    """The preset and the settings given, by --set or by an option of their own."""
     from trabecula.core.errors import InputError
     from trabecula.synth.registry import method
 
-    found = shared.settings(options.set)
-    known = vars(method(options.method, preset=options.preset).config)
+    preset, found = shared.configured(options)
+    known = vars(method(options.method, preset=preset).config)
     for name in _SHORT:
         value = getattr(options, name)
         if value is None:
@@ -77,4 +78,4 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
         if name not in known:
             raise InputError(f"--{name} {value}: method {options.method!r} has no such setting; leave it out")
         found[name] = value
-    return found
+    return preset, found

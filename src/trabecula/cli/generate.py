@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -25,7 +25,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
         "exemplars",
         nargs="*",
         metavar="EXEMPLAR",
-        help="scan to learn from, or sample:NAME; several where the method can",
+        help="scan to learn from, or sample:NAME; several where the method can, none where it needs none",
     )
     parser.add_argument("--method", help="see trabecula methods (default: texture)")
     parser.add_argument(
@@ -49,16 +49,19 @@ def add_request(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What the options ask for: a request, and either a method with its exemplar (a list of several) or a model."""
+    """What the options ask for: a request, and either a model or a method with its exemplars (or the voxels' size)."""
 
     request: Any
     method: Any = None
-    exemplar: Any = None
+    exemplars: Any = None
+    voxel: Any = field(default_factory=dict)
     model: Any = None
 
     def fitted(self, *, memory: int | None) -> Any:
         """The model."""
-        return self.method.fit(self.exemplar, memory=memory) if self.model is None else self.model
+        if self.model is not None:
+            return self.model
+        return self.method.fit(self.exemplars, memory=memory, **self.voxel)
 
 
 def prepare(options: argparse.Namespace) -> Job:
@@ -66,6 +69,7 @@ def prepare(options: argparse.Namespace) -> Job:
     from trabecula.core.checks import as_seed, as_shape
     from trabecula.core.errors import InputError
     from trabecula.core.request import Request
+    from trabecula.synth.facts import blank
 
     chosen, model = _source(options)
     if options.shape is None and options.mask is None and options.fixed is None:
@@ -74,14 +78,29 @@ def prepare(options: argparse.Namespace) -> Job:
     shape = None if sides is None else as_shape(sides, ndim=2 if len(sides) == 2 else 3)
     seed = as_seed(shared.integer(options.seed, name="--seed"))
     periodic = shared.periodic(options.periodic)
-    exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] if chosen else list(model.facts)
-    parts = shared.load_parts(options, exemplars, shape, getattr((chosen or model).config, "views", ()))
+    exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] or None
+    voxel = _voxel(options) if chosen and exemplars is None else {}
+    known = exemplars or ([blank(**voxel)] if model is None else list(model.facts))
+    parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
-    if model is not None:
-        return Job(request, model=model)
-    return Job(request, chosen, exemplars if len(exemplars) > 1 else exemplars[0])
+    return Job(request, chosen, exemplars, voxel, model)
+
+
+def _voxel(options: argparse.Namespace) -> dict[str, Any]:
+    """The size of the voxels of what is made without an exemplar."""
+    from trabecula.core.errors import InputError
+
+    given = [name for name in ("kind", "phases", "threshold", "crop") if getattr(options, name)]
+    if given:
+        raise InputError(f"--{given[0]} says how an exemplar is read: name one, or leave the option out")
+    edges = shared.numbers(options.spacing or ["1"], name="--spacing")
+    if len(set(edges)) > 1:
+        raise InputError(
+            f"--spacing {' '.join(options.spacing)}: what is made without an exemplar has cubes: give one number"
+        )
+    return {"spacing": edges[0], "unit": options.unit or "voxel"}
 
 
 def _source(options: argparse.Namespace) -> tuple[Any, Any]:
@@ -91,10 +110,12 @@ def _source(options: argparse.Namespace) -> tuple[Any, Any]:
     from trabecula.synth.saved import load_model
 
     if options.model is None:
-        if not options.exemplars:
-            raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
         name = "texture" if options.method is None else options.method
-        return method(name, preset=options.preset, **shared.settings(options.set)), None
+        preset, settings = shared.configured(options)
+        chosen = method(name, preset=preset, **settings)
+        if not options.exemplars and not chosen.spec.alone:
+            raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
+        return chosen, None
     names = ("exemplars", "method", "preset", "set", "kind", "spacing", "unit", "phases", "threshold", "crop")
     given = [name for name in names if getattr(options, name)]
     if given:

@@ -24,6 +24,7 @@ def run(options: argparse.Namespace) -> int:
                     "summary": spec.summary,
                     "paper": spec.paper,
                     "exemplar": spec.exemplar,
+                    "alone": spec.alone,
                     "kinds": spec.kinds,
                     "scaling": spec.scaling,
                 }

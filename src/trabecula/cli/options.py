@@ -196,6 +196,17 @@ def integers(words: list[str], *, name: str) -> list[int]:
         ) from None
 
 
+def configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
+    """The preset, given as --preset NAME or as --set preset=NAME, and the settings."""
+    from trabecula.core.errors import InputError
+
+    found = settings(options.set)
+    named = found.pop("preset", options.preset)
+    if options.preset not in (None, named):
+        raise InputError(f"--preset {options.preset} and --set preset={named}: give one of them")
+    return named, found
+
+
 def settings(pairs: list[str]) -> dict[str, Any]:
     """`key=value` words; a value is JSON where it can be read so (4, 0.5, true, [4,6]), else text."""
     from trabecula.core.errors import InputError
@@ -205,8 +216,6 @@ def settings(pairs: list[str]) -> dict[str, Any]:
         name, sign, value = pair.partition("=")
         if not sign or not name:
             raise InputError(f"--set {pair}: write --set name=value")
-        if name == "preset":
-            raise InputError(f"--set {pair}: a preset is no setting, write --preset {value}")
         try:
             found[name] = json.loads(value, parse_float=_finite, parse_constant=_finite)
         except InputError:

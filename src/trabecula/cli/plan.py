@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.engine.plan import Plan, available_memory, format_bytes
 
     job = prepare(options)
-    learning = Plan() if job.method is None else job.method.plan_fit(job.exemplar)
+    learning = Plan() if job.method is None else job.method.plan_fit(job.exemplars)
     making = _making(job, options)
     peak = max(learning.peak, making.peak)
     if options.json:

@@ -25,7 +25,7 @@ from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import checkpoint
 from trabecula.engine.plan import Plan, check_budget
 from trabecula.exemplar.target import check_target_porosity
-from trabecula.synth.facts import Facts, facts_of
+from trabecula.synth.facts import Facts, blank, facts_of
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,9 @@ class Spec:
     learns : bool
         Whether a model holds what it learned instead of its exemplars, so that its file is needed to make a result again.
     flat : bool
-        Whether it also makes pictures of pictures: 2-D of 2-D, beside 3-D of 3-D.
+        Whether it also makes pictures: 2-D of 2-D, beside 3-D of 3-D; without an exemplar, whichever is asked for.
+    alone : bool
+        Whether it also makes material from its settings alone, without an exemplar.
     trial : mapping
         Settings with which learning takes seconds where the defaults take minutes, for tests; what comes out is of no use.
     """
@@ -76,6 +78,7 @@ class Spec:
     targets: tuple[str, ...] = ("porosity", "volume_fraction")
     learns: bool = False
     flat: bool = False
+    alone: bool = False
     trial: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -85,7 +88,7 @@ class Model(ABC):
     Attributes
     ----------
     facts : tuple of Facts
-        What is known of the exemplars apart from their voxels.
+        What is known of the exemplars apart from their voxels; without any, of what is made (`facts.blank`).
     exemplars : tuple of Image
         The exemplars themselves; none where the method `learns` all that it needs of them.
     name : str, optional
@@ -158,11 +161,27 @@ class Model(ABC):
         """
         request = as_request(shape, seed, parts)
         check_budget(self.plan(request), budget=memory)
-        with checkpoint.running(self.spec.name, asdict(self.config), request, self.exemplars):
+        with checkpoint.running(self.spec.name, self.settings(), request, self.exemplars):
             made = self._generate(request)
         values, report = made if isinstance(made, tuple) else (made, {})
         recipe = Recipe().then("generate", values, **self._step(request, report))
-        return Image(values, **self._result_fields(), recipe=recipe)
+        return Image(values, **self.fields(request), recipe=recipe)
+
+    def fields(self, request: Request) -> dict[str, Any]:
+        """Kind, spacing, unit and phases of the result of a request."""
+        found = self._result_fields()
+        return {**found, "spacing": found["spacing"][-len(request.shape) :]}
+
+    def settings(self) -> dict[str, Any]:
+        """All that tells one model of a method from another, beside its exemplars: plain JSON."""
+        return {**asdict(self.config), **self._voxel()}
+
+    def _voxel(self) -> dict[str, Any]:
+        """The size of the voxels, where no exemplar tells it."""
+        return {"voxel": {"spacing": self.facts[0].spacing[0], "unit": self.facts[0].unit}} if self._is_alone() else {}
+
+    def _is_alone(self) -> bool:
+        return bool(self.facts) and self.facts[0].blank
 
     def _check_request(self, request: Request) -> None:
         refused = sorted(request.asks_for() - self.spec.honours)
@@ -175,15 +194,21 @@ class Model(ABC):
             raise RequestError(
                 f"method {self.spec.name!r} cannot honour the target {', '.join(strange)}: it honours {can}"
             )
-        axes = self.facts[0].ndim if self.spec.flat and self.facts else 3
-        if len(request.shape) != axes:
+        axes = self._axes()
+        if len(request.shape) not in axes:
             raise RequestError(
-                f"method {self.spec.name!r} makes {axes}-D images of this exemplar, the request is for {request.shape}: "
-                f"give {axes} numbers"
+                f"method {self.spec.name!r} makes {axes[0]}-D images{'' if self._is_alone() else ' of this exemplar'}, the "
+                f"request is for {request.shape}: give {axes[0]} numbers"
             )
         if self.exemplars:
             check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
             self._check_target(request)
+
+    def _axes(self) -> tuple[int, ...]:
+        """Of what can be made: 3 for volumes, 2 for pictures."""
+        if not (self.spec.flat and self.facts):
+            return (3,)
+        return (3, 2) if self._is_alone() else (self.facts[0].ndim,)
 
     def _knows_share(self, name: str) -> bool:
         return OF_A_PHASE in self.spec.targets and name.startswith(OF_A_PHASE)
@@ -202,7 +227,8 @@ class Model(ABC):
             "method": self.spec.name,
             "settings": asdict(self.config),
             "request": request.to_json(),
-            "exemplars": [facts.recipe.to_json() for facts in self.facts],
+            "exemplars": [facts.recipe.to_json() for facts in self.facts if not facts.blank],
+            **self._voxel(),
             **({"model": {"name": self.name, "sha256": self.sha256}} if self.spec.learns else {}),
             **({"report": dict(report)} if report else {}),
         }
@@ -241,23 +267,39 @@ class Method(ABC):
             check_name(name, known, name=f"setting of {cls.spec.name}")
         return cls(cls.config_type(**settings))
 
-    def fit(self, exemplar: Image | np.ndarray | Sequence[Image], *, memory: int | None = None) -> Model:
-        """Learn from an exemplar, or from several of one material.
+    def fit(
+        self,
+        exemplar: Image | np.ndarray | Sequence[Image] | None = None,
+        *,
+        spacing: float | None = None,
+        unit: str | None = None,
+        memory: int | None = None,
+    ) -> Model:
+        """Learn from an exemplar, or from several of one material; or from none, where the method works from settings alone.
 
         Parameters
         ----------
-        exemplar : Image or array of labels, or a list or tuple of them
+        exemplar : Image or array of labels, or a list or tuple of them, optional
             Several need one kind, one spacing and the same phases.
+        spacing, unit : float and str, optional
+            Edge of the voxels that are made, where there is no exemplar to tell it. Default: 1 "voxel".
         memory : int, optional
             Budget in bytes. Default: what the machine has available.
 
         Raises
         ------
         InputError
-            An exemplar has the wrong dimensions or kind, one phase only, or is too small; several that differ.
+            An exemplar has the wrong dimensions or kind, one phase only, or is too small; several that differ; none where one
+            is needed; a spacing beside an exemplar, which has its own.
         MemoryBudgetError
             Learning would take more memory than the budget.
         """
+        if exemplar is None and self.spec.alone:
+            return self._blank(blank(1.0 if spacing is None else spacing, "voxel" if unit is None else unit))
+        if spacing is not None or unit is not None:
+            raise InputError(
+                "spacing and unit are those of the exemplar: set them there (tb.read(..., spacing=, unit=))"
+            )
         images = as_exemplars(exemplar)
         self._check_exemplars(images)
         check_budget(self.plan_fit(images), budget=memory, advice="learn from a smaller crop (--crop)")
@@ -300,15 +342,19 @@ class Method(ABC):
                 "give a crop with both, or another threshold"
             )
 
-    def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image]) -> Plan:
+    def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image] | None = None) -> Plan:
         """Forecast the memory that learning takes, the exemplars themselves left out."""
-        return self._plan_fit(as_exemplars(exemplar))
+        return Plan() if exemplar is None and self.spec.alone else self._plan_fit(as_exemplars(exemplar))
 
     @abstractmethod
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan: ...
 
     @abstractmethod
     def _fit(self, exemplars: Sequence[Image]) -> Model: ...
+
+    def _blank(self, facts: Facts) -> Model:
+        """The model of the settings alone, of a method whose Spec says `alone`."""
+        raise NotImplementedError
 
     def restored(
         self,
@@ -330,7 +376,7 @@ class Method(ABC):
 
 def as_exemplars(given: Any) -> list[Image]:
     """One or several exemplars as a list of images."""
-    images = list(given) if isinstance(given, (list, tuple)) else [given]
+    images = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
     if not images:
         raise InputError("no exemplar was given: give one, or several of one material")
     return [as_image(image, name="the exemplar") for image in images]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.checks import as_shape, as_spacing, check_name
-from trabecula.core.image import KINDS, Image
+from trabecula.core.image import KINDS, Image, default_phases
 from trabecula.core.recipe import Recipe
 
 
@@ -22,6 +22,7 @@ class Facts:
     kind, spacing, unit, phases, recipe :
         As of `Image`; the recipe's last step holds the SHA-256 of the voxels.
     shape : tuple of int
+        Empty where there is no exemplar (`blank`).
     shares : tuple of float
         Of every phase, 0 .. 1; of what has no phases, none.
     """
@@ -38,6 +39,11 @@ class Facts:
     def ndim(self) -> int:
         """Number of spatial axes, 2 or 3."""
         return len(self.spacing)
+
+    @property
+    def blank(self) -> bool:
+        """Whether there is no exemplar, and these say no more than what is made."""
+        return not self.shape
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON."""
@@ -57,8 +63,19 @@ class Facts:
         phases, shares = tuple(map(str, plain["phases"])), tuple(float(share) for share in plain["shares"])
         if len(shares) != len(phases) or not isinstance(plain["unit"], str):
             raise ValueError(f"{len(phases)} phases have {len(shares)} shares, in unit {plain['unit']!r}")
-        shape = as_shape(plain["shape"], ndim=len(spacing))
+        shape = as_shape(plain["shape"], ndim=len(spacing)) if plain["shape"] else ()
         return cls(plain["kind"], shape, spacing, plain["unit"], phases, shares, Recipe.from_json(plain["recipe"]))
+
+
+def blank(spacing: float = 1.0, unit: str = "voxel") -> Facts:
+    """Of material that is made from settings alone, in cubes of edge `spacing`: void and solid.
+
+    Raises
+    ------
+    InputError
+        The spacing is no number above 0.
+    """
+    return Facts("labels", (), as_spacing((spacing,), ndim=3), unit, default_phases(2), (), Recipe())
 
 
 def facts_of(exemplar: Image | Facts) -> Facts:

@@ -152,6 +152,8 @@ def _opened(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, An
 
 
 def _fitted(chosen: Method, facts: Sequence[Facts], voxels: Mapping[str, np.ndarray]) -> Model:
+    if len(facts) == 1 and facts[0].blank:
+        return chosen.fit(spacing=facts[0].spacing[0], unit=facts[0].unit)
     if sorted(voxels) != sorted(str(number) for number in range(len(facts))):
         raise ValueError(f"it holds the voxels of {len(voxels)} exemplars and describes {len(facts)}")
     exemplars = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, ClassVar
 
 import numpy as np
@@ -96,18 +95,13 @@ class WindowModel(Model):
         digest = digest_bytes(request.shape, self.dtype)
         return Plan({**self._plan_box(request, shape), "block": max(4 * own, 2 * digest)}, disk=self._size(request))
 
-    @property
-    def fields(self) -> dict[str, Any]:
-        """Kind, spacing, unit and phases of every result."""
-        return self._result_fields()
-
     def recipe(self, request: Request, sha256: str) -> Recipe:
         """The recipe of a result whose voxels have this digest."""
         return Recipe().then_made("generate", sha256, **self._step(request, self._report()))
 
     def identity(self, request: Request) -> str:
         """SHA-256 of all that the voxels of a request depend on."""
-        settings = {"model": self.sha256} if self.spec.learns else asdict(self.config)
+        settings = {"model": self.sha256} if self.spec.learns else self.settings()
         return identity_of(self.spec.name, settings, request, self.exemplars)
 
     def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
