@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
@@ -119,15 +120,16 @@ def _ranked(field: np.ndarray, inside: np.ndarray | None) -> tuple[np.ndarray, n
     """Every voxel's mixed value as a bin number (uint16), and how many of the voxels inside each bin holds."""
     ranks = np.empty(field.shape, np.uint16)
     where = np.empty((0, 0, 0), bool) if inside is None else inside
-    counted: list[np.ndarray] = []
+    total, lock = np.zeros(_BINS, np.int64), Lock()
 
     def work(start: int, stop: int) -> None:
         counts = np.zeros(_BINS, np.int64)
         _rank_values(field, where, ranks, counts, start, stop)
-        counted.append(counts)
+        with lock:
+            total[:] += counts
 
     for_slabs(work, len(field))
-    return ranks, np.sum(counted, axis=0)
+    return ranks, total
 
 
 @inline

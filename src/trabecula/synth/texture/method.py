@@ -196,7 +196,7 @@ class TextureModel(Model):
         moments = [
             voxels * (3 * channels + parts) + sites * (2 * dimensions + 20),
             voxels * (4 * channels + 2 + parts) + sites * 12,
-            voxels * (20 * channels + 10 if self.content.distances and channels > 1 else 6 * channels + 12),
+            voxels * (20 * channels + 10 if self.content.distances and channels > 1 else 4 * channels + 12),
         ]
         if request.target:  # sums over windows; features twice while one more is put to them
             moments.append(voxels * (BYTES + parts))
