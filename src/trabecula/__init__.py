@@ -5,13 +5,15 @@
     material = model.generate((240, 240, 240), seed=7)
     part     = tb.finish.connect(material)
     verdict  = tb.verify(exemplar, part)
-    tb.write(part, "femur.zarr"); tb.export(part, "femur.stl")
+    tb.write(part, "femur.zarr"); tb.export(part, "femur.stl"); tb.view(part)
 
 Everything public is a name of this module, loaded at its first use.
 """
 
 import importlib
 from typing import Any
+
+from trabecula.core import display
 
 __version__ = "0.1.0"
 
@@ -25,6 +27,7 @@ _HOMES = {
     "kept_at": "engine.checkpoint",
     "read": "io.files",
     "write": "io.files",
+    "open_slabs": "io.lazy",
     "crop": "exemplar.crop",
     "read_mesh": "mesh.files",
     "voxelise": "mesh.voxels",
@@ -42,7 +45,16 @@ _HOMES = {
     "verify": "report.certificate",
     "print_check": "finish.printing",
 }
-_ROOMS = {"errors": "errors", "measure": "measure", "finish": "finish", "mesh": "mesh", "fields": "fields"}
+_ROOMS = {
+    "errors": "errors",
+    "measure": "measure",
+    "finish": "finish",
+    "mesh": "mesh",
+    "fields": "fields",
+    "view": "view",
+}
+
+display.html = "trabecula.view.notebook:as_html"
 
 __all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]
 

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -15,15 +16,18 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import say
+from trabecula.engine.slabs import Slabs
 from trabecula.exemplar.samples import sample
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
-from trabecula.loading import load, load_fixed, load_like, load_mask, voxels_of
-from trabecula.making import generate_to, plan_to
+from trabecula.io.lazy import slabs_if_large
+from trabecula.loading import load, load_fixed, load_like, load_mask, slabs_like_if_large, voxels_of
+from trabecula.making import Written, begun, check_same_run, finished, generate_to, part_of, plan_to
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.slabs import export_slabs
 from trabecula.mesh.surface import mesh
-from trabecula.replay import replay, rerun
+from trabecula.replay import asked, replay, rerun
 from trabecula.report.certificate import verify
 from trabecula.report.metric import Certificate
 from trabecula.report.page import page
@@ -31,6 +35,9 @@ from trabecula.report.page import write_page as page_to_file
 from trabecula.synth.registry import method
 from trabecula.view.slices import montage
 from trabecula.view.still import render
+
+if TYPE_CHECKING:
+    from trabecula.engine.cluster import Cluster
 
 __all__ = [
     "check_target",
@@ -44,8 +51,46 @@ __all__ = [
     "plan_to",
     "replay",
     "rerun",
+    "resume",
+    "slabs_if_large",
+    "slabs_like_if_large",
     "voxels_of",
 ]
+
+
+def resume(
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    cluster: Cluster | None = None,
+    **moved: Any,
+) -> Written:
+    """Go on with the run that was making a file when it was interrupted; of a file that is finished, tell what it is.
+
+    Parameters
+    ----------
+    path : path
+        The result, or the unfinished one beside it (rock.zarr or rock.zarr.part).
+    memory, cluster :
+        As of `generate_to`; they need not be those that the run began with.
+    **moved : path
+        Where the files that the run started from lie now, if they have moved: exemplar, mask, fixed, known, target, model, as
+        for `rerun`.
+
+    Raises
+    ------
+    FileError
+        There is nothing to go on from.
+    NotReproducedError
+        The exemplar, a part of the request or the versions are not those of the run.
+    """
+    target = Path(os.fspath(path).removesuffix(".part"))
+    if target.exists() and not part_of(target).exists():
+        return finished(target)
+    step = begun(target)
+    model, request = asked(step, folder=target.absolute().parent, **moved)
+    check_same_run(model, request, target, step)
+    return generate_to(model, request, target, memory=memory, cluster=cluster)
 
 
 def check_page(path: str | os.PathLike[str]) -> None:
@@ -60,15 +105,16 @@ def check_page(path: str | os.PathLike[str]) -> None:
 def write_page(
     path: str | os.PathLike[str],
     exemplar: Image | Sequence[Image],
-    images: Sequence[Image],
+    images: Sequence[Image | Slabs],
     certificates: Sequence[Certificate],
 ) -> None:
-    """The certificates as one page, with slices and stills of the exemplars and of what was judged."""
+    """The certificates as one page, with slices and stills of the exemplars and of what was judged; of a volume in slabs of a
+    box in its middle."""
     exemplars = [exemplar] if isinstance(exemplar, Image) else list(exemplar)
     numbers = [""] if len(exemplars) == 1 else [f" {n}" for n in range(1, len(exemplars) + 1)]
     results = [certificate.name for certificate in certificates]
     names = [f"exemplar{number}" for number in numbers] + results
-    shown = [*exemplars, *images]
+    shown = [*exemplars, *(_shown(image) for image in images)]
     title = "Slices through the middle" if images[0].ndim == 3 else "Images"
     pictures = [(title, _png(montage(shown, names)))]
     pictures += [
@@ -79,17 +125,22 @@ def write_page(
     page_to_file(page(certificates, pictures=pictures), Path(path))
 
 
+def _shown(image: Image | Slabs) -> Image:
+    return image.centre([min(side, 256) for side in image.shape]) if isinstance(image, Slabs) else image
+
+
 def _png(picture: Image) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         return files.write(picture, Path(folder) / "picture.png").read_bytes()
 
 
-def export(image: Image | ArrayLike, path: str | os.PathLike[str], *, phase: str | int | None = None) -> Path:
+def export(image: Image | Slabs | ArrayLike, path: str | os.PathLike[str], *, phase: str | int | None = None) -> Path:
     """Write an image for another program: the closed surface of a phase (.stl, .3mf, .ply, .obj) or the voxels.
 
     Parameters
     ----------
-    image : Image or array of labels
+    image : Image or array of labels, or Slabs
+        Of `Slabs` the surface is written slab by slab, as .stl alone.
     path : path
         The suffix chooses.
     phase : str or int, optional
@@ -103,6 +154,9 @@ def export(image: Image | ArrayLike, path: str | os.PathLike[str], *, phase: str
         As `mesh`, `write_mesh` and `write`.
     """
     check_target(path, surfaces=True)
+    if isinstance(image, Slabs):
+        export_slabs(image, path, phase=phase)
+        return Path(path)
     if Path(path).suffix.lower() in SURFACES:
         return write_mesh(mesh(image, phase=phase), path)
     return files.write(as_image(image), path)

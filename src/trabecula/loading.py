@@ -11,12 +11,14 @@ from trabecula.core.checks import as_shape
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, declared, default_phases
 from trabecula.core.progress import listen, say
+from trabecula.engine.slabs import Slabs
 from trabecula.exemplar.crop import crop as cut_box
 from trabecula.exemplar.place import as_slab, block, place
 from trabecula.exemplar.samples import sample
 from trabecula.exemplar.segment import segment
 from trabecula.exemplar.views import as_axis, spacing_of, views_of
 from trabecula.io import files
+from trabecula.io.lazy import open_slabs, slabs_if_large
 from trabecula.io.units import has_length, to_metres
 from trabecula.mesh.files import read_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
@@ -85,6 +87,27 @@ def load_like(
     image = load(source, threshold="none")
     if image.kind == "grey" and exemplar.kind == "labels":
         image = load(source, threshold=threshold)
+    new = _not_stated(image, exemplar, spacing)
+    return declared(image, **new) if new else image
+
+
+def slabs_like_if_large(
+    source: str | os.PathLike[str],
+    exemplar: Image,
+    *,
+    need: Callable[[tuple[int, ...]], int],
+    memory: int | None = None,
+) -> Slabs | None:
+    """As `slabs_if_large`, of a result to be compared with an exemplar (see `load_like`)."""
+    volume = slabs_if_large(source, need=need, memory=memory)
+    if volume is None:
+        return None
+    new = _not_stated(volume, exemplar, None)
+    return open_slabs(source, **new) if new else volume
+
+
+def _not_stated(image: Image | Slabs, exemplar: Image, spacing: Callable[[], Sequence[float]] | None) -> dict[str, Any]:
+    """What a result's file does not state, and the exemplar says otherwise than by default."""
     given: dict[str, Any] = {}
     if image.unit == "voxel" and image.ndim == exemplar.ndim:
         given |= {"spacing": exemplar.spacing, "unit": exemplar.unit}
@@ -92,8 +115,7 @@ def load_like(
         given |= {"spacing": tuple(spacing()), "unit": exemplar.unit}
     if image.phases == default_phases(len(image.phases)) and len(exemplar.phases) >= len(image.phases):
         given |= {"phases": exemplar.phases}
-    new = {name: value for name, value in given.items() if value != getattr(image, name)}
-    return declared(image, **new) if new else image
+    return {name: value for name, value in given.items() if value != getattr(image, name)}
 
 
 def voxels_of(exemplars: Sequence[Image], views: Sequence[str] = ()) -> tuple[float, ...]:

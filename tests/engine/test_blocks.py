@@ -1,5 +1,6 @@
 """Volumes in blocks: what is finished is not made again, an unfinished store says so, and nothing is lost on the way."""
 
+import shutil
 import subprocess
 import sys
 import time
@@ -7,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
 from trabecula.engine import blocks, store
 from trabecula.engine.blocks import Volume, boxes_of, slices_of, stream
+from trabecula.engine.levels import halved
 from trabecula.errors import FileError
 
 SHAPE = (300, 130, 257)
@@ -54,20 +57,31 @@ def volume(make, identity="one", shape=SHAPE):
 
 @pytest.fixture
 def run(tmp_path):
-    def one(make, *, side=128, **fields):
-        said = []
+    def one(make, *, side=128, chunk=None, **fields):
+        said, names = [], {"path": tmp_path / "x.zarr", "part": tmp_path / "x.zarr.part"}
         with listen(lambda label, fraction: said.append(label) if fraction < 0 else None):
-            sha256 = stream(volume(make, **fields), tmp_path / "x.zarr", part=tmp_path / "x.zarr.part", side=side)
+            sha256 = stream(volume(make, **fields), **names, side=side, chunk=chunk)
         return sha256, said
 
     return one
 
 
-@pytest.mark.parametrize("side", [128, 256])
-def test_the_store_is_the_one_that_is_written_at_once(run, tmp_path, side):
+def contents(folder):
+    """Every array's voxels, and all that the store says of itself but when and of what it was made."""
+    group = zarr.open_group(folder, mode="r")
+    own = {name: group.attrs["trabecula"][name] for name in (*FIELDS, "complete")}
+    return {name: array[...].tobytes() for name, array in group.arrays()}, group.attrs["ome"], own
+
+
+@pytest.mark.parametrize(("side", "chunk"), [(128, 128), (256, 128), (64, 64), (128, 64), (96, 96), (192, 96)])
+def test_the_store_is_the_one_that_is_written_at_once(run, tmp_path, monkeypatch, side, chunk):
     make = Maker()
-    sha256, _ = run(make, side=side)
+    sha256, _ = run(make, side=side, chunk=chunk)
     image = tb.read(tmp_path / "x.zarr")
+    monkeypatch.setattr(store, "CHUNK", chunk)
+    whole = tb.write(tb.Image(WHOLE, "labels", 2.0, "um"), tmp_path / "whole" / "x.zarr")
+    assert contents(tmp_path / "x.zarr") == contents(whole)
+    shutil.rmtree(whole.parent)
     assert np.array_equal(image.values, WHOLE) and sha256 == digest(WHOLE)
     assert (image.spacing, image.unit, image.phases) == ((2, 2, 2), "um", ("void", "solid"))
     assert image.recipe.steps[-1]["sha256"] == sha256
@@ -111,13 +125,23 @@ def test_a_spoilt_or_lost_chunk_is_made_again(run, tmp_path):
 
 
 @pytest.mark.parametrize("other", [{"identity": "two"}, {"shape": (300, 130, 250)}])
-def test_another_runs_part_is_not_gone_on_from(run, tmp_path, other):
+def test_another_runs_part_is_neither_used_nor_lost(run, tmp_path, other):
     with pytest.raises(KeyboardInterrupt):
         run(Maker(stop_at=7))
-    make = Maker()
-    _, said = run(make, **other)
-    assert said == ["x.zarr.part was left by another run: starting from the beginning"]
-    assert make.made == boxes_of(other.get("shape", SHAPE), 128)
+    with pytest.raises(FileError, match=r"blocks of another run, of 300x130x257 voxels.*--resume"):
+        run(Maker(), **other)
+    second = Maker()
+    assert run(second)[0] == digest(WHOLE) and second.made == boxes_of(SHAPE, 128)[7:]
+
+
+def test_other_chunks_than_it_was_begun_in_are_refused(run, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker(stop_at=2), side=64, chunk=64)
+    with pytest.raises(FileError, match="begun in chunks of 64 voxels, not of 128: give --chunks 64"):
+        run(Maker())
+    second = Maker()
+    assert run(second, side=128, chunk=64)[0] == digest(WHOLE)
+    assert second.made == boxes_of(SHAPE, 128), "the first block of 128 was not there as a whole"
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "store"])
@@ -168,8 +192,9 @@ def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatc
 def test_planes_for_the_digest_never_fall_into_two_rows_of_chunks(run, monkeypatch):
     for at_once in (1, 5 * 130 * 257, 50 * 130 * 257, 1 << 30):
         monkeypatch.setattr(blocks, "_AT_ONCE", at_once)
-        depth = blocks._depth(SHAPE, np.dtype(np.uint8))
-        assert store.CHUNK % depth == 0 and (depth == 1 or depth * 130 * 257 <= at_once)
+        for chunk in (64, 96, 128, 192):
+            depth = blocks._depth(SHAPE, np.dtype(np.uint8), chunk)
+            assert chunk % depth == 0 and (depth == 1 or depth * 130 * 257 <= at_once)
     monkeypatch.setattr(blocks, "_AT_ONCE", 5 * 130 * 257)
     assert run(Maker())[0] == digest(WHOLE)
 
@@ -177,6 +202,29 @@ def test_planes_for_the_digest_never_fall_into_two_rows_of_chunks(run, monkeypat
 def test_blocks_that_share_chunks_are_refused(run):
     with pytest.raises(ValueError, match="share chunks"):
         run(Maker(), side=100)
+
+
+def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(blocks, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        run(Maker())
+    monkeypatch.undo()
+    cubes = tmp_path / "x.zarr.part" / "1" / "c"
+    (cubes / "0" / "0" / "0").write_bytes(b"spoilt")
+    (cubes / "1" / "0" / "1").unlink()
+    make = Maker()
+    run(make)
+    assert make.made == []
+    assert np.array_equal(tb.read(tmp_path / "x.zarr", level=1).values, halved(WHOLE, labels=True))
+
+
+def test_what_a_run_left_that_was_killed_between_two_names_goes(run, tmp_path):
+    run(Maker())
+    (tmp_path / "x.zarr").rename(tmp_path / ".0123abcd-x.zarr")  # set aside by `put_in_place`
+    (tmp_path / ".89abcdef-x.zarr.part").mkdir()  # a store that was being created
+    (tmp_path / ".mine-x.zarr").mkdir()
+    run(Maker())
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".mine-x.zarr", "x.zarr"]
 
 
 SLOW = """
@@ -202,7 +250,7 @@ def test_killed_at_random_moments(run, tmp_path):
     kills = 0
 
     def chunks():
-        return [entry for entry in (tmp_path / "x.zarr.part").rglob("c/*/*/*") if entry.suffix == ""]
+        return [entry for entry in (tmp_path / "x.zarr.part").rglob("0/c/*/*/*") if entry.suffix == ""]
 
     for _ in range(3):
         before = len(chunks())

@@ -217,10 +217,11 @@ def _program(words):
     return main(words)
 
 
-def _command(tmp_path, *, seed=5, pause=0.03):
+def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     tb.write(EXEMPLAR, tmp_path / "flat.png")
     words = ["generate", "flat.png", "--method", "walk", "--shape", "6", "--seed", str(seed), "--out", "rock.npy"]
     words += ["--phases", "void", "solid", "--kind", "labels"]
+    words = ["generate", "--resume", "rock.npy"] if resume else words
     environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
@@ -236,7 +237,7 @@ def _command(tmp_path, *, seed=5, pause=0.03):
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGINT] if os.name == "posix" else [])
 def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
     # Rounds so slow that a busy machine as well sends the signal while most are still to come.
-    command, part = _command(tmp_path), tmp_path / "rock.npy.part"
+    part = tmp_path / "rock.npy.part"
     with subprocess.Popen(**_command(tmp_path, pause=1.0)) as child:
         limit = time.monotonic() + 60
         while not part.exists() and time.monotonic() < limit and child.poll() is None:
@@ -247,7 +248,7 @@ def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
     assert part.exists() and not (tmp_path / "rock.npy").exists()
     if sign == signal.SIGINT:
         assert "goes on from rock.npy.part" in err
-    done = subprocess.run(**command, check=True)
+    done = subprocess.run(**_command(tmp_path, resume=sign == signal.SIGKILL), check=True)
     assert "going on from rock.npy.part" in done.stderr
     assert not part.exists()
     expected = (whole(Request(6, seed=5)) % 2).astype(np.uint8)

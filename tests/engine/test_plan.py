@@ -1,11 +1,15 @@
 """Forecasts: their sum, their refusal, their text."""
 
+import math
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import trabecula as tb
 from trabecula.engine import plan as plans
-from trabecula.engine.plan import GIB, Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.plan import GIB, Plan, available_memory, check_budget, format_bytes, largest_within
 from trabecula.errors import MemoryBudgetError
 
 PLAN = Plan({"votes": 3 * GIB, "output": GIB}, disk=5)
@@ -64,3 +68,28 @@ def test_the_text_of_bytes_is_right_to_a_twentieth(count):
     number, unit = format_bytes(count).split()
     size = float(number) * 1024 ** ["B", "KiB", "MiB", "GiB", "TiB"].index(unit)
     assert abs(size - count) <= 0.05 * count
+
+
+@given(st.lists(st.integers(1, 300), min_size=2, max_size=3), st.integers(0, 10**8))
+def test_the_largest_shape_within_a_budget(shape, budget):
+    def peak(sides):
+        return 1000 + 4 * math.prod(sides)
+
+    found = largest_within(shape, peak, budget)
+    if found is None:
+        assert peak((1,) * len(shape)) > budget
+        return
+    assert peak(found) <= budget
+    if found != tuple(shape):
+        longest = max(found) + 1
+        assert peak([max(1, side * longest // max(shape)) for side in shape]) > budget
+
+
+def test_a_run_over_its_budget_is_told_a_shape_that_fits():
+    model = tb.method("texture").fit(tb.crop(tb.sample("bone"), 32))
+    with pytest.raises(MemoryBudgetError, match=r"smaller --shape \(\d+ \d+ \d+ fits\), or raise --memory") as caught:
+        model.generate((500, 1000, 250), memory=1 << 30)
+    sides = [int(word) for word in re.search(r"\((.*) fits", str(caught.value))[1].split()]
+    assert sides[1] == pytest.approx(2 * sides[0], abs=2) and sides[0] == pytest.approx(2 * sides[2], abs=2)
+    peak = model.plan(tb.Request(sides)).peak
+    assert 0.95 * 2**30 < peak <= 2**30

@@ -45,7 +45,7 @@ def test_stl_is_in_millimetres_and_says_so(tmp_path, unit, factor):
     mesh = tb.mesh(tb.Image(np.ones((2, 3, 4), bool), "labels", spacing=2.0, unit=unit), smooth=0)
     raw = write_mesh(mesh, tmp_path / "box.stl").read_bytes()
     assert raw[:5] != b"solid" and len(raw) == 84 + 50 * len(mesh.faces)
-    assert f"unit={'voxel' if unit == 'voxel' else 'mm'}, recipe={recipe_digest(mesh)}".encode() in raw[:80]
+    assert f"unit={'voxel' if unit == 'voxel' else 'mm'}, recipe={recipe_digest(mesh.recipe)}".encode() in raw[:80]
     records = np.frombuffer(raw[84:], np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]))
     np.testing.assert_allclose(records["c"].max(axis=(0, 1)), np.array([8, 6, 4]) * factor, rtol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(records["n"], axis=1), 1, rtol=1e-5)

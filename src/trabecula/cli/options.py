@@ -19,6 +19,14 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, auto (default), or none"
     )
     group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
+    group.add_argument(
+        "--level",
+        dest="halvings",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of a .zarr with coarser levels: 0 the finest (default), each further one of half the voxels along an axis",
+    )
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -134,12 +142,17 @@ def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     """The exemplar as the options say; a grey one is segmented."""
     from trabecula.flow import load
 
-    given = {"kind": options.kind, "unit": options.unit, "phases": options.phases}
-    reading = {name: value for name, value in given.items() if value is not None}
-    if options.spacing:
-        reading["spacing"] = numbers(options.spacing, name="--spacing")
     crop = integers(options.crop, name="--crop") if options.crop else None
-    return load(source, crop=crop, threshold=threshold(options.threshold), **reading)
+    return load(source, crop=crop, threshold=threshold(options.threshold), **reading(options))
+
+
+def reading(options: argparse.Namespace) -> dict[str, Any]:
+    """What was given of how a file is read."""
+    given = {"kind": options.kind, "unit": options.unit, "phases": options.phases, "level": options.halvings or None}
+    found = {name: value for name, value in given.items() if value is not None}
+    if options.spacing:
+        found["spacing"] = numbers(options.spacing, name="--spacing")
+    return found
 
 
 def threshold(text: str | None) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
@@ -17,6 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="HTML", help="write one self-contained page")
     parser.add_argument(
         "--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)"
+    )
+    parser.add_argument(
+        "--memory",
+        type=shared.gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available); a .zarr of labels that needs more is judged in slabs",
     )
     group = parser.add_argument_group("volumes held against pictures")
     group.add_argument(
@@ -39,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an error: status 0."""
-    from trabecula.flow import check_page, load_like, voxels_of, write_page
+    from trabecula.flow import check_page, write_page
     from trabecula.report.certificate import verify
 
     if options.report:
@@ -47,9 +54,10 @@ def run(options: argparse.Namespace) -> int:
     sources = [options.exemplar, *options.pictures]
     exemplars = [shared.load_exemplar(source, options) for source in sources]
     views = [plane for word in options.views for plane in word.split(",")]
-    images = [load_like(file, exemplars[0], spacing=lambda: voxels_of(exemplars, views)) for file in options.files]
+    images = [_result(file, exemplars, views, options) for file in options.files]
     names = [Path(file).name for file in options.files]
     wanted = {"r_max": options.r_max, "names": names, "level": options.level, "box": options.box, "views": views}
+    wanted["memory"] = options.memory
     found = verify(exemplars if len(exemplars) > 1 else exemplars[0], *images, **wanted)
     certificates = found if isinstance(found, list) else [found]
     if options.report:
@@ -60,3 +68,15 @@ def run(options: argparse.Namespace) -> int:
     else:
         print("\n\n".join(certificate.to_table() for certificate in certificates))
     return 0
+
+
+def _result(file: str, exemplars: list[Any], views: list[str], options: argparse.Namespace) -> Any:
+    """A result as an Image, or in slabs where it is too large and the exemplar is a volume of labels."""
+    from trabecula.flow import load_like, slabs_like_if_large, voxels_of
+    from trabecula.measure.blockwise import in_core_bytes
+
+    exemplar, volume = exemplars[0], None
+    if exemplar.kind == "labels" and exemplar.ndim == 3:
+        memory = {"need": lambda shape: in_core_bytes(shape, options.level), "memory": options.memory}
+        volume = slabs_like_if_large(file, exemplar, **memory)
+    return load_like(file, exemplar, spacing=lambda: voxels_of(exemplars, views)) if volume is None else volume

@@ -35,7 +35,7 @@ def replacing(path: Path) -> Iterator[Path]:
             f"cannot write {path}: {error.strerror or error}; check the folder, its rights and the space left"
         ) from error
     finally:
-        _remove(temporary)
+        remove(temporary)
 
 
 def put_in_place(temporary: Path, path: Path) -> None:
@@ -51,12 +51,13 @@ def put_in_place(temporary: Path, path: Path) -> None:
         except OSError:
             aside.rename(path)
             raise
-        _remove(aside)
+        remove(aside)
     else:
         temporary.replace(path)
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file or a folder with all in it, as far as can be; what is not there is no error."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:

@@ -1,8 +1,11 @@
 """Zarr stores: the one home of zarr.
 
-A store is a Zarr v3 group with the voxels as array "0", described as OME-Zarr 0.5 (axes, scale, units), and our fields
-under the attribute "trabecula". Its `complete` is false until the last chunk is written, so a run that died leaves
-a store that says so.
+A store is a Zarr v3 group with the voxels as array "0" and coarser levels of them (engine.levels) as "1", "2", ...,
+described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute "trabecula". Its `complete` is
+false until the last chunk is written, so a run that died leaves a store that says so.
+
+A file of an array holds a cube of `CHUNK` voxels and is the unit of writing (Zarr's shard); the cubes of half its edge in
+it are the unit of reading (Zarr's chunk).
 """
 
 from __future__ import annotations
@@ -15,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.errors import FileError
+from trabecula.core.errors import FileError, InputError
+from trabecula.engine.cuts import Box, cells_of
 from trabecula.engine.files import replacing
+from trabecula.engine.levels import halved, shapes_of
 
 KEY = "trabecula"
-ARRAY = "0"
-CHUNK = 128  # voxels along an axis: 2 MiB of labels, a unit that disks and networks like
-_OF = "identity"
+CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like
+_OF, _EDGE, _SIDE = "identity", "chunk", "block"
 _EVERY_CHUNK: Any = {"write_empty_chunks": True}  # a chunk that is not there is then a chunk that was lost
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
 
@@ -36,24 +40,36 @@ class Store:
     scale: tuple[float, ...]
     unit: str | None
 
-    def load(self) -> np.ndarray:
-        """All voxels.
+    def check_whole(self) -> None:
+        """Raise where a chunk is not there.
 
         Raises
         ------
         ValueError
             Chunks are missing; zarr itself would give zeros for them.
         """
-        missing = self.array.nchunks - self.array.nchunks_initialized
-        if missing and self.fields:  # elsewhere a missing chunk means its fill value
-            raise ValueError(f"{missing} of its {self.array.nchunks} chunks are missing")
+        if self.fields:  # elsewhere a missing chunk means its fill value
+            files = _files(self.path, self.array)
+            missing = sum(not file.exists() for file in files)
+            if missing:
+                raise ValueError(f"{missing} of its {len(files)} chunks are missing")
+
+    def load(self) -> np.ndarray:
+        """All voxels of the level that was opened.
+
+        Raises
+        ------
+        ValueError
+            As `check_whole`.
+        """
+        self.check_whole()
         return np.asarray(self.array[...])
 
 
 def save(
     path: Path, values: np.ndarray, *, scale: Sequence[float], unit: str | None, fields: Mapping[str, Any]
 ) -> None:
-    """Write voxels as a store that appears whole or not at all.
+    """Write voxels as a store that appears whole or not at all, with its coarser levels.
 
     Parameters
     ----------
@@ -64,7 +80,7 @@ def save(
     unit : str, optional
         OME-Zarr's name of its unit, such as "micrometer".
     fields : mapping
-        Plain JSON, kept under "trabecula".
+        Plain JSON, kept under "trabecula". Its `kind` tells labels from what has a mean.
 
     Raises
     ------
@@ -74,10 +90,13 @@ def save(
     if path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
         raise FileError(f"cannot write {path}: a folder that is no Zarr store is there; choose another name")
     with replacing(path) as temporary:
-        group, array = create(
+        group, arrays = create(
             temporary, values.shape, values.dtype, scale=scale, unit=unit, fields=fields, name=path.stem
         )
-        array[...] = values
+        for level, array in enumerate(arrays):
+            if level:
+                values = halved(values, labels=fields.get("kind") == "labels", axes=len(scale))
+            array[...] = values
         finish(group)
 
 
@@ -90,26 +109,43 @@ def create(
     unit: str | None,
     fields: Mapping[str, Any],
     name: str = "",
-) -> tuple[Any, Any]:
-    """An unfinished store and its empty array; call `finish` after the last chunk."""
+    chunk: int | None = None,
+) -> tuple[Any, list[Any]]:
+    """An unfinished store and the empty arrays of its levels; call `finish` after the last chunk."""
     import zarr
     from zarr.codecs import ZstdCodec
 
+    edge = CHUNK if chunk is None else chunk
     axes = (["c"] if len(shape) > len(scale) else []) + ["z", "y", "x"][-len(scale) :]
+    channels, space = tuple(shape[: -len(scale)]), shape[-len(scale) :]
+    shapes = shapes_of(space, 2 * edge)
     group = zarr.create_group(
-        str(path), attributes={"ome": _ome(axes, scale, unit, name), KEY: {**fields, "complete": False}}
+        str(path),
+        attributes={"ome": _ome(axes, scale, unit, name, len(shapes)), KEY: {**fields, "complete": False}},
     )
-    array = group.create_array(
-        ARRAY,
-        shape=tuple(shape),
-        dtype=dtype,
-        chunks=tuple(side if axis == "c" else min(side, CHUNK) for axis, side in zip(axes, shape, strict=True)),
-        compressors=[ZstdCodec(level=_LEVEL, checksum=True)],
-        fill_value=0,
-        dimension_names=axes,
-        config=_EVERY_CHUNK,
-    )
-    return group, array
+    arrays = []
+    for level, sides in enumerate(shapes):
+        file = (*channels, *(min(side, edge) for side in sides))
+        read = (*channels, *map(_to_read, file[len(channels) :]))
+        arrays.append(
+            group.create_array(
+                str(level),
+                shape=(*channels, *sides),
+                dtype=dtype,
+                chunks=read,
+                shards=None if read == file else file,
+                compressors=[ZstdCodec(level=_LEVEL, checksum=True)],
+                fill_value=0,
+                dimension_names=axes,
+                config=_EVERY_CHUNK,
+            )
+        )
+    return group, arrays
+
+
+def _to_read(side: int) -> int:
+    """The edge of the cubes that are read alone, for that of a file; smaller ones would cost more than they spare."""
+    return side // 2 if side % 2 == 0 and side >= 128 else side
 
 
 def finish(group: Any) -> None:
@@ -119,21 +155,45 @@ def finish(group: Any) -> None:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A store that is still being written, and of what."""
+    """A store that is still being written, and of what.
+
+    Attributes
+    ----------
+    path : Path
+    group : its Zarr group
+    arrays : of its levels, the finest first
+    identity : str
+        Of all that its voxels depend on.
+    chunk : int
+        Edge of the cubes that are a file each.
+    block : int
+        Edge of those that were made at once when it was begun.
+    """
 
     path: Path
     group: Any
-    array: Any
+    arrays: tuple[Any, ...]
     identity: str
+    chunk: int
+    block: int
 
-    def chunk(self, voxel: Sequence[int]) -> Path:
-        """The file of the chunk that holds a voxel."""
-        return self.path.joinpath(ARRAY, "c", *(str(place // CHUNK) for place in voxel))
+    @property
+    def fields(self) -> dict[str, Any]:
+        """What it says of itself; the digest of its voxels is empty until it is complete."""
+        return dict(self.group.attrs[KEY])
+
+    def files(self, level: int, box: Box) -> list[Path]:
+        """The files that hold a box of a level."""
+        return [_file(self.path, level, place, self.chunk) for place in cells_of(box, self.chunk)]
 
     def finish(self, fields: Mapping[str, Any]) -> None:
         """Mark the store as complete, with the fields that nobody knew before the last chunk."""
         # The identity stays, for a run that is killed before the store has its own name.
-        self.group.attrs[KEY] = {**fields, _OF: self.identity, "complete": True}
+        self.group.attrs[KEY] = {**fields, **_asked(self.identity, self.chunk, self.block), "complete": True}
+
+
+def _asked(identity: str, chunk: int, block: int) -> dict[str, Any]:
+    return {_OF: identity, _EDGE: chunk, _SIDE: block}
 
 
 def create_unfinished(
@@ -143,12 +203,16 @@ def create_unfinished(
     *,
     scale: Sequence[float],
     unit: str | None,
+    fields: Mapping[str, Any],
     identity: str,
     name: str,
+    chunk: int,
+    block: int,
 ) -> Unfinished:
-    """An empty store that says `identity` of what will be in it, until it is finished."""
+    """An empty store that says what will be in it, and `identity` of it, until it is finished."""
+    more = {**fields, **_asked(identity, chunk, block)}
     with replacing(path) as temporary:
-        create(temporary, shape, dtype, scale=scale, unit=unit, fields={_OF: identity}, name=name)
+        create(temporary, shape, dtype, scale=scale, unit=unit, fields=more, name=name, chunk=chunk)
     made = open_unfinished(path)
     if made is None:
         raise FileError(f"cannot write {path}: what was written there cannot be read back; check the disk")
@@ -161,66 +225,93 @@ def open_unfinished(path: Path) -> Unfinished | None:
 
     try:
         group: Any = zarr.open_group(str(path), mode="r+")
+        ours = group.attrs[KEY]
+        levels = len(group.attrs["ome"]["multiscales"][0]["datasets"])
         # Which chunks are written is no part of what a store says of itself, and open_array overlooks its config.
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
-            array = group[ARRAY]
-        return Unfinished(path, group, array, str(group.attrs[KEY][_OF]))
+            arrays = tuple(group[str(level)] for level in range(levels))
+        return Unfinished(path, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
     except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
         return None
 
 
-def open_finished(path: Path) -> Store:
-    """Open a store: one that this package finished, or anybody's with one array or a multiscale image in it.
+def open_finished(path: Path, level: int = 0) -> Store:
+    """Open a level of a store: of one that this package finished, or of anybody's with one array or a multiscale image in it.
 
     Raises
     ------
     FileError
         A store of ours whose run did not end; somebody else's in which it is open what to read.
+    InputError
+        It has no such level.
     """
     import zarr
 
     node: Any = zarr.open(str(path), mode="r")
     fields = node.attrs.get(KEY)
-    if not isinstance(fields, Mapping):
-        return _open_foreign(path, node)
-    if fields.get("complete") is not True:
-        raise FileError(f"cannot read {path} as Zarr: the run that wrote it did not finish; run it again")
-    scale, unit = _calibration(node.attrs["ome"])
-    plain = {name: value for name, value in fields.items() if name != "complete"}
-    return Store(path, node[ARRAY], plain, scale, unit)
-
-
-def _open_foreign(path: Path, node: Any) -> Store:
-    """Somebody else's: an array, a multiscale image (OME-Zarr 0.4 or 0.5; its finest level), or a group of one array."""
-    import zarr
-
-    if isinstance(node, zarr.Array):
-        return Store(path, node, {}, (), None)
+    if isinstance(fields, Mapping) and fields.get("complete") is not True:
+        name = str(path).removesuffix(".part")
+        raise FileError(
+            f"cannot read {path} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
+        )
+    ours = {name: value for name, value in fields.items() if name != "complete"} if isinstance(fields, Mapping) else {}
     ome = node.attrs.get("ome", node.attrs)
     if "multiscales" in ome:
-        scale, unit = _calibration(ome)
-        return Store(path, node[ome["multiscales"][0]["datasets"][0]["path"]], {}, scale, unit)
-    arrays = [name for name, _ in node.arrays()]
+        datasets = ome["multiscales"][0]["datasets"]
+        _check_level(path, level, len(datasets))
+        scale, unit = _calibration(ome, level)
+        return Store(path, node[datasets[level]["path"]], ours, scale, unit)
+    _check_level(path, level, 1)
+    return Store(path, node if isinstance(node, zarr.Array) else _only_array(path, node), {}, (), None)
+
+
+def _check_level(path: Path, level: int, count: int) -> None:
+    if not 0 <= level < count:
+        have = "one level, 0" if count == 1 else f"levels 0 (the finest) to {count - 1}"
+        raise InputError(f"{path} has {have}: got level {level}")
+
+
+def _only_array(path: Path, group: Any) -> Any:
+    """The array of somebody else's group."""
+    arrays = [name for name, _ in group.arrays()]
     if len(arrays) != 1:
         names = ", ".join(sorted(arrays)) or "none"
         raise FileError(f"cannot read {path} as Zarr: one array is needed, it holds {names}; give the array's own path")
-    return Store(path, node[arrays[0]], {}, (), None)
+    return group[arrays[0]]
 
 
-def _ome(axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str) -> dict[str, Any]:
+def _files(path: Path, array: Any) -> list[Path]:
+    """Every file of an array of ours."""
+    edges = array.shards or array.chunks
+    box = tuple((0, -(-side // edge)) for side, edge in zip(array.shape, edges, strict=True))
+    return [_file(path, array.basename, place, 1) for place in cells_of(box, 1)]
+
+
+def _file(path: Path, level: int | str, voxel: Sequence[int], edge: int) -> Path:
+    return path.joinpath(str(level), "c", *(str(place // edge) for place in voxel))
+
+
+def _ome(axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str, levels: int) -> dict[str, Any]:
     length = {} if unit is None else {"unit": unit}
     described = [
         {"name": axis, "type": "channel"} if axis == "c" else {"name": axis, "type": "space", **length} for axis in axes
     ]
-    factors = [1.0] * (len(axes) - len(scale)) + [float(edge) for edge in scale]
-    datasets = [{"path": ARRAY, "coordinateTransformations": [{"type": "scale", "scale": factors}]}]
+    before = len(axes) - len(scale)
+    datasets = []
+    for level in range(levels):
+        factors = [1.0] * before + [edge * 2.0**level for edge in scale]
+        moves: list[dict[str, Any]] = [{"type": "scale", "scale": factors}]
+        if level:  # OME places the centre of the first voxel, which lies farther in than the finest level's
+            shift = [0.0] * before + [edge * (2.0**level - 1) / 2 for edge in scale]
+            moves.append({"type": "translation", "translation": shift})
+        datasets.append({"path": str(level), "coordinateTransformations": moves})
     return {"version": "0.5", "multiscales": [{"name": name, "axes": described, "datasets": datasets}]}
 
 
-def _calibration(ome: Any) -> tuple[tuple[float, ...], str | None]:
+def _calibration(ome: Any, level: int) -> tuple[tuple[float, ...], str | None]:
     multiscale = ome["multiscales"][0]
     space = [index for index, axis in enumerate(multiscale["axes"]) if axis["type"] == "space"]
-    factors = multiscale["datasets"][0]["coordinateTransformations"][0]["scale"]
+    factors = multiscale["datasets"][level]["coordinateTransformations"][0]["scale"]
     scale = tuple(float(factors[index]) for index in space)
     if not all(math.isfinite(edge) and edge > 0 for edge in scale):
         raise ValueError(f"its scale {scale} is not positive")

@@ -6,7 +6,8 @@
 3. Again from 1, since a part that is joined may bring others within reach; until nothing is joined any more.
 4. What is still loose becomes background.
 
-A part is searched from in its own box, so the cost is that of the loose parts and not of the image.
+A part is searched from in its own box, so the cost is that of the loose parts and not of the image. Components are kept as
+runs along x: besides the image and the result no array of the image's size is needed.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, phase_index, with_values
+from trabecula.core.image import Image, as_image, phase_index, with_values
 from trabecula.engine.compile import kernel
-from trabecula.measure.components import label_components
-from trabecula.measure.phases import indicator
+from trabecula.engine.cuts import slices_of
+from trabecula.measure.phases import as_connectivity, members
+from trabecula.measure.runs import Runs, runs_of
 
 _BODY, _LOOSE, _OPEN, _CLOSED = 1, 2, 3, 4
 
@@ -61,26 +63,28 @@ def connect(
         The phase is empty; a negative reach or size; the void of an image of several phases, where it is open what a
         removed pore would be filled with.
     """
-    image, inside = indicator(image, phase)
+    image = as_image(image)
+    member = members(image, phase)
     _check_settings(reach, brush, min_size)
-    if not inside.any():
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
-        )
-    background = _background(image, phase)
+    neighbours, background = as_connectivity(connectivity, image.ndim), _background(image, phase)
     values = np.array(image.values, order="C")  # a copy: the caller's array stays as it is
-    inside = np.ascontiguousarray(inside)
+    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
     joins = added = 0
     while True:
-        labels, sizes = label_components(inside, connectivity=connectivity)
-        body = int(np.argmax(sizes)) + 1
-        done, filled = _join_parts(values, inside, labels, sizes, body, background, (reach, brush, min_size))
+        runs = runs_of(lifted, member, neighbours)
+        if not len(runs.sizes):
+            raise InputError(
+                f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
+            )
+        body = int(np.argmax(runs.sizes)) + 1
+        done, filled = _join_parts(lifted, runs, body, background, (reach, brush, min_size))
         if not done:
             break
         joins, added = joins + done, added + filled
-    loose = inside & (labels != body)
-    values[loose] = background
-    report = {"joins": joins, "added": added, "removed_parts": len(sizes) - 1, "removed": np.count_nonzero(loose)}
+    loose = np.arange(1, len(runs.sizes) + 1) != body
+    runs.write(values, loose, background)
+    report = {"joins": joins, "added": added, "removed_parts": len(runs.sizes) - 1}
+    report["removed"] = int(runs.sizes[loose].sum())
     settings = {"phase": phase, "reach": reach, "brush": brush, "min_size": min_size, "connectivity": connectivity}
     recipe = image.recipe.then("finish", values, operation="connect", settings=settings, report=report)
     return with_values(image, values, recipe=recipe)
@@ -106,33 +110,26 @@ def _background(image: Image, phase: str | int | None) -> int:
 
 
 def _join_parts(
-    values: np.ndarray,
-    inside: np.ndarray,
-    labels: np.ndarray,
-    sizes: np.ndarray,
-    body: int,
-    background: int,
-    settings: tuple[int, int, int],
+    values: np.ndarray, runs: Runs, body: int, background: int, settings: tuple[int, int, int]
 ) -> tuple[int, int]:
-    """Join every part within reach of the body, writing into `values` and `inside`; joins, and voxels filled."""
+    """Join every part within reach of the body, writing into `values`; joins, and voxels filled."""
     reach, brush, min_size = settings
-    lifted = (1,) * (3 - values.ndim) + values.shape
-    values, inside, labels = values.reshape(lifted), inside.reshape(lifted), labels.reshape(lifted)
-    parts = [part for part in np.flatnonzero(sizes >= min_size) + 1 if part != body]
+    parts = [part for part in np.flatnonzero(runs.sizes >= min_size) + 1 if part != body]
     if not parts or reach == 0:
         return 0, 0
-    worth = np.zeros(len(sizes) + 1, np.bool_)
+    worth = np.zeros(len(runs.sizes) + 1, np.bool_)
     worth[parts] = True
-    boxes = _boxes(labels, len(sizes))
+    boxes = runs.boxes()
     joins = filled = 0
     for part in parts:
         low = np.maximum(boxes[part, :3] - reach - 1, 0)
-        box = tuple(slice(a, b) for a, b in zip(low, boxes[part, 3:] + reach + 1, strict=True))
-        state = _states(labels[box], values[box], part, body, background, worth)
+        high = np.minimum(boxes[part, 3:] + reach + 1, values.shape)
+        box = tuple(zip(low.tolist(), high.tolist(), strict=True))
+        state = _states(runs.labels(box), values[slices_of(box)], part, body, background, worth)
         path = _shortest_path(state, reach)
         if len(path):
             joins += 1
-            filled += _fill(values, inside, path + low, background, brush)
+            filled += _fill(values, path + low, background, brush)
     return joins, filled
 
 
@@ -145,21 +142,6 @@ def _states(
     state[labels == part] = _LOOSE
     state[labels == body] = _BODY
     return state
-
-
-@kernel
-def _boxes(labels, count):
-    """First voxel and one past the last along z, y, x, for every label."""
-    boxes = np.zeros((count + 1, 6), np.int64)
-    boxes[:, :3] = max(labels.shape)
-    for z in range(labels.shape[0]):
-        for y in range(labels.shape[1]):
-            for x in range(labels.shape[2]):
-                box = boxes[labels[z, y, x]]
-                box[0], box[3] = min(box[0], z), max(box[3], z + 1)
-                box[1], box[4] = min(box[1], y), max(box[4], y + 1)
-                box[2], box[5] = min(box[2], x), max(box[5], x + 1)
-    return boxes
 
 
 @kernel
@@ -210,7 +192,7 @@ def _shortest_path(state, reach):
 
 
 @kernel
-def _fill(values, inside, path, background, brush):
+def _fill(values, path, background, brush):
     """Paint the path with a cube of side `brush` in the label of its first voxel; only background is painted over."""
     label = values[path[0, 0], path[0, 1], path[0, 2]]
     before = (brush - 1) // 2
@@ -222,6 +204,5 @@ def _fill(values, inside, path, background, brush):
                 for x in range(max(first[2], 0), min(first[2] + brush, values.shape[2])):
                     if values[z, y, x] == background:
                         values[z, y, x] = label
-                        inside[z, y, x] = True
                         filled += 1
     return filled

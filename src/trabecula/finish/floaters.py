@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, with_values
+from trabecula.core.image import Image, as_image, with_values
 from trabecula.finish.connect import _background
-from trabecula.measure.labelling import label_components
-from trabecula.measure.phases import indicator
+from trabecula.measure.phases import as_connectivity, members
+from trabecula.measure.runs import runs_of
 
 
 def remove_floaters(
@@ -49,19 +49,22 @@ def remove_floaters(
     >>> part.values.tolist(), part.recipe.steps[-1]["report"]["removed_parts"]
     ([[1, 1, 0, 0], [1, 0, 0, 0]], 1)
     """
-    image, inside = indicator(image, phase)
+    image = as_image(image)
+    member = members(image, phase)
     if smaller_than is not None:
         smaller_than = int(as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True))
     background = _background(image, phase)
-    labels, sizes = label_components(inside, connectivity=connectivity)
+    values = np.array(image.values, order="C")
+    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
+    runs = runs_of(lifted, member, as_connectivity(connectivity, image.ndim))
+    sizes = runs.sizes
     if not len(sizes):
         raise InputError(
             f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing floats in it"
         )
     goes = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than
     goes[np.argmax(sizes)] = False
-    values = np.array(image.values, order="C")
-    values[np.concatenate([[False], goes])[labels]] = background
+    runs.write(values, goes, background)
     report = {"removed_parts": np.count_nonzero(goes), "removed": int(sizes[goes].sum())}
     report["left"] = len(sizes) - report["removed_parts"]
     settings = {"smaller_than": smaller_than, "phase": phase, "connectivity": connectivity}

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from trabecula.core.errors import FileError
+from trabecula.core.checks import as_number
+from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.io.formats import SLICES, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
@@ -22,6 +23,7 @@ def read(
     spacing: float | Sequence[float] | None = None,
     unit: str | None = None,
     phases: Sequence[str] | None = None,
+    level: int = 0,
 ) -> Image:
     """Read a volume or a picture.
 
@@ -40,6 +42,8 @@ def read(
         Of the spacing, in any usual spelling. A file that states a spacing without a unit leaves it "voxel".
     phases : sequence of str, optional
         Names of the labels 0..n-1.
+    level : int
+        Of a Zarr store with coarser levels beside the voxels: 0 the finest, each further one of half the voxels along an axis.
 
     Returns
     -------
@@ -53,7 +57,7 @@ def read(
     UnknownNameError
         A suffix, kind or unit that does not exist.
     InputError
-        Values that are not what `kind` says, NaN, wrong dimensions.
+        Values that are not what `kind` says, NaN, wrong dimensions; a level that is not there.
     MemoryBudgetError
         A header that claims more than the available memory.
 
@@ -70,7 +74,12 @@ def read(
     form = _format_to_read(place)
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
     options = {name: value for name, value in given.items() if value is not None}
-    return interpret(form.function("read")(place), source=os.fspath(path), options=options)
+    if level == 0:
+        return interpret(form.function("read")(place), source=os.fspath(path), options=options)
+    if not form.levels:
+        raise InputError(f"{path} is {form.name}, which has no coarser levels: leave the level out, or write a .zarr")
+    content = form.function("read")(place, as_number(level, name="level", low=0, high=64, whole=True))
+    return interpret(content, source=os.fspath(path), options={**options, "level": level})
 
 
 def _format_to_read(path: Path) -> Format:

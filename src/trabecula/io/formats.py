@@ -27,12 +27,15 @@ class Format:
         One line for the docs and the command line.
     folder : bool
         Whether it is a folder instead of a file.
+    levels : bool
+        Whether coarser levels may lie beside the voxels, so that `read(path, level)` takes one.
     """
 
     name: str
     home: str
     note: str
     folder: bool = False
+    levels: bool = False
 
     def function(self, verb: str) -> Callable[..., Any]:
         """The format's "read" or "write"."""
@@ -46,7 +49,9 @@ _JPEG = Format("JPEG", "raster", "2-D grey or colour; lossy, so it starts a new 
 FORMATS: dict[str, Format] = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".zarr": Format("Zarr", "omezarr", "version 3, chunked, zstd; OME-Zarr 0.5 axes and scale", folder=True),
+    ".zarr": Format(
+        "Zarr", "omezarr", "version 3, sharded, zstd; OME-Zarr 0.5 axes, scale and levels", folder=True, levels=True
+    ),
     ".npy": Format("NumPy", "npy", "plain array; what it means lies in NAME.npy.json beside it"),
     ".mhd": _META,
     ".raw": _META,

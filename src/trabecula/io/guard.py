@@ -73,6 +73,10 @@ def _reason(error: Exception) -> str:
 def check_there(path: Path) -> None:
     """Raise where nothing is at `path` (naming what is near), or an empty file."""
     if not path.exists():
+        if path.with_name(path.name + ".part").exists():
+            raise FileError(
+                f"{path} is not finished: trabecula generate --resume {path} goes on with the run that makes it"
+            )
         raise FileError(f"there is no file {path}{_near(path)}")
     if path.is_file() and path.stat().st_size == 0:
         raise FileError(f"cannot read {path}: it is empty (0 bytes); write or copy it again")

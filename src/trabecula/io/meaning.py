@@ -28,7 +28,7 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
     source : str
         The path as the user gave it, for the recipe.
     options : mapping
-        What the caller of `read` gave explicitly, among kind, spacing, unit and phases; it wins over the file.
+        What the caller of `read` gave explicitly, among kind, spacing, unit and phases, which win over the file, and level.
     """
     own = content.fields or {}
     values = _plain(content.values)
@@ -59,7 +59,7 @@ def _recipe(image: Image, content: Content, source: str, options: Mapping[str, A
     """The file's own recipe; with a step "read" after it where this reading said something else than the file."""
     own = None if content.lossy else content.fields
     recipe = Recipe.from_json(own["recipe"]) if own else Recipe()
-    if own and recipe:
+    if own and recipe and "level" not in options:
         said = {"kind": image.kind, "spacing": list(image.spacing), "unit": image.unit, "phases": list(image.phases)}
         if all(own[name] == value for name, value in said.items()):
             return recipe

@@ -27,12 +27,12 @@ def write(image: Image, path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> Content:
-    """Read a Zarr store (see `trabecula.io.files.read`)."""
+def read(path: Path, level: int = 0) -> Content:
+    """Read a level of a Zarr store (see `trabecula.io.files.read`)."""
     with damaged(path, "Zarr"):
-        opened = store.open_finished(path)
+        opened = store.open_finished(path, level)
         check_claim(path, opened.array.shape, opened.array.dtype)
-        fields = checked(opened.fields) if opened.fields else None
+        fields = {**checked(opened.fields), "spacing": list(opened.scale)} if opened.fields else None
         values = opened.load()
         if fields is None:
             return Content(_spatial(path, values, len(opened.scale)), spacing=opened.scale or None, unit=opened.unit)

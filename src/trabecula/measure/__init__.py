@@ -3,6 +3,7 @@ docstring."""
 
 # Imported plainly, not lazily: several functions bear their module's name, and whichever of the two is set last wins.
 from trabecula.measure.amount import porosity, specific_surface, volume_fractions
+from trabecula.measure.blockwise import describe_slabs
 from trabecula.measure.components import (
     component_distance,
     component_sizes,
@@ -58,6 +59,7 @@ __all__ = [
     "cross_correlation",
     "describe",
     "describe_physics",
+    "describe_slabs",
     "describe_texture",
     "diffusivity",
     "distance_transform",

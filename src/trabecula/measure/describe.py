@@ -10,21 +10,20 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.measure.amount import porosity, volume_fractions
-from trabecula.measure.components import share_of_largest
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
-from trabecula.measure.labelling import label_components
-from trabecula.measure.minkowski import euler, minkowski
 from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
-from trabecula.measure.percolation import AXES, percolating_fraction, spans
+from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import indicator
-from trabecula.measure.physics import PHYSICS, describe_physics, finite, physics_notes
-from trabecula.measure.thickness import chord_length, pore_size, thickness
+from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
+from trabecula.measure.tallies.numbers import Numbers
+from trabecula.measure.thickness import pore_size, thickness
 
 LEVELS = ("quick", "default", "full")
+SLOW = ("pore_size", "thickness", "morphometry", "anisotropy")
+"""What needs distances and directions."""
 
 
 def describe(
@@ -82,28 +81,10 @@ def describe(
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
     """What `describe` tells, less the curves and the physics."""
     image, solid = indicator(image, None)
-    shape = minkowski(image)
-    labels, sizes = label_components(solid)
-    axes = AXES[3 - image.ndim :]
-    found = {
-        "shape": list(image.shape),
-        "spacing": list(image.spacing),
-        "unit": image.unit,
-        "porosity": porosity(image),
-        "fractions": volume_fractions(image),
-        "specific_surface": shape.surface,
-        "euler": euler(image),
-        "euler_density": shape.euler_density,
-        "mean_curvature": shape.mean_curvature,
-        "components": len(sizes),
-        "floating": max(0, len(sizes) - 1),
-        "floating_voxels": int(sizes.sum() - sizes.max(initial=0)),
-        "largest_fraction": share_of_largest(sizes),
-        "percolates": spans(labels),
-        "percolating_fraction": {name: percolating_fraction(image, axis=axis) for axis, name in enumerate(axes)},
-        "chord_length": finite(chord_length(image)),
-    }
-    slow: dict[str, Any] = dict.fromkeys(("pore_size", "thickness", "morphometry", "anisotropy"))
+    numbers = Numbers(image.shape, image.spacing, image.phases)
+    numbers.add(image)
+    found = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit, **numbers.result()}
+    slow: dict[str, Any] = dict.fromkeys(SLOW)
     if level != "quick":
         slow |= _sizes(image, solid)
     return found | slow

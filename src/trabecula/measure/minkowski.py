@@ -91,15 +91,26 @@ def minkowski(
     counts = count_cubes(_extended(inside, wraps), None if region is None else _extended(region, wraps))
     if not counts.any():
         raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
+    return densities(counts, image.spacing, neighbours)
+
+
+def densities(counts: np.ndarray, spacing: tuple[float, ...], connectivity: int) -> Minkowski:
+    """The functionals from how often each of the 256 cubes occurs inside an image of as many axes as `spacing` has."""
     weights = counts / counts.sum()
-    cell = float(np.prod(image.spacing))
-    volume = float(weights @ bits()[:, : 2**image.ndim].mean(axis=1))
-    density = float(weights @ _euler_table(neighbours)) / cell
-    if image.ndim == 2:
-        length = float(weights @ surface_table((1.0, *image.spacing), flat=True))
+    cell = float(np.prod(spacing))
+    volume = float(weights @ bits()[:, : 2 ** len(spacing)].mean(axis=1))
+    density = float(weights @ _euler_table(connectivity)) / cell
+    if len(spacing) == 2:
+        length = float(weights @ surface_table((1.0, *spacing), flat=True))
         return Minkowski(volume, length, 2 * np.pi * density, density)
-    surface = float(weights @ surface_table(image.spacing, flat=False))
-    return Minkowski(volume, surface, float(weights @ curvature_table(image.spacing, neighbours)), density)
+    surface = float(weights @ surface_table(spacing, flat=False))
+    return Minkowski(volume, surface, float(weights @ curvature_table(spacing, connectivity)), density)
+
+
+def euler_of(counts: np.ndarray, connectivity: int) -> int:
+    """The Euler number of an object from how often each of the 256 cubes occurs in it and a margin around it."""
+    # Tables hold eighths, so the sum of whole counts is exact.
+    return round(float(counts @ _euler_table(connectivity)))
 
 
 def mean_curvature(
@@ -170,12 +181,11 @@ def euler(
     0
     """
     image, inside, _ = masked_indicator(image, phase, mask)
-    table = _euler_table(as_connectivity(connectivity, image.ndim))
+    neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     margin = [(0, 0) if wrap else (1, 1) for wrap in wraps]
     counts = count_cubes(_extended(np.pad(inside, margin), wraps), None)
-    # Tables hold eighths, so the sum of whole counts is exact.
-    return round(float(counts @ table))
+    return euler_of(counts, neighbours)
 
 
 def euler_density(

@@ -100,11 +100,6 @@ def percolating_fraction(
     return int(np.count_nonzero(spanning_voxels(labels, along, region))) / total if total else 0.0
 
 
-def spans(labels: np.ndarray) -> dict[str, bool]:
-    """For every axis, whether a label other than 0 occurs in both end faces."""
-    return {name: len(_spanning(labels, axis, None)) > 0 for axis, name in enumerate(AXES[3 - labels.ndim :])}
-
-
 def spanning_voxels(labels: np.ndarray, axis: int, region: np.ndarray | None = None) -> np.ndarray:
     """The voxels, True, of the components that touch both ends of an axis."""
     through = np.zeros(int(labels.max()) + 1, bool)

@@ -32,6 +32,18 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
         Not labels, no such phase, or no phase given where none is named "void".
     """
     image = as_image(image)
+    label, without = _meant(image, phase, default)
+    return image, image.values != label if without else image.values == label
+
+
+def members(image: Image, phase: str | int | None, *, default: str = "solid") -> np.ndarray:
+    """(256,) bool: whether voxels of a label belong to the phase; as `indicator`, without an array of the image's size."""
+    label, without = _meant(image, phase, default)
+    return (np.arange(256) != label) if without else (np.arange(256) == label)
+
+
+def _meant(image: Image, phase: str | int | None, default: str) -> tuple[int, bool]:
+    """A label, and whether the phase is everything but that."""
     check_labels(image)
     if phase is None and "void" not in image.phases:
         raise InputError(
@@ -39,8 +51,8 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
             "or name one of them void (--phases)"
         )
     if phase is None and default == "solid":
-        return image, image.values != phase_index(image, None, default="void")
-    return image, image.values == phase_index(image, phase, default=default)
+        return phase_index(image, None, default="void"), True
+    return phase_index(image, phase, default=default), False
 
 
 def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:

@@ -157,11 +157,16 @@ def chord_length(
     wraps = as_periodic(periodic, image.ndim)
     rates = []
     for along in range(image.ndim) if axis is None else (as_axis(axis, image.ndim),):
-        crossings, steps = _crossings(inside, region, along, wraps[along])
+        crossed, steps = crossings(inside, region, along, wraps[along])
         if steps:
-            rates.append(crossings / steps / image.spacing[along])
+            rates.append(crossed / steps / image.spacing[along])
     fraction = int(np.count_nonzero(inside)) / (inside.size if region is None else int(np.count_nonzero(region)))
-    rate = float(np.mean(rates)) if rates else 0.0
+    return mean_chord(fraction, rates)
+
+
+def mean_chord(fraction: float, rates: Sequence[float]) -> float:
+    """Mean chord of a phase from its fraction and, along every axis, the crossings of its interface per length."""
+    rate = float(np.mean(rates)) if len(rates) else 0.0
     if fraction == 0:
         return 0.0
     return 2 * fraction / rate if rate else float("inf")
@@ -212,7 +217,7 @@ def _mean_diameter(
     return float(diameter.sum(dtype=np.float64)) / int(np.count_nonzero(inside))
 
 
-def _crossings(inside: np.ndarray, region: np.ndarray | None, axis: int, wraps: bool) -> tuple[int, int]:
+def crossings(inside: np.ndarray, region: np.ndarray | None, axis: int, wraps: bool) -> tuple[int, int]:
     """Steps between neighbours along an axis that leave or enter the phase, and all steps."""
     lines = np.moveaxis(inside, axis, 0)
     changes = [lines[1:] != lines[:-1], (lines[:1] != lines[-1:])[: int(wraps)]]

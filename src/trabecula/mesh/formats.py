@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 
+from trabecula.core.recipe import Recipe
 from trabecula.io.units import canonical, has_length, to_metres
-from trabecula.mesh.base import Mesh
 
 FORMATS = {
     ".stl": ("binary STL, in millimetres", "trabecula.mesh.stl"),
@@ -18,19 +18,19 @@ FORMATS = {
 NO_UNIT = "voxel"
 
 
-def recipe_json(mesh: Mesh) -> str:
+def recipe_json(recipe: Recipe) -> str:
     """The recipe on one line of ASCII."""
-    return json.dumps(mesh.recipe.to_json(), separators=(",", ":"))
+    return json.dumps(recipe.to_json(), separators=(",", ":"))
 
 
-def recipe_digest(mesh: Mesh) -> str:
+def recipe_digest(recipe: Recipe) -> str:
     """Sixteen hexadecimal digits that name the recipe where it does not fit."""
-    return hashlib.sha256(recipe_json(mesh).encode()).hexdigest()[:16]
+    return hashlib.sha256(recipe_json(recipe).encode()).hexdigest()[:16]
 
 
-def metres(mesh: Mesh) -> float | None:
-    """Metres in the mesh's unit, or None where it has no length ("voxel")."""
-    return to_metres(mesh.unit) if has_length(mesh.unit) else None
+def metres(unit: str) -> float | None:
+    """Metres in a unit, or None where it has no length ("voxel")."""
+    return to_metres(unit) if has_length(unit) else None
 
 
 def stated_unit(text: str | None) -> str:

@@ -15,7 +15,7 @@ from trabecula.mesh.weld import fans
 def write(mesh: Mesh, path: Path) -> None:
     """Write `mesh` in its unit; OBJ counts vertices from 1."""
     with path.open("w", encoding="ascii", errors="replace", newline="\n") as file:
-        file.write(f"# trabecula\n# unit {mesh.unit}\n# recipe {recipe_json(mesh)}\n")
+        file.write(f"# trabecula\n# unit {mesh.unit}\n# recipe {recipe_json(mesh.recipe)}\n")
         file.writelines(rows("v %.7g %.7g %.7g\n", mesh.vertices))
         file.writelines(rows("f %d %d %d\n", mesh.faces, offset=1))
 

@@ -25,7 +25,7 @@ def write(mesh: Mesh, path: Path) -> None:
     axes = "".join(f"property {'double' if double else 'float'} {axis}\n" for axis in "xyz")
     header = (
         "ply\nformat binary_little_endian 1.0\n"
-        f"comment unit {mesh.unit}\ncomment trabecula recipe {recipe_json(mesh)}\n"
+        f"comment unit {mesh.unit}\ncomment trabecula recipe {recipe_json(mesh.recipe)}\n"
         f"element vertex {len(mesh.vertices)}\n{axes}"
         f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
+from trabecula.core.errors import InputError
+from trabecula.core.recipe import Recipe
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import metres, recipe_digest, stated_unit
 from trabecula.mesh.weld import weld
@@ -17,16 +20,60 @@ _PIECE = 1 << 18  # triangles at a time: the records of the whole mesh would dou
 _HEADER = 84
 
 
+def writing_bytes(faces: int) -> int:
+    """Memory of writing so many triangles: corners, normals and records of a piece."""
+    return 250 * min(faces, _PIECE)
+
+
 def write(mesh: Mesh, path: Path) -> None:
     """Write `mesh` in millimetres where its unit is a length, as it is otherwise; the header says which."""
-    size = metres(mesh)
-    unit, factor = (mesh.unit, 1.0) if size is None else ("mm", size * 1000)
-    # A header that began with "solid" would be taken for the text form of STL.
-    header = f"trabecula, unit={unit}, recipe={recipe_digest(mesh)}".encode("ascii", "replace")[:80].ljust(80)
-    with path.open("wb") as file:
-        file.write(header + np.uint32(len(mesh.faces)).tobytes())
+    with Writer(path) as writer:
+        writer.add(mesh)
+        writer.finish(mesh.unit, mesh.recipe)
+
+
+class Writer:
+    """An STL that is written piece by piece: a surface of which not all is in memory."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._file.write(bytes(_HEADER))
+        self._count = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, mesh: Mesh) -> None:
+        """Write the triangles of a mesh behind those that are there."""
+        factor = _to_file(mesh.unit)[1]
         for start in range(0, len(mesh.faces), _PIECE):
-            file.write(_records(mesh, mesh.faces[start : start + _PIECE], factor).tobytes())
+            self._file.write(_records(mesh, mesh.faces[start : start + _PIECE], factor).tobytes())
+        self._count += len(mesh.faces)
+
+    def finish(self, unit: str, recipe: Recipe) -> None:
+        """Write the header, which nobody knew before: the count, the unit and what names the recipe of it all."""
+        check_count(self._count)
+        # A header that began with "solid" would be taken for the text form of STL.
+        header = f"trabecula, unit={_to_file(unit)[0]}, recipe={recipe_digest(recipe)}"
+        self._file.seek(0)
+        self._file.write(header.encode("ascii", "replace")[:80].ljust(80) + np.uint32(self._count).tobytes())
+
+
+def check_count(faces: int) -> None:
+    """Raise where there are more triangles than the header can count."""
+    if faces >= 2**32:
+        raise InputError(
+            f"the surface has {faces} triangles, an STL counts 2**32 - 1: export a crop, or a coarser level"
+        )
+
+
+def _to_file(unit: str) -> tuple[str, float]:
+    """The unit that coordinates are written in, and their factor."""
+    size = metres(unit)
+    return (unit, 1.0) if size is None else ("mm", size * 1000)
 
 
 def _records(mesh: Mesh, faces: np.ndarray, factor: float) -> np.ndarray:

@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -57,16 +59,15 @@ def mesh(image: Image | ArrayLike, *, phase: str | int | None = None, smooth: in
     Lorensen and Cline 1987, doi:10.1145/37401.37422; Taubin 1995, doi:10.1145/218380.218473.
     """
     image = as_image(image)
-    rounds = _as_rounds(smooth)
+    rounds = as_rounds(smooth)
     solid = _padded(image, phase)
-    vertices, faces = _march(solid)
-    _smooth(vertices, faces, box=image.shape[::-1], rounds=rounds)
-    vertices *= image.spacing[::-1]
-    points = vertices.astype(np.float32)
+    vertices, faces = march(solid)
+    points = smoothed(vertices, faces, shape=image.shape, spacing=image.spacing, rounds=rounds)
     return Mesh(points, faces, image.unit, image.recipe.then("mesh", points, phase=phase, smooth=rounds))
 
 
-def _as_rounds(smooth: int | None) -> int:
+def as_rounds(smooth: int | None) -> int:
+    """Rounds of smoothing: those asked for, or `ROUNDS`."""
     if smooth is None:
         return ROUNDS
     if isinstance(smooth, bool) or not isinstance(smooth, (int, np.integer)) or not 0 <= smooth <= 1000:
@@ -79,13 +80,18 @@ def _padded(image: Image, phase: str | int | None) -> np.ndarray:
     if image.ndim != 3:
         raise InputError(f"a surface needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)")
     inside = indicator(image, phase)[1]
-    if not inside.any():
-        name = "solid" if phase is None else phase
-        raise InputError(f"the phase {name!r} is empty, nothing to export: choose one of {', '.join(image.phases)}")
+    check_some(bool(inside.any()), phase, image.phases)
     return np.pad(inside.view(np.uint8), 1)
 
 
-def _march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def check_some(found: bool, phase: str | int | None, phases: Sequence[str]) -> None:
+    """Raise where nothing of the phase was found."""
+    if not found:
+        name = "solid" if phase is None else phase
+        raise InputError(f"the phase {name!r} is empty, nothing to export: choose one of {', '.join(phases)}")
+
+
+def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 in voxels and faces (F, 3) int32 of a padded volume."""
     counts, triangles = case_table()
     n_vertices, n_faces = kernels.count(solid, counts)
@@ -97,6 +103,15 @@ def _march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.array([(c & 1, c >> 1 & 1, c >> 2 & 1, axis) for c, _, axis in EDGES], np.int64)
     kernels.fill(solid, counts, triangles, offsets, vertices, faces)
     return vertices, faces
+
+
+def smoothed(
+    vertices: np.ndarray, faces: np.ndarray, *, shape: Sequence[int], spacing: Sequence[float], rounds: int
+) -> np.ndarray:
+    """Vertices in the image's unit, float32, after `rounds` of smoothing; those in voxels are changed in place."""
+    _smooth(vertices, faces, box=tuple(shape[::-1]), rounds=rounds)
+    vertices *= spacing[::-1]
+    return vertices.astype(np.float32)
 
 
 def _smooth(vertices: np.ndarray, faces: np.ndarray, *, box: tuple[int, ...], rounds: int) -> None:

@@ -57,7 +57,7 @@ def _entry(name: str) -> zipfile.ZipInfo:
 
 def _unit(mesh: Mesh) -> tuple[str, float]:
     """The 3MF name of the mesh's unit and the factor that coordinates need."""
-    size = metres(mesh)
+    size = metres(mesh.unit)
     if size is None:
         return "millimeter", 1.0
     for known, name in _UNITS.items():
@@ -73,7 +73,7 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
         'xmlns:tb="urn:trabecula">\n'
         f'<metadata name="Application">trabecula {__version__}</metadata>\n'
         f'<metadata name="tb:unit">{escape(mesh.unit)}</metadata>\n'
-        f'<metadata name="tb:recipe">{escape(recipe_json(mesh))}</metadata>\n'
+        f'<metadata name="tb:recipe">{escape(recipe_json(mesh.recipe))}</metadata>\n'
         '<resources>\n<object id="1" type="model">\n<mesh>\n<vertices>\n'
     )
     vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,11 +19,14 @@ from trabecula.core import progress
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.slabs import Slabs
 from trabecula.measure.amount import porosity
+from trabecula.measure.blockwise import LEFT_OUT
 from trabecula.measure.copying import diversity
 from trabecula.measure.describe import LEVELS
 from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
+from trabecula.report.correspond import check_corresponds, check_same_kind
 from trabecula.report.metric import Certificate, Metric, about_image
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
@@ -36,7 +39,7 @@ Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
 @overload
 def verify(
     exemplar: Exemplar,
-    image: Image | ArrayLike,
+    image: Image | Slabs | ArrayLike,
     /,
     *,
     r_max: int = ...,
@@ -44,6 +47,7 @@ def verify(
     level: str = ...,
     box: int | None = ...,
     views: Sequence[str] = ...,
+    memory: int | None = ...,
 ) -> Certificate: ...
 
 
@@ -51,24 +55,26 @@ def verify(
 def verify(
     exemplar: Exemplar,
     /,
-    *images: Image | ArrayLike,
+    *images: Image | Slabs | ArrayLike,
     r_max: int = ...,
     names: Sequence[str] | None = ...,
     level: str = ...,
     box: int | None = ...,
     views: Sequence[str] = ...,
+    memory: int | None = ...,
 ) -> list[Certificate]: ...
 
 
 def verify(
     exemplar: Exemplar,
     /,
-    *images: Image | ArrayLike,
+    *images: Image | Slabs | ArrayLike,
     r_max: int = 50,
     names: Sequence[str] | None = None,
     level: str = "default",
     box: int | None = None,
     views: Sequence[str] = (),
+    memory: int | None = None,
 ) -> Certificate | list[Certificate]:
     """Judge whether images are of the same material as the exemplar.
 
@@ -76,7 +82,8 @@ def verify(
     ----------
     exemplar, *images : Image or array of labels, (Z, Y, X) or (Y, X)
         Of the same phases, spacing and unit; sizes may differ. Or all grey, or all colour: then their textures are
-        compared. Volumes may be held against a picture, or against a list of two or three Images, one for each view.
+        compared. Volumes may be held against a picture, or against a list of two or three Images, one for each view. A
+        volume given as `Slabs` is never in memory as a whole; then all is judged at level "quick".
     r_max : int
         Largest distance of the curves in voxels; lowered to half the smallest side of either image, and to what fits
         into a part of the exemplar.
@@ -90,6 +97,8 @@ def verify(
     views : sequence of str
         Of pictures: the planes of a volume that each is, "yx" (seen across z), "zx", "zy", or turned "xy", "xz", "yz", as in
         the methods that learn from pictures.
+    memory : int, optional
+        Bytes that the measures of `Slabs` may use. Default: what is available.
 
     Returns
     -------
@@ -141,19 +150,22 @@ def verify(
         if picture.kind == "labels" and not 0 < porosity(picture) < 1:
             raise InputError("the exemplar is all void or holds none: there is nothing to compare; check its threshold")
     check_pictures(exemplars)
-    others = [as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
+    others = [_as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
     names = _names(names, len(others))
+    level, slab_note = _level_for(others, names, level)
     if len(exemplars) > 1 or views or (exemplar.ndim == 2 and any(image.ndim == 3 for image in others)):
         for image, name in zip(others, names, strict=True):
-            _check_same_kind(exemplar, image, name)
+            check_same_kind(exemplar, image, name)
+        if slab_note:
+            raise InputError(f"{slab_note} A volume held against pictures has to fit into memory: give a crop of it")
         found = judge_volumes(exemplars, others, names, views=views, r_max=r_max, level=level, box=box)
         return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):
-        _check_corresponds(exemplar, image, name)
+        check_corresponds(exemplar, image, name)
     reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
     fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
     reach = max(1, min(reach, fits))
-    stick = _stick(exemplar, reach, level, box)
+    stick = _stick(exemplar, reach, level, box, memory)
     thorough = level != "quick" and exemplar.kind == "labels"
     reference = Reference(exemplar, stick, copying=thorough)
     baseline = _baseline(reference, reach) if thorough else None
@@ -162,7 +174,22 @@ def verify(
         for image, name in progress.track(list(zip(others, names, strict=True)), "comparing")
     ]
     found = _with_diversity(found, others) if thorough else found
+    found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
     return found[0] if len(found) == 1 else found
+
+
+def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
+    """Slabs stand for an Image wherever nobody asks for its values."""
+    return cast(Image, image) if isinstance(image, Slabs) else as_image(image, name=name)
+
+
+def _level_for(images: Sequence[Any], names: Sequence[str], level: str) -> tuple[str, str | None]:
+    """How much is measured where an image is in slabs, and a note that says so."""
+    large = [name for image, name in zip(images, names, strict=True) if isinstance(image, Slabs)]
+    if not large:
+        return level, None
+    left_out = f": {', '.join(LEFT_OUT)}, copying and the baseline were left out" if level != "quick" else ""
+    return "quick", f'Measured slab by slab, at level "quick", for the size of {", ".join(large)}{left_out}.'
 
 
 def _names(names: Sequence[str] | None, count: int) -> Sequence[str]:
@@ -177,41 +204,10 @@ def _are_images(given: Sequence[Any]) -> bool:
     return bool(given) and all(isinstance(each, Image) for each in given)
 
 
-def _check_corresponds(exemplar: Image, image: Image, name: str) -> None:
-    _check_same_kind(exemplar, image, name)
-    if image.ndim != exemplar.ndim:
-        raise InputError(
-            f"{name} is {image.ndim}-D, the exemplar {exemplar.ndim}-D: compare images of equal dimension, or volumes with a "
-            "picture"
-        )
-    if image.unit != exemplar.unit or not np.allclose(image.spacing, exemplar.spacing, rtol=1e-4):
-        raise InputError(
-            f"voxels do not correspond: {name} has {_voxel(image)}, the exemplar {_voxel(exemplar)}; give both their "
-            "spacing, or resample one"
-        )
-
-
-def _check_same_kind(exemplar: Image, image: Image, name: str) -> None:
-    if image.kind != exemplar.kind:
-        raise InputError(
-            f"{name} is {image.kind}, the exemplar {exemplar.kind}: segment the one that is not labels (tb.segment, or "
-            "--threshold), or give both as grey (--threshold none)"
-        )
-    if set(image.phases) != set(exemplar.phases):
-        raise InputError(
-            f"phases do not correspond: {name} has {', '.join(image.phases)}, the exemplar "
-            f"{', '.join(exemplar.phases)}; give both the same names (tb.Image(..., phases=...))"
-        )
-
-
-def _voxel(image: Image) -> str:
-    return f"{' x '.join(f'{edge:g}' for edge in image.spacing)} {image.unit}"
-
-
-def _stick(exemplar: Image, r_max: int, level: str, box: int | None) -> Stick:
+def _stick(exemplar: Image, r_max: int, level: str, box: int | None, memory: int | None) -> Stick:
     if exemplar.kind != "labels":
         return TextureStick(exemplar, lags=min(r_max, 32))
-    return LabelStick(r_max=r_max, level=level, box=box)
+    return LabelStick(r_max=r_max, level=level, box=box, memory=memory)
 
 
 def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measured]:

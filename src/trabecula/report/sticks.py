@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
+from trabecula.engine.slabs import Slabs
+from trabecula.measure.blockwise import LEFT_OUT, count_slabs, fitting_depth
 from trabecula.measure.components import component_sizes, sizes_distance
 from trabecula.measure.correlation import covariance_form
 from trabecula.measure.describe import autocorrelation_lines, describe_curves, describe_numbers
@@ -54,12 +57,14 @@ class Stick(Protocol):
 class LabelStick:
     """Measures of phases."""
 
-    def __init__(self, *, r_max: int, level: str, box: int | None = None) -> None:
-        self.r_max, self.level, self.box = r_max, level, box
+    def __init__(self, *, r_max: int, level: str, box: int | None = None, memory: int | None = None) -> None:
+        self.r_max, self.level, self.box, self.memory = r_max, level, box, memory
 
-    def measure(self, image: Image, *, part: bool = False) -> Measured:
+    def measure(self, image: Image | Slabs, *, part: bool = False) -> Measured:
         """Numbers, curves and sizes of components; at level "full" transport and stiffness, and unless it is a part what
-        halving the voxel changes."""
+        halving the voxel changes. A volume in slabs is measured at level "quick"."""
+        if isinstance(image, Slabs):
+            return self._measure_slabs(image)
         found = describe_numbers(image, level=self.level)
         curves = describe_curves(image, r_max=self.r_max, level=self.level)
         physics = describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
@@ -70,6 +75,13 @@ class LabelStick:
             component_sizes(image) / image.values.size,
             physics,
         )
+
+    def _measure_slabs(self, volume: Slabs) -> Measured:
+        depth = fitting_depth(volume, r_max=self.r_max, memory=self.memory)
+        found, pieces = count_slabs(volume, r_max=self.r_max, depth=depth)
+        found |= dict.fromkeys(LEFT_OUT)
+        sizes = pieces.sizes() / math.prod(volume.shape)
+        return Measured(volume.shape, numbers_of(found, {}, "quick"), _curves_of(found), sizes, {})
 
     def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
         """Raw, relative and covariance-normalised distances of the curves, and of the component sizes."""

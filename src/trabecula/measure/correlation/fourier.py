@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.measure.fft import fast_side
 
 
@@ -58,6 +58,18 @@ def mirrored_counts(
     counts = np.rint(np.tensordot(back[2], counts, 1).transpose(2, 1, 0) * 8) / 8
     counts[0, 0, 0] = np.count_nonzero(first if second is None else first & second)
     return counts
+
+
+def transform_bytes(shape: tuple[int, int, int], reach: tuple[int, ...], *, exact: bool) -> int:
+    """Memory of `mirrored_counts` of an array of `shape` with itself, no axis periodic."""
+    (depth, height, width), (far_z, far_y, far_x) = shape, reach
+    if depth < height:
+        depth, height, far_z, far_y = height, depth, far_y, far_z
+    half_y, half_x = (fast_side(side + far) // 2 + 1 for side, far in ((height, far_y), (width, far_x)))
+    lines = depth * half_x * 4 * half_y
+    # A thread transforms some planes of its own: rows and columns, then lines along z and their powers.
+    planes = thread_count() * 8 * half_y * max(2 * half_x, fast_side(depth + far_z) + 2)
+    return (8 if exact else 4) * (lines + planes) + 8 * half_x * (far_y + 1) * (far_z + 1)
 
 
 def _transformed(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.ndarray:

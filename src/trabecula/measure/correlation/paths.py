@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
-from trabecula.measure.correlation.shifts import packed
+from trabecula.measure.correlation.shifts import led_in, packed, segments_ending
 from trabecula.measure.correlation.window import as_window, check_pairs, check_range
 from trabecula.measure.phases import as_axis, indicator
 
@@ -65,27 +66,23 @@ def lineal_path(
         check_range(r_max, side - 1, why=f"a side of {side} voxels (below it)")
     hits, fits = np.zeros(r_max + 1), np.zeros(r_max + 1)
     for along in axes:
-        side, wrap = window.shape[along], window.wraps[along]
+        wrap = window.wraps[along]
         hits += _segments(solid, r_max, along, wrap)
         if window.where is not None:
             fits += _segments(window.where, r_max, along, wrap)
         else:
-            fits += solid.size // side * (side - np.arange(r_max + 1) * (not wrap))
+            fits += segments_that_fit(window.shape, r_max, along, wrap)
     check_pairs(fits, masked=mask is not None, what="segment with ends")
     return hits / fits
 
 
 def _segments(inside: np.ndarray, r_max: int, axis: int, wrap: bool) -> np.ndarray:
     """Segments of r + 1 True voxels along an axis, r = 0 .. r_max."""
-    lines = packed(inside, axis)
-    if wrap:
-        lines = np.concatenate([lines, lines[:r_max]])
-    counts = np.empty(r_max + 1)
-    rows = lines
-    for r in range(r_max + 1):
-        # Segments of r + 1 voxels are those of r voxels, ended by one more: no need to look at every length anew.
-        if r:
-            rows = rows[:-1] & lines[r:]
-        starts = rows[: inside.shape[axis]] if wrap else rows
-        counts[r] = np.bitwise_count(starts).sum(dtype=np.int64)
-    return counts
+    before = r_max if wrap else 0
+    return segments_ending(led_in(packed(inside, axis), before), r_max, before=before)
+
+
+def segments_that_fit(shape: tuple[int, ...], r_max: int, axis: int, wrap: bool) -> np.ndarray:
+    """Segments of r + 1 voxels along an axis that fit into an image of `shape`, r = 0 .. r_max."""
+    side = shape[axis]
+    return np.asarray(math.prod(shape) // side * (side - np.arange(r_max + 1) * (not wrap)))

@@ -94,11 +94,11 @@ class Radial:
             )
             return self.sum(z[:, None, None] * y[:, None] * x)
         rough = self._count(self.window.where, None, exact=False)
-        return self._count(self.window.where, None, exact=True) if self._sparse(rough) else rough
+        return self._count(self.window.where, None, exact=True) if self.sparse(rough) else rough
 
     def count(self, first: np.ndarray, second: np.ndarray | None, fits: np.ndarray) -> np.ndarray:
         """Pairs with one end in `first` and the other in `second` (None: the same), in both orders."""
-        return self._count(first, second, exact=self._sparse(fits))
+        return self._count(first, second, exact=self.sparse(fits))
 
     def sum(self, counts: np.ndarray) -> np.ndarray:
         """Over all offsets r apart, from the offsets that are not negative (see `mirrored_counts`)."""
@@ -122,7 +122,8 @@ class Radial:
     def _count(self, first: np.ndarray, second: np.ndarray | None, *, exact: bool) -> np.ndarray:
         return self.sum(mirrored_counts(first, second, self.reach, self.window.wraps, exact=exact))
 
-    def _sparse(self, fits: np.ndarray) -> bool:
+    def sparse(self, fits: np.ndarray) -> bool:
+        """Whether so few pairs fit somewhere that they have to be counted in float64."""
         offsets = self.sum(np.ones(tuple(far + 1 for far in self.reach)))
         return bool(np.any(fits < _SPARSE * offsets * math.prod(self.window.shape)))
 
@@ -140,7 +141,7 @@ def separations(
     if axis is None and direction is None:
         limit = radial_limit(image, window)
         check_range(r_max, limit, why=f"an image of shape {image.shape}, across which pairs reach {limit} voxels")
-        return Radial(window, int(r_max), _steps(image))
+        return Radial(window, int(r_max), steps_of(image.spacing))
     if axis is not None:
         if direction is not None:
             raise InputError(f"axis {axis} and direction {direction} were both given: give one of them")
@@ -158,12 +159,13 @@ def separations(
 
 def radial_limit(image: Image, window: Window) -> int:
     """The longest distance along any axis, in units of the smallest voxel edge."""
-    return max(int(room * step) for room, step in zip(window.room, _steps(image), strict=True))
+    return max(int(room * step) for room, step in zip(window.room, steps_of(image.spacing), strict=True))
 
 
-def _steps(image: Image) -> tuple[float, ...]:
-    edge = min(image.spacing)
-    return (1.0,) * (3 - image.ndim) + tuple(step / edge for step in image.spacing)
+def steps_of(spacing: tuple[float, ...]) -> tuple[float, ...]:
+    """Edges of a voxel in units of the smallest; a slice is one such unit thick."""
+    edge = min(spacing)
+    return (1.0,) * (3 - len(spacing)) + tuple(step / edge for step in spacing)
 
 
 def _as_direction(direction: Sequence[float] | None, ndim: int) -> tuple[float, ...]:

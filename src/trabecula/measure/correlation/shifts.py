@@ -21,21 +21,42 @@ def count_along(
     first: np.ndarray, second: np.ndarray | None, r_max: int, *, axis: int, step: int, wrap: bool
 ) -> np.ndarray:
     """Pairs along an axis, r = 0 .. r_max times `step` voxels apart; with a second phase the mean of both orders."""
+    before = r_max * step if wrap else 0
+    ours = led_in(packed(first, axis), before)
     if second is None:
-        ours = packed(first, axis)
-        return _shifted(ours, ours, r_max, step, wrap)
-    ours, theirs = packed(first, axis), packed(second, axis)
-    return (_shifted(ours, theirs, r_max, step, wrap) + _shifted(theirs, ours, r_max, step, wrap)) / 2
+        return pairs_ending(ours, ours, r_max, step=step, before=before)
+    theirs = led_in(packed(second, axis), before)
+    there = pairs_ending(ours, theirs, r_max, step=step, before=before)
+    return (there + pairs_ending(theirs, ours, r_max, step=step, before=before)) / 2
 
 
-def _shifted(ours: np.ndarray, theirs: np.ndarray, r_max: int, step: int, wrap: bool) -> np.ndarray:
-    side = len(ours)
-    if wrap:
-        theirs = np.concatenate([theirs, theirs[: r_max * step]])
+def led_in(lines: np.ndarray, before: int) -> np.ndarray:
+    """Packed lines of a periodic axis, with the last `before` of them in front."""
+    return np.concatenate([lines[len(lines) - before :], lines]) if before else lines
+
+
+def pairs_ending(ours: np.ndarray, theirs: np.ndarray, r_max: int, *, step: int = 1, before: int = 0) -> np.ndarray:
+    """Pairs of packed lines r = 0 .. r_max times `step` apart that end, in `theirs`, at line `before` or a later one.
+
+    The lines in front are those that such pairs may begin in: the last ones of a periodic axis, or of the slab before.
+    """
     counts = np.empty(r_max + 1)
     for r in range(r_max + 1):
-        count = side if wrap else side - r * step
-        counts[r] = np.bitwise_count(ours[:count] & theirs[r * step : r * step + count]).sum(dtype=np.int64)
+        first = max(before, r * step)
+        begin = ours[first - r * step : max(0, len(ours) - r * step)]
+        counts[r] = np.bitwise_count(begin & theirs[first:]).sum(dtype=np.int64)
+    return counts
+
+
+def segments_ending(lines: np.ndarray, r_max: int, *, before: int = 0) -> np.ndarray:
+    """Runs of r + 1 packed lines, r = 0 .. r_max, that are True all along and end at line `before` or a later one."""
+    counts = np.empty(r_max + 1)
+    ends = lines[before:]
+    for r in range(r_max + 1):
+        # A segment of r + 1 voxels is one of r voxels with another in front: no need to look at every length anew.
+        if r:
+            ends = ends[int(r > before) :] & lines[max(0, before - r) : max(0, len(lines) - r)]
+        counts[r] = np.bitwise_count(ends).sum(dtype=np.int64)
     return counts
 
 

@@ -1,0 +1,14 @@
+"""The measures of a volume whose planes go by once: every figure is that of the whole, wherever it is cut into slabs.
+
+A *tally* takes whole planes along z, from the first to the last, and keeps what the next ones will need: the last plane
+(cubes, crossings, components) or the last `r_max` planes (pairs, segments). Kernels and formulas are those of the
+measures in memory, where the whole image is one slab.
+"""
+
+from trabecula.measure.tallies.components import Pieces, PieceSizes
+from trabecula.measure.tallies.cubes import Cubes
+from trabecula.measure.tallies.lines import Crossings, Lines
+from trabecula.measure.tallies.numbers import Numbers
+from trabecula.measure.tallies.pairs import RadialPairs
+
+__all__ = ["Crossings", "Cubes", "Lines", "Numbers", "PieceSizes", "Pieces", "RadialPairs"]

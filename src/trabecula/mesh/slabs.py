@@ -1,0 +1,176 @@
+"""The surface of a volume that is read some planes at a time: the same triangles in the same order as `mesh` makes.
+
+1. Count vertices and triangles of every layer of cubes.
+2. March and smooth slabs of layers with a halo on either side, and keep the triangles of the layers without it.
+
+A round of smoothing moves a vertex by its neighbours, which lie in the same layers of cubes: after n half rounds nothing
+farther than n layers has been felt. A slab is closed by void planes beyond its halo, which one more layer keeps away.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.core.progress import track
+from trabecula.core.recipe import digest_of
+from trabecula.engine.files import replacing
+from trabecula.engine.plan import Plan
+from trabecula.engine.slabs import Slabs, depth_within
+from trabecula.measure.phases import indicator
+from trabecula.mesh import kernels, stl
+from trabecula.mesh.base import Mesh
+from trabecula.mesh.surface import as_rounds, check_some, march, smoothed
+from trabecula.mesh.table import case_table
+
+_AT_ONCE = 64
+"""Planes in which vertices are counted at once."""
+
+_IN_CORE = 60
+"""Bytes a voxel of a surface in memory and of its check, where it has a vertex for five voxels: a fine foam."""
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What the surface of a volume holds.
+
+    Attributes
+    ----------
+    vertices, faces : int64 array, (Z + 1,)
+        Of layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and between the two, and the triangles.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def need(self, depth: int, halo: int, plane: int) -> Plan:
+        """Memory of taking `depth` layers at a time."""
+        starts = np.arange(0, len(self.faces), depth)
+        low = np.maximum(starts - halo - 1, 0)
+        high = np.minimum(starts + depth + halo, len(self.faces))
+        most = [int((sums[high] - sums[low]).max()) for sums in (_running(self.vertices), _running(self.faces))]
+        planes = 3 * plane * int((high - low).max() + 1)
+        # Besides vertices and their sums in float64, the float32 copy and degrees.
+        vertices, faces = 72 * most[0], 12 * most[1]
+        written = stl.writing_bytes(int(np.add.reduceat(self.faces, starts).max()))
+        return Plan({"planes": planes, "vertices": vertices, "faces": faces, "records": written})
+
+
+def export_slabs(
+    volume: Slabs,
+    path: str | os.PathLike[str],
+    *,
+    phase: str | int | None = None,
+    smooth: int | None = None,
+    depth: int | None = None,
+    memory: int | None = None,
+) -> Layers:
+    """Write the closed surface of a phase as STL, slab by slab: the file that `write_mesh(mesh(image), path)` writes.
+
+    Parameters
+    ----------
+    volume : Slabs
+    path : path
+        `.stl`; it appears whole or not at all.
+    phase, smooth
+        As of `mesh`.
+    depth : int, optional
+        Layers of cubes taken at once. Default: as many as fit into `memory`. The file does not depend on it.
+    memory : int, optional
+        Bytes that may be used. Default: what is available.
+
+    Returns
+    -------
+    Layers
+        Vertices and triangles by layer.
+
+    Raises
+    ------
+    InputError
+        Another suffix, an empty phase, rounds out of range, more triangles than an STL can count.
+    MemoryBudgetError
+        Not even a slab of one layer fits.
+    FileError
+        The file cannot be written.
+    """
+    path, rounds = Path(path), as_rounds(smooth)
+    if path.suffix.lower() != ".stl":
+        raise InputError(f"{path}: a surface is written slab by slab as .stl alone; name it so")
+    layers = count_layers(volume, phase)
+    check_some(bool(layers.faces.any()), phase, volume.phases)
+    stl.check_count(int(layers.faces.sum()))
+    if depth is None:
+        plane = (volume.shape[1] + 2) * (volume.shape[2] + 2)
+        advice = "export fewer voxels, such as a coarser level"
+        depth = depth_within(volume, lambda d: layers.need(d, 2 * rounds, plane), memory=memory, advice=advice)
+    depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
+    slabs = surface_slabs(volume, layers, phase=phase, rounds=rounds, depth=depth)
+    with replacing(path) as temporary, stl.Writer(temporary) as writer:
+
+        def written() -> Iterator[np.ndarray]:
+            for surface, own in slabs:
+                writer.add(surface)
+                yield surface.vertices[own]
+
+        sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), written())
+        writer.finish(volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds))
+    return layers
+
+
+def in_core_bytes(shape: tuple[int, ...]) -> int:
+    """About what a surface in memory needs; how large it is shows only when it has been counted."""
+    return _IN_CORE * math.prod(shape)
+
+
+def count_layers(volume: Slabs, phase: str | int | None = None) -> Layers:
+    """Vertices and triangles of every layer of cubes; a layer's vertices are those of the plane below it and between."""
+    table, found = case_table()[0], []
+    count = volume.shape[0] + 1
+    for first in track(range(0, count, _AT_ONCE), "surface"):
+        solid = _planes(volume, first, min(first + _AT_ONCE, count) + 1, phase)
+        found += [kernels.count(solid[z : z + 2], table) for z in range(len(solid) - 1)]
+    return Layers(*np.array(found, np.int64).T)
+
+
+def surface_slabs(
+    volume: Slabs, layers: Layers, *, phase: str | int | None, rounds: int, depth: int
+) -> Iterator[tuple[Mesh, slice]]:
+    """The triangles of `depth` layers of cubes at a time, with the vertices around, and which of these are new."""
+    count = volume.shape[0] + 1
+    starts = [z for z in range(0, count, depth) if layers.faces[z : z + depth].any()]
+    for first in track(starts, "surface"):
+        last = min(first + depth, count)
+        # The padded planes low .. high, of which those cut out of the volume are void.
+        low, high = max(0, first - 2 * rounds - 1), min(count, last + 2 * rounds + 1)
+        solid = _planes(volume, low, high + 1, phase)
+        solid[0] = solid[-1] = 0
+        vertices, faces = march(solid)
+        vertices[:, 2] += low
+        own = np.searchsorted(np.floor(vertices[:, 2]), (first, last))
+        # Layers that were cut have other triangles than the volume's: they are counted here.
+        before = kernels.count(solid[: first - low + 1], case_table()[0])[1]
+        kept = faces[before : before + int(layers.faces[first:last].sum())]
+        points = smoothed(vertices, faces, shape=volume.shape, spacing=volume.spacing, rounds=rounds)
+        yield Mesh(points, kept, volume.unit), slice(*own)
+
+
+def _planes(volume: Slabs, first: int, last: int, phase: str | int | None) -> np.ndarray:
+    """Planes of the volume padded by one voxel of void; plane 0 is padding."""
+    depth, height, width = volume.shape
+    solid = np.zeros((last - first, height + 2, width + 2), np.uint8)
+    low, high = max(first - 1, 0), min(last - 1, depth)
+    if high > low:
+        inside = indicator(volume.planes(low, high), phase)[1]
+        solid[low + 1 - first : high + 1 - first, 1:-1, 1:-1] = inside
+    return solid
+
+
+def _running(counts: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)])

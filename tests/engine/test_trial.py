@@ -1,0 +1,57 @@
+"""Seconds that are forecast: of makers whose cost is known, told by a clock of their own."""
+
+from math import prod
+
+import pytest
+
+from trabecula.engine.cuts import boxes_of
+from trabecula.engine.trial import seconds_of
+
+
+class Maker:
+    """Takes c (s + h)^3 seconds for a box, on its own clock."""
+
+    def __init__(self, cost, around=0.0, first=0.0):
+        self.cost, self.around, self.first, self.now, self.made = cost, around, first, 0.0, []
+
+    def seconds(self, box):
+        return self.cost * prod(last - start + self.around for start, last in box)
+
+    def __call__(self, box):
+        self.now += self.seconds(box) + (0.0 if self.made else self.first)
+        self.made.append(box)
+
+    def clock(self):
+        return self.now
+
+    def forecast(self, shape, side):
+        return seconds_of(self, shape, side, clock=self.clock)
+
+    def truth(self, shape, side):
+        return sum(self.seconds(box) for box in boxes_of(shape, side)) + 30e-9 * prod(shape)
+
+
+@pytest.mark.parametrize("around", [0, 20, 64])
+@pytest.mark.parametrize(("shape", "side"), [((1024,) * 3, 256), ((300, 700, 410), 128), ((90, 80, 70), 256)])
+@pytest.mark.parametrize("cost", [1e-9, 1e-7, 3e-6])
+def test_what_a_block_takes_follows_from_smaller_boxes(shape, side, around, cost):
+    maker = Maker(cost, around)
+    assert maker.forecast(shape, side) == pytest.approx(maker.truth(shape, side), rel=0.01, abs=1.5 * maker.seconds(((0, 8),) * 3))
+
+
+def test_a_trial_costs_little():
+    maker = Maker(1e-7)
+    maker.forecast((1024,) * 3, 256)
+    assert maker.now < 2.0
+    assert all(0 <= start < last <= 1024 for box in maker.made for start, last in box)
+
+
+def test_what_is_done_once_counts_once():
+    shape, side = (512,) * 3, 128
+    assert Maker(1e-7, first=100.0).forecast(shape, side) == pytest.approx(100 + Maker(1e-7).forecast(shape, side))
+
+
+def test_flat_volumes_and_pictures():
+    for shape in ((1, 500, 500), (400, 300), (4, 4, 4)):
+        maker = Maker(1e-7)
+        assert maker.forecast(shape, 128) == pytest.approx(maker.truth(shape, 128), rel=0.01, abs=1e-4)

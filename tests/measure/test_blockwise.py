@@ -1,0 +1,160 @@
+"""Slabs or the whole: the same figures, wherever the cuts are."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import trabecula as tb
+from trabecula.engine.plan import Plan
+from trabecula.engine.slabs import Slabs, depth_within, slabs_of
+from trabecula.measure import component_sizes, describe, percolating_fraction
+from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
+from trabecula.measure.labelling import label_components
+from trabecula.measure.tallies import Cubes, Pieces
+
+SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
+
+
+@st.composite
+def volumes(draw, phases=2):
+    """Labels of any shape; of one probability, so that all is solid as often as all is void."""
+    shape = draw(SHAPES)
+    share = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0]))
+    noise = np.random.default_rng(draw(st.integers(0, 2**32))).random(shape)
+    return np.where(noise < share, draw(st.integers(1, phases - 1)), 0).astype(np.uint8)
+
+
+def in_pieces(volume, tally, depth):
+    for slab in volume.slabs(depth):
+        tally.add(slab.values.astype(bool))
+    return tally
+
+
+@settings(max_examples=60)
+@given(values=volumes(phases=3), depth=st.integers(1, 9), r_max=st.integers(1, 8), wide=st.booleans())
+def test_slabs_describe_a_volume_as_the_whole_does(values, depth, r_max, wide):
+    image = tb.Image(values, "labels", spacing=(2.0, 1.0, 1.5) if wide else 1.0, phases=("void", "solid", "binder"))
+    whole = describe(image, r_max=r_max, level="quick")
+    slabs = describe_slabs(slabs_of(image), r_max=r_max, depth=depth, level="quick")
+    assert slabs == whole
+
+
+@settings(max_examples=60)
+@given(values=volumes(), depth=st.integers(1, 9), connectivity=st.sampled_from([6, 18, 26]))
+def test_components_of_slabs_are_those_of_the_whole(values, depth, connectivity):
+    found = in_pieces(slabs_of(tb.Image(values, "labels")), Pieces(connectivity), depth).result()
+    assert found.sizes().tolist() == component_sizes(values, connectivity=connectivity).tolist()
+    assert found.components == len(found.sizes()) and found.voxels == values.sum()
+    for axis in range(3):
+        share = percolating_fraction(values, axis=axis, connectivity=connectivity)
+        assert found.through(axis) / max(1, found.voxels) == share
+
+
+def test_a_spiral_that_closes_in_the_last_plane_is_one_component():
+    values = np.zeros((9, 8, 8), np.uint8)
+    values[:, ::2, ::2] = 1  # sixteen columns, which nothing but the last plane joins
+    volume = slabs_of(tb.Image(values, "labels"))
+    assert in_pieces(volume, Pieces(), 2).result().components == 16
+    values = values.copy()
+    values[-1] = 1
+    joined = in_pieces(slabs_of(tb.Image(values, "labels")), Pieces(), 2).result()
+    assert joined.components == 1 and joined.through(0) == joined.through(2) == values.sum()
+
+
+def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
+    rng = np.random.default_rng(3)
+    pieces = Pieces()
+    for _ in range(40):
+        pieces.add(rng.random((4, 16, 16)) < 0.2)
+    kept = len(pieces._sizes) + len(pieces._closed)
+    assert kept < 200 < pieces.result().components
+
+
+@given(arrays(bool, SHAPES), st.integers(1, 9))
+def test_the_cubes_of_an_object_are_those_with_a_margin_around_it(inside, depth):
+    from trabecula.measure.cubes import count_cubes
+
+    cubes = in_pieces(slabs_of(tb.Image(inside, "labels")), Cubes(), depth)
+    assert cubes.object().tolist() == count_cubes(np.pad(inside, 1), None).tolist()
+    assert cubes.inside().tolist() == count_cubes(inside, None).tolist()
+
+
+def test_only_what_is_asked_for_is_read():
+    seen = []
+    values = np.random.default_rng(0).integers(0, 2, (20, 9, 8)).astype(np.uint8)
+
+    def read(box):
+        seen.append(box)
+        return values[tuple(slice(*side) for side in box)]
+
+    volume = Slabs(values.shape, read, (1.0,) * 3, "voxel", ("void", "solid"))
+    assert describe_slabs(volume, depth=6)["porosity"] == np.mean(values == 0)
+    assert [box[0] for box in seen] == [(0, 6), (6, 12), (12, 18), (18, 20)]
+    seen.clear()
+    assert np.array_equal(volume.centre((4, 4, 8)).values, values[8:12, 2:6])
+    assert seen == [((8, 12), (2, 6), (0, 8))]
+    with pytest.raises(tb.errors.InputError, match="inside"):
+        volume.centre((4, 4, 9))
+
+
+def test_what_slabs_cannot_tell_is_left_out_by_name():
+    values = np.random.default_rng(1).integers(0, 2, (12, 12, 12)).astype(np.uint8)
+    volume = slabs_of(tb.Image(values, "labels"))
+    found = describe_slabs(volume, depth=5)
+    assert set(found) == set(describe(values))
+    assert all(found[name] is None and any(name in note for note in found["notes"]) for name in LEFT_OUT)
+    with pytest.raises(tb.errors.InputError, match="depth"):
+        describe_slabs(volume, depth=0)
+    with pytest.raises(tb.errors.InputError, match="--box"):
+        describe_slabs(volume, level="full")
+
+
+def test_transport_is_that_of_the_box_in_the_middle(bone):
+    values = bone.values[:20, :20, :20]
+    image = tb.Image(values, "labels", spacing=bone.spacing, unit=bone.unit)
+    found = describe_slabs(slabs_of(image), depth=7, level="full", box=10)
+    assert found["conductivity"] == describe(image, level="full", box=10)["conductivity"]
+
+
+def test_the_deepest_slab_that_fits_is_taken_and_none_is_refused():
+    volume = Slabs((1000, 10, 10), lambda box: np.zeros(0), (1.0,) * 3, "voxel", ("void", "solid"), grain=128)
+
+    def depth(budget):
+        return depth_within(volume, lambda planes: Plan({"slab": 100 * planes}), memory=budget, advice="crop it")
+
+    assert [depth(100 * most) for most in (1000, 999, 600, 300, 130, 127, 5)] == [1000, 512, 512, 256, 128, 64, 4]
+    with pytest.raises(tb.errors.MemoryBudgetError, match="crop it"):
+        depth(99)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_the_forecast_bounds_what_a_pass_takes(smooth):
+    noise = np.random.default_rng(7).random((96, 64, 60))
+    for axis in range(3 * smooth):
+        noise = noise + np.roll(noise, 1, axis) + np.roll(noise, 2, axis)
+    volume = slabs_of(tb.Image(noise > np.median(noise), "labels"))
+    count_slabs(volume, r_max=20, depth=32)  # kernels are loaded
+    tracemalloc.start()
+    count_slabs(volume, r_max=20, depth=32)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < forecast(volume, r_max=20, depth=32).peak < 2.5 * peak
+
+
+def test_a_slab_with_a_label_that_has_no_name_is_refused():
+    volume = Slabs((4, 3, 3), lambda box: np.full((1, 3, 3), 5, np.uint8), (1.0,) * 3, "voxel", ("void", "solid"))
+    with pytest.raises(tb.errors.InputError, match="phases"):
+        describe_slabs(volume, depth=1)
+
+
+@given(arrays(bool, SHAPES), st.integers(1, 9))
+def test_slabs_of_an_image_are_its_planes(inside, depth):
+    image = tb.Image(inside, "labels")
+    slabs = list(slabs_of(image).slabs(depth))
+    assert np.array_equal(np.concatenate([slab.values for slab in slabs]), image.values)
+    assert {len(slab.values) for slab in slabs[:-1]} <= {depth}
+    assert len(label_components(inside)[1]) == in_pieces(slabs_of(image), Pieces(), depth).result().components
