@@ -28,6 +28,7 @@ NAMES = ("x", "y", "X")
         ("atan2(1, 1) * 4 / pi", 1),
         ("sin(pi / 2) + cos(0) + exp(0) + log(e) + sqrt(4) + abs(-1) + floor(1.5) + tanh(0) + tan(0)", 8),
         ("7 % 4", 3),
+        ("2 if x == 3 and y != 3 else 0", 2),
         (" 1e-3", 1e-3),
     ],
 )
@@ -65,7 +66,7 @@ def test_arrays_broadcast_and_names_are_told():
         ("min(*x, y)", "Starred"),
         ("x @ y", "MatMult"),
         ("x // y", "FloorDiv"),
-        ("x == y", "Eq"),
+        ("x is y", "Is"),
         ("1 +", "cannot be read"),
         ("x; y", "cannot be read"),
         ("", "give text"),

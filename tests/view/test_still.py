@@ -61,7 +61,7 @@ def test_faces_of_a_solid_cube_are_flat_and_lit_from_above():
 def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
     """The gradient there is that of the inside: shaded by it, the face would be speckled or black."""
     solid = foam(24, seed=5)
-    still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0))
+    still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0), look="stone")  # no light from within
     voxels = solid[::-1, 0, :]  # looking along y, z up
     inner = np.zeros_like(voxels)
     inner[1:-1, 1:-1] = True
@@ -91,6 +91,81 @@ def test_the_corner_is_cut_towards_the_viewer_and_shows_the_inside():
     assert blue(whole) == 0 and blue(opened) > 50
     back = tb.render(solid, size=SMALL, camera=(225, 30)).values.astype(int)
     np.testing.assert_allclose(back, opened, atol=12)  # the block looks the same from the other side
+
+
+@pytest.mark.parametrize(
+    ("cut", "rows", "columns"), [("z=0.25", 0.25, 1), (["x=0.75", "z=0.5"], 0.5, 0.75), ("plane=90,0,0.6", 1, 0.6)]
+)
+def test_planes_take_away_what_lies_beyond_them(cut, rows, columns):
+    cube = np.ones((24, 24, 24), bool)
+    whole, left = (extent(drawn(tb.render(cube, size=(200, 200), cut=each, camera=(0, 0)))) for each in ("none", cut))
+    assert left[0] == pytest.approx(rows * whole[0], abs=2) and left[1] == pytest.approx(columns * whole[1], abs=2)
+
+
+def test_a_free_plane_shows_a_flat_face_of_its_own():
+    cube = np.ones((30, 30, 30), bool)
+    still = tb.render(cube, size=(240, 240), cut="plane=20,30,0.5", camera=(20, 30)).values.astype(float)
+    face = still[100:130, 100:140]  # it faces the viewer
+    assert face.std(axis=(0, 1)).max() < 2
+    turned = tb.render(cube, size=(240, 240), cut=["plane=20,30,0.7", "corner"], camera=(20, 30)).values.astype(float)
+    assert np.abs(turned - still).mean() > 1
+
+
+def test_light_goes_through_a_thin_wall_of_bread_and_not_of_stone():
+    def below(thick, look):
+        """Brightness of the middle of the underside, which the lamp does not reach from outside."""
+        size, box = (160, 160), np.array([24.0, 24.0, thick])
+        still = tb.render(np.ones((thick, 24, 24), bool), size=size, cut="none", camera=(0, -12), look=look)
+        camera = place((0, -12), box, size, margin=8, foot=19)
+        offset = np.array([12.0, 12.0, 0.0]) - camera.corner
+        column, row = (round(float(way @ offset / camera.pixel)) for way in (camera.right, -camera.up))
+        return still.values[row - 2 : row + 3, column - 2 : column + 3].mean()
+
+    assert below(2, "bread") > below(24, "bread") + 8
+    assert below(2, "stone") == pytest.approx(below(24, "stone"), abs=2)
+
+
+def test_the_rougher_the_surface_the_wider_and_weaker_its_highlight():
+    from trabecula.view import shading
+
+    squarely, aside = (np.array([shading.mirrored.py_func(rough, 0.5, 0.9, 0.9, to_half, 0.9) for rough in (0.3, 0.6, 0.9)])
+                       for to_half in (1.0, 0.8))  # fmt: skip
+    assert (np.diff(squarely) < 0).all() and (np.diff(aside / squarely) > 0).all()
+
+
+def test_no_more_light_is_reflected_than_falls_in():
+    """The diffuse and specular terms, over all directions to a viewer, of light that falls in at 30 degrees."""
+    from trabecula.view import shading
+
+    lamp = np.array([0.5, 0, np.sqrt(0.75)])
+    up, round_ = np.meshgrid((np.arange(40) + 0.5) / 40, np.arange(60) * np.pi / 30)
+    flat = np.sqrt(1 - up**2)
+    for rough in (0.3, 0.6, 1.0):
+        total = 0.0
+        for x, y, z in zip((flat * np.cos(round_)).ravel(), (flat * np.sin(round_)).ravel(), up.ravel(), strict=True):
+            half = lamp + np.array([x, y, z])
+            half /= np.linalg.norm(half)
+            between = float(lamp @ half)
+            sent = shading.mirrored.py_func(rough, 1.0, lamp[2], z, half[2], between)
+            total += z * sent
+        assert 0.02 < 2 * total / up.size < 0.12  # Schlick's base of 0.08, and a little more at grazing angles
+
+
+def test_a_turntable_turns_once_and_keeps_its_scale(tmp_path):
+    post = np.zeros((16, 16, 16), bool)
+    post[:, 1:5, 1:5] = True
+    path = tb.view.still.turntable(
+        post, tmp_path / "turn.gif", frames=4, seconds=2, size=(80, 64), cut="none", camera=(0, 0)
+    )
+    with Pillow.open(path) as moving:
+        assert moving.n_frames == 4 and moving.info["duration"] == 500 and moving.info["loop"] == 0
+        frames = []
+        for k in range(4):
+            moving.seek(k)
+            frames.append(np.abs(np.asarray(moving.convert("RGB")).astype(int) - BACKGROUND).max(axis=-1)[:40] > 40)
+    middles = [np.nonzero(frame)[1].mean() - 39.5 for frame in frames]
+    assert middles[0] < -5 and middles[1] < -5 and middles[2] > 5 and middles[3] > 5
+    assert len({extent(frame)[0] for frame in frames}) == 1
 
 
 def test_the_camera_turns_around_z():
@@ -210,6 +285,7 @@ def test_the_whole_box_is_in_the_picture_from_everywhere():
     [
         ({"look": "bones"}, "did you mean 'bone'"),
         ({"cut": "corners"}, "did you mean 'corner'"),
+        ({"cut": ["x=0.5", "corners"]}, "did you mean 'corner'"),
         ({"phase": "sold"}, "did you mean 'solid'"),
     ],
 )
@@ -228,6 +304,11 @@ def test_an_unknown_name_suggests_the_nearest(options, message):
         (np.ones((4, 4, 4), bool), {"camera": "front"}, "azimuth"),
         (np.ones((4, 4, 4), bool), {"threshold": 1}, "for grey"),
         (np.ones((4, 4, 4), bool), {"phase": []}, "phase is empty"),
+        (np.ones((4, 4, 4), bool), {"cut": "x=1.5"}, "a share 0..1"),
+        (np.ones((4, 4, 4), bool), {"cut": "plane=30"}, "plane=AZ,EL"),
+        (np.ones((4, 4, 4), bool), {"cut": "corner=1"}, "write corner"),
+        (np.ones((4, 4, 4), bool), {"cut": ["none", "x"]}, "none alone"),
+        (np.ones((4, 4, 4), bool), {"cut": []}, "none alone"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(image, options, message):

@@ -26,7 +26,8 @@ VERBS = {
     "finish": "make it printable: connect, prune, smooth, thicken, remove what floats, fill what is closed",
     "check": "what a printer would refuse or warn of",
     "export": "surfaces (.stl .3mf .ply .obj) and volumes for other programs",
-    "render": "a still picture",
+    "view": "turn, cut, slice and shade in a browser; several side by side",
+    "render": "a still picture, or one that turns",
     "rerun": "make a file's voxels again from the recipe in it",
     "bench": "the tables of speed and quality",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from trabecula.cli import options as shared
 
@@ -10,32 +11,45 @@ from trabecula.cli import options as shared
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The file, the picture, the look."""
     parser.add_argument("file", metavar="FILE", help="volume, or sample:NAME")
-    parser.add_argument("--out", required=True, metavar="FILE", help="picture to write (.png)")
+    parser.add_argument("--out", required=True, metavar="FILE", help="picture to write (.png; with --turntable .gif)")
     parser.add_argument("--look", default="bone", help="bone, foam, bread, sponge or stone")
     parser.add_argument("--size", nargs=2, default=["800", "600"], metavar=("W", "H"), help="pixels (default 800 600)")
-    parser.add_argument("--cut", default="corner", help="corner (default) or none")
+    parser.add_argument(
+        "--cut",
+        nargs="+",
+        default=["corner"],
+        metavar="WORD",
+        help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, share); several together",
+    )
     parser.add_argument(
         "--camera", nargs=2, default=["32", "26"], metavar=("AZ", "EL"), help="degrees around and above"
     )
+    parser.add_argument("--turntable", metavar="N", help="a moving picture of N stills all round (.gif)")
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
-    from trabecula.flow import check_target
-    from trabecula.view.still import render
+    from trabecula.flow import check_folder, check_target
+    from trabecula.view.still import render, turntable
 
-    check_target(options.out)
-    image = shared.load_exemplar(options.file, options)
+    frames = None if options.turntable is None else shared.integer(options.turntable, name="--turntable")
+    if frames is None:
+        check_target(options.out)
+    else:
+        check_folder(options.out)
     size = shared.integers(options.size, name="--size")
     azimuth, elevation = shared.numbers(options.camera, name="--camera")
-    render(
-        image,
-        options.out,
-        look=options.look,
-        size=(size[0], size[1]),
-        cut=options.cut,
-        camera=(azimuth, elevation),
-    )
-    print(f"{options.out}: {size[0]} x {size[1]} pixels")
+    image = shared.load_exemplar(options.file, options)
+    wanted: dict[str, Any] = {
+        "look": options.look,
+        "size": (size[0], size[1]),
+        "cut": options.cut[0] if len(options.cut) == 1 else options.cut,
+        "camera": (azimuth, elevation),
+    }
+    if frames is None:
+        render(image, options.out, **wanted)
+    else:
+        turntable(image, options.out, frames=frames, **wanted)
+    print(f"{options.out}: {size[0]} x {size[1]} pixels" + (f", {frames} frames" if frames else ""))
     return 0

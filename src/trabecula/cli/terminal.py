@@ -65,6 +65,11 @@ def fail(message: str) -> None:
     print("trabecula: " + " ".join(message.split()), file=sys.stderr, flush=True)
 
 
+def note(line: str) -> None:
+    """A line on standard error that is no error."""
+    print(f"trabecula: {line}", file=sys.stderr, flush=True)
+
+
 def show_json(value: Any) -> None:
     """One JSON object on standard output."""
     print(json.dumps(value, indent=1, allow_nan=False))

@@ -31,6 +31,13 @@ class FileError(TrabeculaError, OSError):
         return str(self.args[0]) if self.args else ""
 
 
+class ClusterError(TrabeculaError, ConnectionError):
+    """Workers or a scheduler that do not answer, or that cannot do what this process does."""
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+
 class MemoryBudgetError(TrabeculaError, MemoryError):
     """A run whose forecast exceeds the memory it may use. Raised before anything is allocated."""
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core import display
 from trabecula.core.checks import as_spacing, check_finite, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
@@ -82,6 +83,9 @@ class Image:
 
     def __repr__(self) -> str:
         return outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
+
+    def _repr_html_(self) -> str | None:
+        return display.as_html(self)
 
 
 def outline(shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str, phases: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.errors import InputError
+from trabecula.view.cut import direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,15 @@ def as_angles(camera: tuple[float, float]) -> tuple[float, float]:
     return azimuth, elevation
 
 
-def place(angles: tuple[float, float], extent: np.ndarray, size: tuple[int, int], *, margin: int, foot: int) -> Camera:
+def place(
+    angles: tuple[float, float],
+    extent: np.ndarray,
+    size: tuple[int, int],
+    *,
+    margin: int,
+    foot: int,
+    pixel: float | None = None,
+) -> Camera:
     """A camera that sees the whole box.
 
     Parameters
@@ -60,16 +69,16 @@ def place(angles: tuple[float, float], extent: np.ndarray, size: tuple[int, int]
     size : (width, height) in pixels
     margin, foot : int
         Pixels left free all round, and more at the foot for the scale bar.
+    pixel : float, optional
+        Edge of a pixel. Default: such that the box fills what is free.
     """
-    azimuth, elevation = (math.radians(angle) for angle in angles)
-    right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    viewer = np.array(
-        [math.sin(azimuth) * math.cos(elevation), -math.cos(azimuth) * math.cos(elevation), math.sin(elevation)]
-    )
+    azimuth = math.radians(angles[0])
+    right, viewer = np.array([math.cos(azimuth), math.sin(azimuth), 0.0]), direction(*angles)
     up = np.cross(viewer, right)
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * extent
     width, height = np.ptp(corners @ right), np.ptp(corners @ up)
-    pixel = max(width / max(size[0] - 2 * margin, 1), height / max(size[1] - 2 * margin - foot, 1))
+    if pixel is None:
+        pixel = max(width / max(size[0] - 2 * margin, 1), height / max(size[1] - 2 * margin - foot, 1))
     far = extent / 2 + viewer * np.linalg.norm(extent)
     across, down = (size[0] - 1) / 2 * pixel, (size[1] - foot - 1) / 2 * pixel
     return Camera(right, up, viewer, far - right * across + up * down, pixel)

@@ -1,11 +1,13 @@
 """The one table of looks: what materials are made to look like, and the colours of phases.
 
-Colours are sRGB, 0..255; the renderer works on linear light.
+Stills and the page in a browser are shaded by the same model with these figures (see `kernels` and page/march.frag).
+Colours are sRGB, 0..255; both work on linear light.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +20,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Look:
-    """How a material answers to light.
+    """How a material answers to light, in the words of Burley (2012), which Baravalle et al. (2016, section 5) render with.
 
     Parameters
     ----------
@@ -32,10 +34,16 @@ class Look:
         Of the light that reaches a point from all round; what is hidden from the lamp takes this hue.
     cut : colour
         Dye of the faces of the box and of the cut (255 leaves a channel as it is), to tell them from the surface.
-    gloss : float
-        Strength of the highlight, 0..1.
-    polish : float
-        Its sharpness (exponent of Blinn-Phong).
+    roughness : float
+        0 (polished) .. 1 (matt): width of the highlight, and how much light comes straight back at grazing angles.
+    specular : float
+        0..1: share of light that is mirrored, 0.08 of it when looked at squarely.
+    absorption : float
+        Per voxel edge, 0 or more, of what is black; of a colour the share that it does not reflect. High: light does not
+        get through thin walls.
+    scattering : float
+        Per voxel edge, 0 or more: how often light in the material is turned. High beside the absorption: light that goes
+        in comes out again nearby, and shadows have soft, warm edges.
     """
 
     solid: Colour
@@ -43,23 +51,45 @@ class Look:
     background: Colour = (243, 244, 246)
     shade: Colour = (214, 226, 245)
     cut: Colour = (255, 255, 255)
-    gloss: float = 0.15
-    polish: float = 24.0
+    roughness: float = 0.6
+    specular: float = 0.4
+    absorption: float = 6.0
+    scattering: float = 0.5
+
+    @property
+    def finish(self) -> tuple[float, float, float, float]:
+        """Roughness, specular, absorption and scattering."""
+        return self.roughness, self.specular, self.absorption, self.scattering
 
 
 LOOKS = {
-    "bone": Look(solid=(238, 222, 190), shade=(206, 216, 240), cut=(252, 222, 198), gloss=0.16),
-    "foam": Look(solid=(196, 206, 212), shade=(214, 224, 242), cut=(222, 234, 248), gloss=0.30, polish=40.0),
+    "bone": Look(
+        solid=(238, 222, 190), shade=(218, 218, 230), cut=(252, 222, 198), roughness=0.5, specular=0.45, absorption=2.5,
+        scattering=1.0,
+    ),
+    "foam": Look(
+        solid=(196, 206, 212), shade=(214, 224, 242), cut=(222, 234, 248), roughness=0.4, specular=0.6, absorption=3.0,
+        scattering=0.6,
+    ),
     "bread": Look(
-        solid=(236, 202, 146), void=(74, 48, 28), shade=(238, 214, 186), cut=(255, 244, 228), gloss=0.02, polish=8.0
+        solid=(236, 202, 146), void=(74, 48, 28), shade=(238, 214, 186), cut=(255, 250, 240), roughness=0.9, specular=0.1,
+        absorption=1.6, scattering=0.5,
     ),
     "sponge": Look(
-        solid=(240, 204, 84), void=(70, 54, 16), shade=(236, 224, 196), cut=(255, 240, 214), gloss=0.05, polish=12.0
+        solid=(240, 204, 84), void=(70, 54, 16), shade=(236, 224, 196), cut=(255, 240, 214), roughness=0.8, specular=0.15,
+        absorption=1.4, scattering=0.45,
     ),
     "stone": Look(
-        solid=(196, 186, 172), void=(40, 40, 44), shade=(208, 216, 232), cut=(250, 240, 228), gloss=0.06, polish=16.0
+        solid=(196, 186, 172), void=(40, 40, 44), shade=(208, 216, 232), cut=(250, 240, 228), roughness=0.7, specular=0.35,
+        absorption=12.0, scattering=0.0,
     ),
-}
+}  # fmt: skip
+
+LAMP = (-0.26, 0.56, 0.78)
+"""Where the lamp is, before the material to the upper left: (right, up, towards the viewer)."""
+
+LAMP_STRENGTH, AMBIENCE, FILL = 0.92, 0.38, 0.12
+"""Light of the lamp, from all round, and from the viewer, on a white surface that faces each."""
 
 # Further phases, far apart in hue and lightness for all kinds of colour vision (an order after Okabe and Ito 2008).
 _FURTHER: tuple[Colour, ...] = (
@@ -77,6 +107,14 @@ def look_named(name: str) -> Look:
     """The look of that name, or an error that suggests the nearest."""
     check_name(name, LOOKS, name="look")
     return LOOKS[name]
+
+
+def all_round() -> np.ndarray:
+    """(14, 3): directions in which light from all round is looked for, the faces and the corners of a cube; the second
+    half is opposite to the first."""
+    corners = np.array([(x, y, 1) for x in (-1, 1) for y in (-1, 1)]) / np.sqrt(3)
+    half = np.concatenate([np.eye(3), corners])
+    return np.concatenate([half, -half])
 
 
 def phase_colours(image: Image, look: Look) -> np.ndarray:
@@ -100,3 +138,9 @@ def to_srgb(light: np.ndarray) -> np.ndarray:
     light = np.clip(light, 0.0, 1.0)
     value = np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.round(value * 255).astype(np.uint8)
+
+
+def as_table() -> dict[str, Any]:
+    """Looks, light and further colours as plain JSON, for the page in a browser."""
+    light = {"lamp": LAMP, "strength": (LAMP_STRENGTH, AMBIENCE, FILL), "around": all_round()[:7].tolist()}
+    return {"looks": {name: asdict(look) for name, look in LOOKS.items()}, "light": light, "further": _FURTHER}

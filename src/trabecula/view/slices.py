@@ -14,7 +14,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.recipe import Recipe
 from trabecula.view.looks import Look, look_named, phase_colours
-from trabecula.view.picture import check_png, font, ink_on, kept
+from trabecula.view.picture import check_suffix, font, ink_on, kept
 from trabecula.view.scale import draw_bar
 
 _GAP = 14
@@ -70,7 +70,7 @@ def slices(
         Numbers out of range, or an unknown look.
     """
     image = as_image(image)
-    check_png(path)
+    check_suffix(path, ".png")
     if not 1 <= per_axis <= 16:
         raise InputError(f"per_axis {per_axis} is outside 1..16")
     chosen = look_named(look)
@@ -116,7 +116,7 @@ def montage(
     InputError
         No images, not as many names, numbers out of range, or an unknown look.
     """
-    check_png(path)
+    check_suffix(path, ".png")
     several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
     if not several or len(names) != len(several):
         raise InputError(f"a montage needs images and a name for each: got {len(several)} images, {len(names)} names")

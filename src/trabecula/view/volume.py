@@ -9,12 +9,13 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, phase_index
-from trabecula.view import kernels
+from trabecula.view.kernels import blur_axis
+from trabecula.view.rays import BLOCK, ISO
 
 LEVELS = 6
 
 # A Gaussian of sigma 0.7 voxel, in 1/256: takes the staircase off binary labels and keeps walls of one voxel.
-_WEIGHTS = np.array([3, 51, 148, 51, 3], np.int64)
+WEIGHTS = np.array([3, 51, 148, 51, 3], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ def drawn_phases(image: Image, phase: str | int | Sequence[str | int] | None) ->
     return sorted({phase_index(image, one, default="solid") for one in several})
 
 
-def prepare(labels: np.ndarray, drawn: Sequence[int], *, removed: np.ndarray) -> Volume:
+def prepare(labels: np.ndarray, drawn: Sequence[int]) -> Volume:
     """The arrays of one volume.
 
     Parameters
@@ -48,16 +49,11 @@ def prepare(labels: np.ndarray, drawn: Sequence[int], *, removed: np.ndarray) ->
     labels : (Z, Y, X) uint8
     drawn : sequence of int
         Labels that are solid to the eye.
-    removed : (2, 3) float
-        Corners (x, y, z) of the part that is cut away; it casts no shadow.
     """
     table = np.zeros(256, np.uint8)
     table[list(drawn)] = 255
     field = _blurred(table[labels])
-    open_field = field.copy()
-    (x0, y0, z0), (x1, y1, z1) = removed.astype(int)
-    open_field[z0:z1, y0:y1, x0:x1] = 0
-    levels = _levels(open_field)
+    levels = _levels(field)
     return Volume(
         field=field,
         labels=_spread(labels, table),
@@ -72,7 +68,7 @@ def _blurred(values: np.ndarray) -> np.ndarray:
     depth, height, width = values.shape
     other = np.empty_like(values)
     for shape in ((1, depth, height * width), (depth, height, width), (depth * height, width, 1)):
-        kernels.blur_axis(values.reshape(shape), _WEIGHTS, other.reshape(shape))
+        blur_axis(values.reshape(shape), WEIGHTS, other.reshape(shape))
         values, other = other, values
     return values
 
@@ -92,14 +88,14 @@ def _spread(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 def _occupied(field: np.ndarray) -> np.ndarray:
     """Blocks of BLOCK voxels an axis where interpolation can reach ISO, (Z/B, Y/B, X/B) bool."""
-    solid = field > int(kernels.ISO)
+    solid = field > int(ISO)
     for axis, length in enumerate(field.shape):
-        starts = np.arange(0, length, kernels.BLOCK)
+        starts = np.arange(0, length, BLOCK)
         # A point of a block reads its voxels and one more to each side.
         solid = np.moveaxis(solid, axis, 0)
         blocks = np.logical_or.reduceat(solid, starts, axis=0)
         blocks[1:] |= solid[starts[1:] - 1]
-        inner = starts[:-1] + kernels.BLOCK
+        inner = starts[:-1] + BLOCK
         blocks[:-1] |= solid[inner]
         solid = np.moveaxis(blocks, 0, axis)
     return np.ascontiguousarray(solid)

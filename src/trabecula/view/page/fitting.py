@@ -1,0 +1,105 @@
+"""Volumes as a browser holds them: bytes, few enough for a tab."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.exemplar.segment import otsu
+
+LARGEST = 256**3
+"""Voxels that a page draws; more are taken together in blocks."""
+
+LONGEST = 1024
+"""Voxels along an axis: what most graphics cards take is 2048."""
+
+_SOFT = 6
+"""Half the width of the default ramp of opacity around the threshold of a grey volume, of 255."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A volume for the page.
+
+    Parameters
+    ----------
+    values : (Z, Y, X) or (Z, Y, X, 3) uint8
+    block : (z, y, x)
+        Voxels of the image that make one of these.
+    range : (low, high)
+        What 0 and 255 stand for in a grey volume.
+    threshold : int
+        Of a grey volume: where its surface is, 0..255.
+    """
+
+    values: np.ndarray
+    block: tuple[int, ...]
+    range: tuple[float, float]
+    threshold: int
+
+    @property
+    def ramp(self) -> tuple[int, int]:
+        """Greys over which opacity rises at first."""
+        return max(0, self.threshold - _SOFT), min(255, self.threshold + _SOFT)
+
+
+def fitted(image: Image) -> Fitted:
+    """The volume, or means of blocks of it (of labels: the most frequent) where it is too large; a picture as one slice."""
+    values = image.values if image.ndim == 3 else image.values[None]
+    shape = image.shape if image.ndim == 3 else (1, *image.shape)
+    limits, threshold = (0.0, 255.0), 0
+    if image.kind == "grey":
+        limits = _limits(values)
+    block = _block(shape)
+    if max(block) > 1:
+        values = np.stack([_joined(part, block, image.kind) for part in _slabs(values, block[0])])
+    if image.kind == "grey":
+        values = _bytes(values, limits)
+        threshold = int(np.ceil(otsu(values)[0])) if values.min() < values.max() else 0
+    return Fitted(np.ascontiguousarray(values), block, limits, threshold)
+
+
+def _block(shape: Sequence[int]) -> tuple[int, ...]:
+    """Edges of the smallest blocks, the same along every axis that has so many voxels, that make the volume fit."""
+    edge = 1
+    while True:
+        block = tuple(min(edge, side) for side in shape)
+        left = [side // size for side, size in zip(shape, block, strict=True)]
+        if np.prod(left, dtype=np.int64) <= LARGEST and max(left) <= LONGEST:
+            return block
+        edge += 1
+
+
+def _slabs(values: np.ndarray, thick: int) -> list[np.ndarray]:
+    return [values[start : start + thick] for start in range(0, values.shape[0] // thick * thick, thick)]
+
+
+def _joined(slab: np.ndarray, block: Sequence[int], kind: str) -> np.ndarray:
+    """One layer of blocks, (Y, X) or (Y, X, 3); what is left over at the far ends is left out."""
+    _, tall, wide = block
+    rows, columns = slab.shape[1] // tall, slab.shape[2] // wide
+    cut = slab[:, : rows * tall, : columns * wide].reshape(slab.shape[0], rows, tall, columns, wide, *slab.shape[3:])
+    if kind != "labels":
+        mean = cut.mean(axis=(0, 2, 4), dtype=np.float64)
+        return np.round(mean).astype(np.uint8) if kind == "colour" else mean.astype(np.float32)
+    votes = np.stack([np.count_nonzero(cut == label, axis=(0, 2, 4)) for label in range(int(slab.max()) + 1)])
+    return votes.argmax(axis=0).astype(np.uint8)
+
+
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    """Bytes stay as they are; other greys run from their 0.1 to their 99.9 percent, of a sample of them."""
+    if values.dtype == np.uint8:
+        return 0.0, 255.0
+    step = max(1, round((values.size / 1e6) ** (1 / 3)))
+    low, high = np.percentile(values[::step, ::step, ::step].astype(np.float64), (0.1, 99.9))
+    return float(low), float(high if high > low else low + 1)
+
+
+def _bytes(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    if values.dtype == np.uint8:
+        return values
+    scaled = (values.astype(np.float32) - np.float32(limits[0])) * np.float32(255 / (limits[1] - limits[0]))
+    return np.round(np.clip(scaled, 0, 255)).astype(np.uint8)

@@ -1,0 +1,177 @@
+"""`view`: images -> page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image
+from trabecula.io.units import has_length, to_metres
+from trabecula.view.looks import look_named
+from trabecula.view.page.document import Page, document, packed
+from trabecula.view.page.figures import figures_of
+from trabecula.view.page.fitting import Fitted, fitted
+
+MOST = 6
+"""Volumes side by side."""
+
+_FULL = 1.25
+"""Letters a voxel that a grey volume may take packed (10 MB for 200^3); beyond, it is shown in 64 greys."""
+
+
+def view(
+    *images: Image | ArrayLike,
+    names: Sequence[str] | None = None,
+    look: str = "bone",
+    certificate: Any = None,
+    title: str | None = None,
+    height: int = 640,
+) -> Page:
+    """A page that shows volumes side by side: turned together, cut, sliced and shaded in a browser.
+
+    Parameters
+    ----------
+    *images : Image or array, (Z, Y, X) or (Y, X)
+        Labels, grey or colour, such as an exemplar and what was made from it; 6 at most. More than 256^3 voxels are
+        drawn as means of blocks (labels: the most frequent), and the page says so; `crop` keeps a box at full resolution.
+    names : sequence of str, optional
+        A name for each.
+    look : {"bone", "foam", "bread", "sponge", "stone"}
+        To begin with.
+    certificate : Certificate or what its `to_json` gives, or a list of them, optional
+        Whose key figures stand beside: one for each image, or for each but the first.
+    title : str, optional
+        Of the page. Default: the names.
+    height : int
+        Pixels that the page takes in a notebook, 200..4000.
+
+    Returns
+    -------
+    Page
+        With `save(path)` and `show()`; a notebook displays it.
+
+    Raises
+    ------
+    InputError
+        No images or too many, not as many names or certificates, an unknown look, height out of range.
+    """
+    several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
+    if not 1 <= len(several) <= MOST:
+        raise InputError(f"a page shows 1 to {MOST} images, got {len(several)}")
+    look_named(look)
+    if not 200 <= height <= 4000:
+        raise InputError(f"height {height} is outside 200..4000 pixels")
+    named = _names(names, len(several))
+    title = _text(" | ".join(named) if title is None else title)
+    figures = figures_of(certificate, len(several))
+    scales = _scales(several)
+    volumes, texts = [], []
+    for image, name, scale, rows in zip(several, named, scales or [1.0] * len(several), figures, strict=True):
+        volume, text = _volume(image, name, scale, rows)
+        if scales is None and len(several) > 1:
+            volume["notes"].append("no common unit: each volume fills its place, they are not to one scale")
+        volumes.append(volume)
+        texts.append(text)
+    about = {"look": look, "aligned": scales is not None, "volumes": volumes}
+    return Page(document(title, about, texts), title, height)
+
+
+def _names(names: Sequence[str] | None, count: int) -> list[str]:
+    if names is None:
+        return [f"image {k}" for k in range(1, count + 1)]
+    if len(names) != count:
+        raise InputError(f"{count} images and {len(names)} names: give one for each")
+    return [_text(name) for name in names]
+
+
+def _text(name: str) -> str:
+    """A name that can be written: that of a file may hold bytes that are no text."""
+    return str(name).encode(errors="replace").decode()
+
+
+def _scales(images: Sequence[Image]) -> list[float] | None:
+    """Lengths of each image's unit in one that they share; None where they share none."""
+    units = [image.unit for image in images]
+    if len(set(units)) == 1:
+        return [1.0] * len(units)
+    return [to_metres(unit) for unit in units] if all(has_length(unit) for unit in units) else None
+
+
+def _volume(image: Image, name: str, scale: float, figures: list[list[str]]) -> tuple[dict[str, Any], str]:
+    """What the page is told of a volume, and its voxels."""
+    fit, phases = fitted(image), _phases(image)
+    values, notes = fit.values, _notes(image, fit)
+    text = packed(values)
+    if image.kind == "grey" and len(text) > max(4096, _FULL * values.size):
+        values = values & 0xFC | 2
+        text = packed(values)
+        notes.append("shown in 64 greys, to keep the page small")
+    edges = _spacing(image)[::-1] * np.array(fit.block[::-1])
+    about = {
+        "name": name,
+        "shape": list(values.shape[:3]),
+        "kind": image.kind,
+        "edges": edges.tolist(),
+        "unit": image.unit,
+        "scale": scale,
+        "coarse": max(fit.block),
+        "range": list(fit.range),
+        "low": fit.ramp[0] if image.kind == "grey" else 0,
+        "high": fit.ramp[1] if image.kind == "grey" else 0,
+        "window": [0, 255],
+        "phases": phases,
+        "facts": _facts(image, phases),
+        "figures": figures,
+        "notes": notes,
+    }
+    return about, text
+
+
+def _spacing(image: Image) -> np.ndarray:
+    """(z, y, x); a picture is as thick as its pixels are wide."""
+    return np.array(image.spacing if image.ndim == 3 else (image.spacing[-1], *image.spacing))
+
+
+def _phases(image: Image) -> list[dict[str, Any]]:
+    """Names, and which are drawn; of greys their dark and bright end, whose colours run into each other."""
+    if image.kind != "labels":
+        return [{"name": "dark", "visible": True}, {"name": "bright", "visible": True}]
+    # A slice at a time: bincount widens what it counts to 8 bytes.
+    counts = np.sum([np.bincount(plane.ravel(), minlength=len(image.phases)) for plane in image.values], axis=0)
+    return [
+        {"name": name, "visible": name != "void", "dark": name == "void", "share": f"{count / image.values.size:.1%}"}
+        for name, count in zip(image.phases, counts, strict=True)
+    ]
+
+
+def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
+    unit = "voxels" if image.unit == "voxel" else image.unit
+    sides = [f"{side * edge:.4g}" for side, edge in zip(image.shape, image.spacing, strict=True)]
+    facts = [
+        ["Kind", image.kind],
+        ["Voxels", " x ".join(map(str, image.shape)) + (" (z, y, x)" if image.ndim == 3 else " (y, x)")],
+        ["Voxel", " x ".join(f"{edge:g}" for edge in image.spacing) + f" {image.unit}"],
+        ["Size", " x ".join(sides) + f" {unit}"],
+    ]
+    if image.kind == "labels":
+        shares = [f"{phase['name']} {phase['share']}" for phase in phases]
+        facts.append(["Phases", ", ".join(shares)])
+    made = next((step for step in reversed(image.recipe.steps) if "method" in step), None)
+    if made is not None:
+        facts.append(["Made by", f"{made['method']}" + (f", seed {made['seed']}" if "seed" in made else "")])
+    return facts
+
+
+def _notes(image: Image, fit: Fitted) -> list[str]:
+    if prod(fit.block) == 1:
+        return []
+    what = "the most frequent label" if image.kind == "labels" else "the mean"
+    block, shape = (" x ".join(map(str, sides)) for sides in (fit.block, fit.values.shape[:3]))
+    return [
+        f"too large for a tab: drawn is {what} of blocks of {block} voxels, {shape} in all; --crop keeps a box as it is"
+    ]

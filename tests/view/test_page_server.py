@@ -1,0 +1,120 @@
+"""The server of a page: who gets it, once, and nothing else."""
+
+import http.client
+import socket
+import threading
+
+import pytest
+
+from trabecula.core.errors import InputError
+from trabecula.view.page import server
+from trabecula.view.page.server import PageServer
+
+HTML = "<!doctype html><title>page</title>"
+
+
+@pytest.fixture
+def served():
+    with PageServer(HTML) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        yield running
+        running.shutdown()
+
+
+def ask(served, path, *, method="GET", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", served.server_port, timeout=10)
+    connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    body = answer.read().decode()
+    connection.close()
+    return answer, body
+
+
+def test_the_token_opens_once_and_gives_a_cookie_that_opens_again(served):
+    path = f"/?token={served.token}"
+    answer, body = ask(served, path)
+    assert answer.status == 303 and answer.headers["Location"] == "/" and body == ""
+    kept = answer.headers["Set-Cookie"]
+    assert "HttpOnly" in kept and "SameSite" in kept
+    for _ in range(2):
+        answer, body = ask(served, "/", Cookie=kept.split(";")[0])
+        assert answer.status == 200 and body == HTML
+    assert ask(served, path)[0].status == 403
+    assert "token" not in served.url
+
+
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=guess", "/?token=%00", "/?other=1"])
+def test_nobody_else_gets_it(served, path):
+    answer, body = ask(served, path)
+    assert answer.status == 403 and HTML not in body
+    assert ask(served, f"/?token={served.token}")[0].status == 303  # a wrong guess spends nothing
+
+
+@pytest.mark.parametrize(
+    "path", ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/etc/passwd", "//etc/passwd", "/index.html"]
+)
+def test_no_other_path_is_there(served, path):
+    cookie = f"trabecula-{served.server_port}={served.cookie}"
+    answer, body = ask(served, path, Cookie=cookie)
+    assert answer.status == 404 and "root:" not in body
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:80", ""])
+def test_another_name_for_this_machine_is_refused(served, host):
+    answer, _ = ask(served, f"/?token={served.token}", Host=host)
+    assert answer.status == 403
+    assert served.token is not None
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
+def test_nothing_can_be_sent(served, method):
+    assert ask(served, "/", method=method)[0].status == 501
+
+
+@pytest.mark.parametrize("cookie", ["trabecula=x", "=", "a=b; ;;", "\x01"])
+def test_a_strange_cookie_is_no_cookie(served, cookie):
+    assert ask(served, "/", Cookie=cookie)[0].status == 403
+
+
+def test_it_listens_on_this_machine_alone(served):
+    assert served.server_address[0] == "127.0.0.1"
+    answer, _ = ask(served, "/")
+    assert answer.headers["X-Frame-Options"] == "DENY" and answer.headers["Cache-Control"] == "no-store"
+
+
+def test_a_taken_port_is_told():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"port {port} cannot be used .*leave --port out"):
+            PageServer(HTML, port=port)
+    with pytest.raises(InputError, match=r"outside 0\.\.65535"):
+        PageServer(HTML, port=70000)
+
+
+@pytest.fixture
+def stopped(monkeypatch):
+    """`serve` returns at once, as if it were interrupted."""
+
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PageServer, "serve_forever", interrupt)
+
+
+def test_without_a_browser_the_address_is_told(stopped, monkeypatch):
+    monkeypatch.setattr(server, "has_display", lambda: False)
+    lines = []
+    server.serve(HTML, tell=lines.append)
+    assert "no browser was found" in lines[0] and "http://127.0.0.1:" in lines[0] and "?token=" in lines[0]
+    with pytest.raises(InputError, match=r"no browser was found.*save\(path\)"):
+        server.serve(HTML)
+
+
+def test_a_browser_is_opened_on_the_address_with_the_token(stopped, monkeypatch):
+    opened, lines = [], []
+    monkeypatch.setattr(server, "has_display", lambda: True)
+    monkeypatch.setattr(server.webbrowser, "open", lambda url: opened.append(url) or True)
+    server.serve(HTML, tell=lines.append)
+    assert "?token=" in opened[0] and "token" not in lines[0]
