@@ -6,7 +6,7 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test test-learn check docs bench wheel clean
+.PHONY: demo test test-learn test-cluster check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -17,6 +17,9 @@ test: $(VENV)/dev.stamp             ## the test suite
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
 	$(BIN)/python -m pytest tests/synth/gan tests/contract -k gan
 
+test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need Dask, which `make test` skips where it is not installed
+	$(BIN)/python -m pytest tests/engine/test_cluster.py
+
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
 	$(BIN)/ruff check src tests benchmarks docs
 	$(BIN)/ruff format --check src tests benchmarks docs
@@ -25,6 +28,9 @@ check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
 
 docs: $(VENV)/docs.stamp            ## executes every example, builds docs/_build/html
 	$(BIN)/python docs/build.py
+
+gallery: $(VENV)/docs.stamp         ## only its pictures: docs/gallery
+	$(BIN)/python docs/build.py gallery
 
 bench: $(VENV)/dev.stamp            ## the tables; minutes
 	$(BIN)/python benchmarks/run.py
@@ -44,6 +50,10 @@ $(VENV)/dev.stamp: $(VENV)/base.stamp requirements/dev.txt
 
 $(VENV)/learn.stamp: $(VENV)/base.stamp requirements/learn.txt
 	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/learn.txt
+	touch $@
+
+$(VENV)/cluster.stamp: $(VENV)/base.stamp requirements/cluster.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/cluster.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt

@@ -1,6 +1,7 @@
 """The exceptions by their public address: `from trabecula.errors import TrabeculaError`. They are defined in `core.errors`."""
 
 from trabecula.core.errors import (
+    ClusterError,
     FileError,
     InputError,
     MemoryBudgetError,
@@ -13,6 +14,7 @@ from trabecula.core.errors import (
 )
 
 __all__ = [
+    "ClusterError",
     "FileError",
     "InputError",
     "MemoryBudgetError",

@@ -1,25 +1,37 @@
-"""From a model to a file: in memory where the result fits, else block by block into a store."""
+"""From a model to a file: in memory where the result fits, else block by block into a store, by this process or by workers."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from trabecula.core.errors import MemoryBudgetError
-from trabecula.core.image import outline
+from trabecula.core.errors import FileError, InputError, MemoryBudgetError, NotReproducedError, RequestError
+from trabecula.core.image import describe_fields, outline
 from trabecula.core.progress import say
-from trabecula.core.recipe import Recipe
+from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request
+from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Volume, stream
-from trabecula.engine.checkpoint import kept_at
 from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.store import CHUNK, open_unfinished
+from trabecula.engine.store import CHUNK, Unfinished, open_finished, open_unfinished
+from trabecula.engine.trial import seconds_of
 from trabecula.io import files
 from trabecula.io.formats import suffix_of
 from trabecula.io.units import long_name
 from trabecula.synth.base import Model
+from trabecula.synth.shipped import Shipped
 from trabecula.synth.windows import WindowModel
+
+if TYPE_CHECKING:
+    from trabecula.engine.cluster import Cluster, Workers
+
+CHUNKS = (16, 1024)
+"""Edges that a store's chunks may have, voxels; a multiple of the first."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +60,29 @@ class Written:
         return str(self.recipe.steps[-1]["sha256"])
 
 
+@dataclass(frozen=True)
+class Cut:
+    """How a volume is cut: edges of the blocks that are made and of the chunks that are written, voxels."""
+
+    side: int
+    chunk: int
+
+
 def part_of(path: str | os.PathLike[str]) -> Path:
     """Where the state of an unfinished run is kept: beside its result, as rock.zarr.part of rock.zarr."""
     target = Path(path).absolute()
     return target.with_name(target.name + ".part")
 
 
-def generate_to(model: Model, request: Request, path: str | os.PathLike[str], *, memory: int | None = None) -> Written:
+def generate_to(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    chunks: int | None = None,
+    cluster: Cluster | None = None,
+) -> Written:
     """Make material into a file. A run that was interrupted goes on from what it left beside it.
 
     Parameters
@@ -65,87 +93,211 @@ def generate_to(model: Model, request: Request, path: str | os.PathLike[str], *,
         The suffix chooses the format. Into a Zarr store a model of an unlimited material (a `WindowModel`) makes what does
         not fit into the budget block by block: the same voxels, and only a block in memory.
     memory : int, optional
-        Budget in bytes. Default: what the machine has available.
+        Budget in bytes, of all workers together where there are any. Default: what the machine has available.
+    chunks : int, optional
+        Make it in blocks of this edge, voxels, whatever its size: a multiple of 16 from 16 to 1024, and the edge of the
+        store's chunks. Default: blocks as large as fit, in chunks of 128.
+    cluster : Cluster, optional
+        Workers that make the blocks.
 
     Raises
     ------
     MemoryBudgetError
         The forecast exceeds the budget.
     FileError
-        The file cannot be written.
+        The file cannot be written, or what another run left is in its place.
+    InputError
+        Chunks or workers for what is not made in blocks: of another method, or in another format.
+    ClusterError
+        The workers or their scheduler do not answer.
     """
-    side = block_for(model, request, path, memory=memory)
-    if side is not None and isinstance(model, WindowModel):
-        return _streamed(model, request, Path(path), side)
-    with kept_at(part_of(path)):
+    _check_in_blocks(model, path, chunks, cluster)
+    with _workers(cluster, memory) as workers:
+        cut = cut_for(model, request, path, memory=memory, chunks=chunks, workers=workers)
+        if cut is not None and isinstance(model, WindowModel):
+            return _streamed(model, request, Path(path), cut, workers)
+    with checkpoint.kept_at(part_of(path)):
         material = model.generate(request, memory=memory)
         files.write(material, path)
     return Written(Path(path), material.shape, repr(material), material.recipe)
 
 
-def block_for(model: Model, request: Request, path: str | os.PathLike[str], *, memory: int | None = None) -> int | None:
-    """The edge of the blocks that a run makes, voxels; None where it makes everything at once.
-
-    Raises
-    ------
-    MemoryBudgetError
-        It fits neither at once nor in blocks.
-    """
+def cut_for(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    chunks: int | None = None,
+    workers: Workers | None = None,
+) -> Cut | None:
+    """How a run cuts its volume; None where it makes everything at once. Arguments and errors as of `generate_to`."""
     plan = model.plan(request)
-    budget = available_memory() if memory is None else memory
-    store = suffix_of(os.fspath(path)) == ".zarr"
     if not isinstance(model, WindowModel):
         return None
-    if plan.peak <= budget and not (store and _was_left(model, request, path)):
+    budget = available_memory() if memory is None else memory
+    store = suffix_of(os.fspath(path)) == ".zarr"
+    left = _left_by(model, request, path) if store else None
+    if plan.peak <= budget and left is None and chunks is None and workers is None:
         return None
     if not store:
         check_budget(
             plan, budget=memory, advice="write a .zarr, which is made block by block; ask for a smaller --shape"
         )
         return None
-    return _fitting(model, request, budget)
+    chunk = chunks or (CHUNK if left is None else left.chunk)
+    # Of what was begun no larger blocks, of which a part would be made again.
+    most = chunk if chunks else model.block if left is None else left.block
+    if workers is None:
+        return _fitting(model, request, budget, chunk, most)
+    return _fitting(model, request, workers.memory or budget, chunk, most, at_once=workers.at_once)
 
 
-def _fitting(model: WindowModel, request: Request, budget: int) -> int:
-    """The largest block, of the model's own edge or less, that fits into the budget."""
-    sides = [side for side in range(model.block, CHUNK, -CHUNK)] + [CHUNK]
+def _fitting(model: WindowModel, request: Request, budget: int, chunk: int, most: int, *, at_once: int = 1) -> Cut:
+    """The largest block of an edge up to `most` that fits into the budget and leaves work for all."""
+    sides = [*range(most // chunk * chunk, chunk, -chunk), chunk]
     for side in sides:
-        if model.plan_block(request, side).peak <= budget:
-            return side
-    need = model.plan_block(request, CHUNK).peak
+        enough = at_once == 1 or prod(-(-length // side) for length in request.shape) >= 2 * at_once
+        if (enough or side == chunk) and model.plan_block(request, side).peak <= budget:
+            return Cut(side, chunk)
+    need = model.plan_block(request, chunk).peak
+    smaller = "" if chunk <= 64 else "smaller --chunks (64), "
     raise MemoryBudgetError(
-        f"a block of {CHUNK} voxels needs about {format_bytes(need)} of memory, {format_bytes(budget)} may be used: use "
-        "fewer --threads, or raise --memory"
+        f"a block of {chunk} voxels needs about {format_bytes(need)} of memory, {format_bytes(budget)} may be used: use "
+        f"{smaller}fewer --threads or --workers, or raise --memory"
     )
 
 
-def plan_to(model: Model, request: Request, path: str | os.PathLike[str], *, memory: int | None = None) -> Plan:
-    """Forecast of `generate_to`."""
-    side = block_for(model, request, path, memory=memory)
-    if side is None or not isinstance(model, WindowModel):
+def plan_to(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    chunks: int | None = None,
+    trial: bool = False,
+) -> Plan:
+    """Forecast of `generate_to`; with `trial` of its seconds too, where the method makes boxes alone and one can be tried."""
+    _check_in_blocks(model, path, chunks, None)
+    cut = cut_for(model, request, path, memory=memory, chunks=chunks) if os.fspath(path) else None
+    if not isinstance(model, WindowModel):
         return model.plan(request)
-    return model.plan_block(request, side)
+    plan = model.plan(request) if cut is None else model.plan_block(request, cut.side)
+    if not trial:
+        return plan
+    side = model.block if cut is None else cut.side
+    with suppress(RequestError):  # settings with which no box can be made alone
+        return replace(plan, seconds=seconds_of(lambda box: model.values_of(request, box), request.shape, side))
+    return plan
 
 
-def _was_left(model: WindowModel, request: Request, path: str | os.PathLike[str]) -> bool:
-    """Whether a run of the same request in blocks was interrupted."""
+def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | None, cluster: Cluster | None) -> None:
+    """Raise where chunks or workers are asked for and there is nothing to be cut."""
+    if chunks is None and cluster is None:
+        return
+    option = "--chunks" if cluster is None else "workers"
+    if not isinstance(model, WindowModel):
+        raise InputError(
+            f"method {model.spec.name!r} makes a volume as a whole, {option} are for methods that make any box alone (window "
+            "methods, see trabecula methods): leave them out"
+        )
+    if suffix_of(os.fspath(path)) != ".zarr":
+        raise InputError(f"{option} are for what is made in blocks, into a .zarr: leave them out, or write a .zarr")
+    if chunks is not None and (chunks % CHUNKS[0] or not CHUNKS[0] <= chunks <= CHUNKS[1]):
+        raise InputError(f"--chunks {chunks} should be a multiple of {CHUNKS[0]} from {CHUNKS[0]} to {CHUNKS[1]}")
+
+
+@contextmanager
+def _workers(cluster: Cluster | None, memory: int | None) -> Iterator[Workers | None]:
+    if cluster is None:
+        yield None
+        return
+    from trabecula.engine.cluster import workers_of
+
+    budget = available_memory() if memory is None and cluster.workers is not None else memory
+    with workers_of(cluster, memory=budget) as found:
+        yield found
+
+
+def begun(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """What the run that left something beside `path` was asked for: the step of its recipe.
+
+    Raises
+    ------
+    FileError
+        There is nothing to go on from, or it does not tell.
+    """
+    part = part_of(path)
+    if part.is_dir():
+        left = open_unfinished(part)
+        steps = [] if left is None else left.fields.get("recipe", [])
+        if left is not None and steps:
+            return steps[-1]
+    elif part.exists():
+        step = checkpoint.begun(part)
+        if step is not None:
+            return step
+    else:
+        raise FileError(f"there is nothing to go on from: no run that makes {path} was interrupted (no {part.name})")
+    raise FileError(f"{part} does not tell what run left it: give the whole command again, or remove it")
+
+
+def finished(path: Path) -> Written:
+    """What lies at `path`, made by a run that has ended; of a store the voxels are not read.
+
+    Raises
+    ------
+    FileError
+        It was not made by `generate_to`.
+    """
+    if path.is_dir():
+        opened = open_finished(path)
+        fields, shape = dict(opened.fields), tuple(opened.array.shape)
+        recipe = Recipe.from_json(fields.get("recipe"))
+    else:
+        image = files.read(path)
+        fields, shape, recipe = dict(describe_fields(image)), image.shape, image.recipe
+    if not recipe or recipe.steps[-1]["verb"] != "generate":
+        raise FileError(f"{path} was not made by generate: there is nothing to go on with")
+    say(f"{path.name} is finished: there is nothing to go on with")
+    text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
+    return Written(path, shape, text, recipe)
+
+
+def check_same_run(model: Model, request: Request, path: str | os.PathLike[str], step: Mapping[str, Any]) -> None:
+    """Raise where what was left beside `path` is not of this model and request, which were made from its step."""
     part = part_of(path)
     left = open_unfinished(part) if part.is_dir() else None
-    return left is not None and left.identity == model.identity(request)
+    identity = checkpoint.identity_in(part) if left is None else left.identity
+    if identity == model.identity(request):
+        return
+    have, had = versions(), dict(step.get("versions") or {})
+    differ = [f"{name} {number}, here {have.get(name)}" for name, number in had.items() if have.get(name) != number]
+    why = f"it was made with {', '.join(differ)}" if differ else "its exemplar or a part of its request is another now"
+    raise NotReproducedError(
+        f"{part.name} cannot be gone on with, its voxels might not fit: {why}; give what it began with, or remove it"
+    )
 
 
-def _streamed(model: WindowModel, request: Request, path: Path, side: int) -> Written:
+def _left_by(model: WindowModel, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:
+    """What an interrupted run of the same request left, made in blocks."""
+    part = part_of(path)
+    left = open_unfinished(part) if part.is_dir() else None
+    return left if left is not None and left.identity == model.identity(request) else None
+
+
+def _streamed(model: WindowModel, request: Request, path: Path, cut: Cut, workers: Workers | None) -> Written:
     fields = model.fields(request)
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
-    say(f"making {path.name} in blocks of {side} voxels")
     volume = Volume(
         shape=request.shape,
         dtype=model.dtype,
-        make=lambda box: model.values_of(request, box),
+        make=(lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request),
         describe=lambda sha256: {**plain, "recipe": model.recipe(request, sha256).to_json()},
         identity=model.identity(request),
         scale=fields["spacing"],
         unit=long_name(fields["unit"]),
+        labels=fields["kind"] == "labels",
     )
-    sha256 = stream(volume, path, part=part_of(path), side=side)
+    sha256 = stream(volume, path, part=part_of(path), side=cut.side, chunk=cut.chunk, hands=workers)
     return Written(path, request.shape, outline(request.shape, **fields), model.recipe(request, sha256))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -108,26 +109,57 @@ def replay(
     recipe: Recipe, *, folder: Path, exemplar: AnyPath | Sequence[AnyPath] | None = None, **parts: AnyPath | None
 ) -> Image:
     """Do the steps of a recipe, checking the voxels after each; paths as for `rerun`."""
+    return _replayed(recipe, _places(folder, exemplar, parts))
+
+
+def _places(folder: Path, exemplar: AnyPath | Sequence[AnyPath] | None, parts: Mapping[str, AnyPath | None]) -> Places:
     several = [exemplar] if isinstance(exemplar, (str, os.PathLike)) else list(exemplar or ())
-    moved = {"exemplar": several, **{name: [part] for name, part in parts.items() if part is not None}}
-    return _replayed(recipe, Places(folder, moved))
+    return Places(folder, {"exemplar": several, **{name: [part] for name, part in parts.items() if part is not None}})
+
+
+@contextmanager
+def _undamaged(verb: str) -> Iterator[None]:
+    """The parameters come from a file, and anybody may have written it."""
+    try:
+        yield
+    except TrabeculaError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(
+            f"the recipe is damaged: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
+        ) from error
+
+
+def asked(
+    step: Mapping[str, Any],
+    *,
+    folder: Path,
+    exemplar: AnyPath | Sequence[AnyPath] | None = None,
+    **parts: AnyPath | None,
+) -> tuple[Model, Request]:
+    """The model and the request of a step "generate", which need not have been done; paths as for `rerun`.
+
+    Raises
+    ------
+    InputError
+        The step is of another verb, or damaged.
+    NotReproducedError
+        An exemplar or a part of the request is not what it was.
+    """
+    if step.get("verb") != "generate":
+        raise InputError(f"there is nothing to generate in a step {step.get('verb')!r}")
+    places = _places(folder, exemplar, parts)
+    with _undamaged("generate"):
+        return _model_again(step, places), _request_again(step, places)
 
 
 def _replayed(recipe: Recipe, places: Places) -> Image:
     image: Image | None = None
     for step in recipe.steps:
         check_name(step["verb"], _STEPS, name="step of a recipe")
-        try:
+        with _undamaged(step["verb"]):
             image = _STEPS[step["verb"]](image, step, places)
             same = digest(image.values) == step["sha256"]
-        except TrabeculaError:
-            raise
-        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            # The parameters come from a file, and anybody may have written it.
-            raise InputError(
-                f"the recipe is damaged: its step {step['verb']!r} cannot be done again "
-                f"({type(error).__name__}: {error})"
-            ) from error
         if not same:
             raise NotReproducedError(_difference(step))
     if image is None:

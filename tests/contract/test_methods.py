@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula import making
 from trabecula.core.recipe import digest
 from trabecula.engine import store, tiles
 from trabecula.engine.plan import GIB
@@ -191,17 +190,22 @@ def test_in_blocks_and_at_once_are_the_same(spec, model, material, tmp_path, mon
     if spec.scaling != "window":
         pytest.skip(f"{spec.name} makes volumes as a whole")
     monkeypatch.setattr(store, "CHUNK", 16)
-    monkeypatch.setattr(type(model), "block", 16)
     request = tb.Request(SHAPE, seed=5)
     at_once = generate_to(model, request, tmp_path / "whole.zarr")
-    monkeypatch.setattr(making, "_fitting", lambda model, request, budget: 16)
-    monkeypatch.setattr(making, "available_memory", lambda: 0)
-    in_blocks = generate_to(model, request, tmp_path / "blocks.zarr")
-    image = tb.read(tmp_path / "blocks.zarr")
-    assert np.array_equal(image.values, material.values)
-    assert digest(image.values) == in_blocks.sha256 == at_once.sha256 == material.recipe.steps[-1]["sha256"]
-    assert image.recipe.to_json() == material.recipe.to_json() == tb.read(tmp_path / "whole.zarr").recipe.to_json()
-    assert in_blocks.text == at_once.text == repr(material) == repr(image)
+    whole = tb.read(tmp_path / "whole.zarr")
+    assert at_once.sha256 == material.recipe.steps[-1]["sha256"] and at_once.text == repr(material)
+    coarse = tb.read(tmp_path / "whole.zarr", level=1).values
+    # Blocks smaller than the volume, of which the last are cut off, and one that holds all; one thread and two.
+    for side, count in ((16, 1), (32, 2), (48, 1)):
+        with tb.threads(count):
+            in_blocks = generate_to(model, request, tmp_path / "blocks.zarr", chunks=side)
+        image = tb.read(tmp_path / "blocks.zarr")
+        assert np.array_equal(image.values, material.values)
+        assert digest(image.values) == in_blocks.sha256 == at_once.sha256
+        assert image.recipe.to_json() == material.recipe.to_json() == whole.recipe.to_json()
+        assert in_blocks.text == at_once.text == repr(image)
+        if side == 16:
+            assert np.array_equal(tb.read(tmp_path / "blocks.zarr", level=1).values, coarse)
 
 
 def test_a_model_from_its_file_makes_the_same_voxels(spec, model, material, tmp_path):

@@ -36,7 +36,9 @@ class Maker:
 @pytest.mark.parametrize("cost", [1e-9, 1e-7, 3e-6])
 def test_what_a_block_takes_follows_from_smaller_boxes(shape, side, around, cost):
     maker = Maker(cost, around)
-    assert maker.forecast(shape, side) == pytest.approx(maker.truth(shape, side), rel=0.01, abs=1.5 * maker.seconds(((0, 8),) * 3))
+    assert maker.forecast(shape, side) == pytest.approx(
+        maker.truth(shape, side), rel=0.01, abs=1.5 * maker.seconds(((0, 8),) * 3)
+    )
 
 
 def test_a_trial_costs_little():

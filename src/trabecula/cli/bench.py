@@ -10,8 +10,8 @@ from pathlib import Path
 
 _PARTS = {
     "only": "of the cases named image: exemplars by name (default: all)",
-    "methods": "of the cases named image: methods, with a preset as in mrf:fast (default: all)",
-    "side": "of the cases named image: voxels a side of what is made",
+    "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named big: methods (default: all)",
+    "side": "of the cases named image and big: voxels a side of what is made",
 }
 
 

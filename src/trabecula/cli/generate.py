@@ -1,4 +1,7 @@
-"""`trabecula generate EXEMPLAR ... --method NAME --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`."""
+"""`trabecula generate EXEMPLAR ... --method NAME --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`.
+
+`trabecula generate --resume FILE` goes on with a run that was interrupted.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,19 @@ from trabecula.cli import terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to make, from what, and where to put it."""
     add_request(parser)
-    parser.add_argument(
-        "--out", required=True, metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)"
+    parser.add_argument("--out", metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)")
+    group = parser.add_argument_group("going on with a run, and workers")
+    group.add_argument(
+        "--resume",
+        metavar="FILE",
+        help="instead of all else: go on with the interrupted run that makes FILE; what it started from is looked for "
+        "where it was, or given with --exemplar, --model, --mask, --fixed, --known",
     )
+    group.add_argument("--exemplar", nargs="+", metavar="FILE", help="with --resume: where the exemplars lie now")
+    group.add_argument(
+        "--workers", type=int, metavar="N", help="make the blocks of a .zarr in N processes (needs the extra cluster)"
+    )
+    group.add_argument("--scheduler", metavar="ADDR", help="or on the Dask cluster of this scheduler: tcp://HOST:PORT")
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
@@ -37,12 +50,18 @@ def add_request(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="voxels: one number (a cube), z y x, or y x of a picture (default: that of --mask, --fixed)",
     )
-    parser.add_argument("--seed", default="0", help="0 .. 2**63 - 1 (default 0)")
+    parser.add_argument("--seed", help="0 .. 2**63 - 1 (default 0)")
     shared.add_settings(parser)
     parser.add_argument(
         "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+    parser.add_argument(
+        "--chunks",
+        type=int,
+        metavar="N",
+        help="of a .zarr: make it in blocks of N voxels a side, whatever its size (default: what fits, in chunks of 128)",
+    )
     shared.add_parts(parser)
     shared.add_reading(parser)
 
@@ -76,7 +95,7 @@ def prepare(options: argparse.Namespace) -> Job:
         raise InputError("the size of the result is not given: add --shape N, or --shape Z Y X (or a --mask)")
     sides = None if options.shape is None else shared.integers(options.shape, name="--shape")
     shape = None if sides is None else as_shape(sides, ndim=2 if len(sides) == 2 else 3)
-    seed = as_seed(shared.integer(options.seed, name="--seed"))
+    seed = as_seed(shared.integer(options.seed or "0", name="--seed"))
     periodic = shared.periodic(options.periodic)
     exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] or None
     voxel = _voxel(options) if chosen and exemplars is None else {}
@@ -127,18 +146,58 @@ def _source(options: argparse.Namespace) -> tuple[Any, Any]:
 def run(options: argparse.Namespace) -> int:
     """Generate and write; a run that was interrupted goes on from what it left beside --out."""
     from trabecula.engine.tiles import thread_count, threads
-    from trabecula.flow import check_target, generate_to, plan_to
 
-    check_target(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
-        job = prepare(options)
-        model = job.fitted(memory=options.memory)
-        plan = plan_to(model, job.request, options.out, memory=options.memory)
-        check_target(options.out, size=plan.disk)
-        made = generate_to(model, job.request, options.out, memory=options.memory)
+        made = _made(options) if options.resume is None else _resumed(options)
+    out = options.out or str(made.path)
     if options.json:
-        found = {"out": options.out, "shape": made.shape, "sha256": made.sha256, "recipe": made.recipe.to_json()}
+        found = {"out": out, "shape": made.shape, "sha256": made.sha256, "recipe": made.recipe.to_json()}
         terminal.show_json(found)
     else:
-        print(f"{options.out}: {made.text}\nsha256 {made.sha256}")
+        print(f"{out}: {made.text}\nsha256 {made.sha256}")
     return 0
+
+
+def _made(options: argparse.Namespace) -> Any:
+    from trabecula.core.errors import InputError
+    from trabecula.flow import check_target, generate_to, plan_to
+
+    if options.out is None:
+        raise InputError("the place of the result is not given: add --out FILE")
+    if options.exemplar:
+        raise InputError("--exemplar is for --resume and rerun: name the exemplar without an option")
+    check_target(options.out)
+    cluster = _cluster(options)
+    job = prepare(options)
+    model = job.fitted(memory=options.memory)
+    cut = {"memory": options.memory, "chunks": options.chunks}
+    # What workers need is forecast when they are there and tell what they have.
+    size = plan_to(model, job.request, options.out, **cut).disk if cluster is None else model.plan(job.request).disk
+    check_target(options.out, size=size)
+    return generate_to(model, job.request, options.out, **cut, cluster=cluster)
+
+
+_MOVED = ("exemplar", "mask", "fixed", "known", "model")
+
+
+def _resumed(options: argparse.Namespace) -> Any:
+    from trabecula.core.errors import InputError
+    from trabecula.flow import resume
+
+    kept = {"resume", "memory", "threads", "workers", "scheduler", "json", *_MOVED}
+    given = [name for name, value in vars(options).items() if name not in kept and value not in (None, [], 0)]
+    if given:
+        option = {"exemplars": "an EXEMPLAR", "halvings": "--level"}.get(given[0], f"--{given[0].replace('_', '-')}")
+        hint = " (--exemplar tells where it lies now)" if given[0] == "exemplars" else ""
+        raise InputError(f"{option} beside --resume: the unfinished run knows what was asked for; leave it out{hint}")
+    moved = {name: getattr(options, name) for name in _MOVED}
+    return resume(options.resume, memory=options.memory, cluster=_cluster(options), **moved)
+
+
+def _cluster(options: argparse.Namespace) -> Any:
+    """The workers that were asked for; their package is imported where they are."""
+    if options.scheduler is None and options.workers is None:
+        return None
+    from trabecula.engine.cluster import Cluster
+
+    return Cluster(options.scheduler, options.workers)

@@ -1,4 +1,4 @@
-"""`trabecula plan ...`: as generate, but only the forecast."""
+"""`trabecula plan ...`: as generate, but only the forecast: memory, disk, and time from a second's trial."""
 
 from __future__ import annotations
 
@@ -36,12 +36,25 @@ def run(options: argparse.Namespace) -> int:
     rows = [("learning: " + name, format_bytes(size)) for name, size in learning.memory.items()]
     rows += [("making: " + name, format_bytes(size)) for name, size in making.memory.items()]
     rows += [("peak memory", format_bytes(peak)), ("available", format_bytes(available_memory()))]
-    terminal.show_rows([*rows, ("disk", format_bytes(making.disk))])
+    rows += [("disk", format_bytes(making.disk))]
+    rows += [("time", _time(making.seconds))]
+    terminal.show_rows(rows)
     return 0
 
 
+def _time(seconds: float | None) -> str:
+    """Seconds as a person reads them."""
+    if seconds is None:
+        return "not forecast: nothing that is made alone can be tried"
+    if seconds < 90:
+        return f"about {seconds:.0f} s" if seconds >= 3 else f"about {seconds:.1f} s"
+    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
+
+
 def _making(job: Job, options: argparse.Namespace) -> Any:
+    from trabecula.engine.tiles import thread_count, threads
     from trabecula.flow import plan_to
 
-    model = job.fitted(memory=options.memory)
-    return plan_to(model, job.request, options.out, memory=options.memory) if options.out else model.plan(job.request)
+    with threads(options.threads if options.threads is not None else thread_count()):
+        model = job.fitted(memory=options.memory)
+        return plan_to(model, job.request, options.out, memory=options.memory, chunks=options.chunks, trial=True)

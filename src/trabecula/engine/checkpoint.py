@@ -16,7 +16,7 @@ import math
 import os
 import time
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -63,6 +63,7 @@ class State:
 class _Keeper:
     path: Path
     identity: str = ""
+    step: Mapping[str, Any] = field(default_factory=dict)  # what was asked for, as a recipe says it
     left: dict[str, Any] | None = None  # stage and number of the state that an earlier run left, until it is used
     ours: bool = False  # the file on disk is a state of this run
     pause: float = 0.0
@@ -94,7 +95,8 @@ def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if keeper.ours:
-            say(f"interrupted: the same run goes on from {keeper.path.name}")
+            result = keeper.path.name.removesuffix(".part")
+            say(f"interrupted: the same run goes on from {keeper.path.name} (generate --resume {result})")
         raise
     finally:
         _keeper.reset(token)
@@ -105,18 +107,47 @@ def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 @contextmanager
-def running(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> Iterator[None]:
-    """Say what runs inside the block: only a state of exactly the same run is used."""
+def running(
+    method: str,
+    settings: Mapping[str, Any],
+    request: Request,
+    exemplars: Sequence[Image],
+    *,
+    step: Callable[[], Mapping[str, Any]] = dict,
+) -> Iterator[None]:
+    """Say what runs inside the block: only a state of exactly the same run is used.
+
+    `step` tells what was asked for, as plain JSON, for who finds the state (`begun`).
+    """
     keeper = _keeper.get()
     if keeper is None:
         yield
         return
     keeper.identity = identity_of(method, settings, request, exemplars)
     keeper.left = _left_by_the_same(keeper)
+    keeper.step = step()
     try:
         yield
     finally:
-        keeper.identity, keeper.left = "", None
+        keeper.identity, keeper.left, keeper.step = "", None, {}
+
+
+def begun(path: Path) -> dict[str, Any] | None:
+    """What the run that left the state in a file was asked for; None where nothing tells."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return dict(json.loads(bytes(stored[_ABOUT]))["step"]) or None
+    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
+
+
+def identity_in(path: Path) -> str | None:
+    """The identity of the run that left the state in a file; None where nothing tells."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return str(json.loads(bytes(stored[_ABOUT]))["identity"])
+    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
 
 
 def resumed(stage: str) -> State | None:
@@ -166,7 +197,8 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
         return
     start = time.monotonic()
     try:
-        _write(keeper, {"identity": keeper.identity, "stage": stage, "number": number}, arrays)
+        about = {"identity": keeper.identity, "stage": stage, "number": number, "step": keeper.step}
+        _write(keeper, about, arrays)
     except FileError as error:
         say(f"the run cannot be resumed if it is interrupted: {error}")
         keeper.pause = math.inf

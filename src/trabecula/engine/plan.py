@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,9 @@ def available_memory() -> int:
         return 8 * GIB  # Windows without a better source; the budget can always be given
 
 
-def check_budget(plan: Plan, *, budget: int | None = None, advice: str = "ask for a smaller --shape") -> None:
+def check_budget(
+    plan: Plan, *, budget: int | None = None, advice: str | Callable[[int], str] = "ask for a smaller --shape"
+) -> None:
     """Raise `MemoryBudgetError` where the plan's peak exceeds the budget (default: what is available).
 
     Parameters
@@ -49,15 +52,51 @@ def check_budget(plan: Plan, *, budget: int | None = None, advice: str = "ask fo
     plan : Plan
     budget : int, optional
         Bytes.
-    advice : str
+    advice : str, or function of the bytes that may be used that gives one
         What the user can change, as an imperative.
     """
     limit = available_memory() if budget is None else budget
     if plan.peak > limit:
         raise MemoryBudgetError(
             f"this run needs about {format_bytes(plan.peak)} of memory, {format_bytes(limit)} may be used: "
-            f"{advice}, or raise --memory"
+            f"{advice if isinstance(advice, str) else advice(limit)}, or raise --memory"
         )
+
+
+def largest_within(
+    shape: Sequence[int], peak_of: Callable[[tuple[int, ...]], int], budget: int
+) -> tuple[int, ...] | None:
+    """The largest shape of the proportions of `shape`, and not above it, whose peak is within a budget; None for no such.
+
+    Parameters
+    ----------
+    shape : sequence of int
+    peak_of : shape -> bytes
+        Never less for a larger shape. A ValueError says that a shape is too small to be made.
+    budget : int
+        Bytes.
+
+    Examples
+    --------
+    >>> largest_within((100, 200), lambda shape: 8 * shape[0] * shape[1], 80_000)
+    (70, 140)
+    """
+
+    def scaled(side: int) -> tuple[int, ...]:
+        return tuple(max(1, length * side // max(shape)) for length in shape)
+
+    low, high = 0, max(shape)
+    while low < high:
+        middle = (low + high + 1) // 2
+        try:
+            fits = peak_of(scaled(middle)) <= budget
+        except ValueError:
+            fits = True
+        low, high = (middle, high) if fits else (low, middle - 1)
+    try:
+        return scaled(low) if low and peak_of(scaled(low)) <= budget else None
+    except ValueError:
+        return None
 
 
 def format_bytes(count: float) -> str:

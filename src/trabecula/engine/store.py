@@ -10,7 +10,6 @@ it are the unit of reading (Zarr's chunk).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError
+from trabecula.engine import ome
 from trabecula.engine.cuts import Box, cells_of
 from trabecula.engine.files import replacing
 from trabecula.engine.levels import halved, shapes_of
@@ -121,7 +121,7 @@ def create(
     shapes = shapes_of(space, 2 * edge)
     group = zarr.create_group(
         str(path),
-        attributes={"ome": _ome(axes, scale, unit, name, len(shapes)), KEY: {**fields, "complete": False}},
+        attributes={"ome": ome.described(axes, scale, unit, name, len(shapes)), KEY: {**fields, "complete": False}},
     )
     arrays = []
     for level, sides in enumerate(shapes):
@@ -255,11 +255,11 @@ def open_finished(path: Path, level: int = 0) -> Store:
             f"cannot read {path} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
         )
     ours = {name: value for name, value in fields.items() if name != "complete"} if isinstance(fields, Mapping) else {}
-    ome = node.attrs.get("ome", node.attrs)
-    if "multiscales" in ome:
-        datasets = ome["multiscales"][0]["datasets"]
+    found = node.attrs.get("ome", node.attrs)
+    if "multiscales" in found:
+        datasets = found["multiscales"][0]["datasets"]
         _check_level(path, level, len(datasets))
-        scale, unit = _calibration(ome, level)
+        scale, unit = ome.calibration(found, level)
         return Store(path, node[datasets[level]["path"]], ours, scale, unit)
     _check_level(path, level, 1)
     return Store(path, node if isinstance(node, zarr.Array) else _only_array(path, node), {}, (), None)
@@ -289,30 +289,3 @@ def _files(path: Path, array: Any) -> list[Path]:
 
 def _file(path: Path, level: int | str, voxel: Sequence[int], edge: int) -> Path:
     return path.joinpath(str(level), "c", *(str(place // edge) for place in voxel))
-
-
-def _ome(axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str, levels: int) -> dict[str, Any]:
-    length = {} if unit is None else {"unit": unit}
-    described = [
-        {"name": axis, "type": "channel"} if axis == "c" else {"name": axis, "type": "space", **length} for axis in axes
-    ]
-    before = len(axes) - len(scale)
-    datasets = []
-    for level in range(levels):
-        factors = [1.0] * before + [edge * 2.0**level for edge in scale]
-        moves: list[dict[str, Any]] = [{"type": "scale", "scale": factors}]
-        if level:  # OME places the centre of the first voxel, which lies farther in than the finest level's
-            shift = [0.0] * before + [edge * (2.0**level - 1) / 2 for edge in scale]
-            moves.append({"type": "translation", "translation": shift})
-        datasets.append({"path": str(level), "coordinateTransformations": moves})
-    return {"version": "0.5", "multiscales": [{"name": name, "axes": described, "datasets": datasets}]}
-
-
-def _calibration(ome: Any, level: int) -> tuple[tuple[float, ...], str | None]:
-    multiscale = ome["multiscales"][0]
-    space = [index for index, axis in enumerate(multiscale["axes"]) if axis["type"] == "space"]
-    factors = multiscale["datasets"][level]["coordinateTransformations"][0]["scale"]
-    scale = tuple(float(factors[index]) for index in space)
-    if not all(math.isfinite(edge) and edge > 0 for edge in scale):
-        raise ValueError(f"its scale {scale} is not positive")
-    return scale, multiscale["axes"][space[0]].get("unit")

@@ -61,7 +61,7 @@ class Facts:
         check_name(plain["kind"], KINDS, name="kind of image")
         spacing = as_spacing(plain["spacing"], ndim=len(plain["spacing"]))
         phases, shares = tuple(map(str, plain["phases"])), tuple(float(share) for share in plain["shares"])
-        if len(shares) != len(phases) or not isinstance(plain["unit"], str):
+        if len(shares) != (len(phases) if plain["shape"] else 0) or not isinstance(plain["unit"], str):
             raise ValueError(f"{len(phases)} phases have {len(shares)} shares, in unit {plain['unit']!r}")
         shape = as_shape(plain["shape"], ndim=len(spacing)) if plain["shape"] else ()
         return cls(plain["kind"], shape, spacing, plain["unit"], phases, shares, Recipe.from_json(plain["recipe"]))

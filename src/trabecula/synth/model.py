@@ -9,7 +9,7 @@ import hashlib
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,7 +22,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import checkpoint
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.plan import Plan, check_budget, largest_within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.facts import Facts, facts_of
 from trabecula.synth.spec import Spec
@@ -106,12 +106,22 @@ class Model(ABC):
             The forecast exceeds the budget.
         """
         request = as_request(shape, seed, parts)
-        check_budget(self.plan(request), budget=memory)
-        with checkpoint.running(self.spec.name, self.settings(), request, self.exemplars):
+        check_budget(self.plan(request), budget=memory, advice=lambda limit: self._smaller(request, limit))
+        asked = {"step": lambda: Recipe().then_made("generate", "", **self._step(request, {})).to_json()[0]}
+        with checkpoint.running(self.spec.name, self._decisive(), request, self.exemplars, **asked):
             made = self._generate(request)
         values, report = made if isinstance(made, tuple) else (made, {})
         recipe = Recipe().then("generate", values, **self._step(request, report))
         return Image(values, **self.fields(request), recipe=recipe)
+
+    def _smaller(self, request: Request, budget: int) -> str:
+        """Advice to one whose request is over the budget: what fits, where nothing in it is tied to its shape."""
+        advice = "ask for a smaller --shape"
+        fields = [name for name, value in request.target.items() if isinstance(value, np.ndarray)]
+        if fields or request.mask is not None or request.fixed is not None:
+            return advice
+        found = largest_within(request.shape, lambda shape: self._plan(replace(request, shape=shape)).peak, budget)
+        return advice if found is None else f"{advice} ({' '.join(map(str, found))} fits)"
 
     def fields(self, request: Request) -> dict[str, Any]:
         """Kind, spacing, unit and phases of the result of a request."""
@@ -121,6 +131,14 @@ class Model(ABC):
     def settings(self) -> dict[str, Any]:
         """All that tells one model of a method from another, beside its exemplars: plain JSON."""
         return {**asdict(self.config), **self._voxel()}
+
+    def identity(self, request: Request) -> str:
+        """SHA-256 of all that the voxels of a request depend on."""
+        return checkpoint.identity_of(self.spec.name, self._decisive(), request, self.exemplars)
+
+    def _decisive(self) -> dict[str, Any]:
+        """All that tells this model from another, beside its exemplars."""
+        return {"model": self.sha256} if self.spec.learns else self.settings()
 
     def _voxel(self) -> dict[str, Any]:
         """The size of the voxels, where no exemplar tells it."""

@@ -70,9 +70,7 @@ def load_model(source: str | os.PathLike[str]) -> Model:
     if 2 * size > available_memory():
         raise FileError(f"cannot read {path} as a model: it has {format_bytes(size)}, more than fits into memory twice")
     with damaged(path, "a model"):
-        data = path.read_bytes()
-        arrays, words = tensors.decode(data)
-        model = _opened(path, arrays, _about(path, words))
+        model = decoded(path.read_bytes(), path)
     model.name = path.stem if path == models.shipped().get(path.stem) else path.name
     return model
 
@@ -115,6 +113,18 @@ def encoded(model: Model, **more: Any) -> bytes:
     else:
         named = {f"{_VOXELS}{number}": image.values for number, image in enumerate(model.exemplars)}
     return tensors.encode(named, {_KEY: json.dumps({**about, **more}, sort_keys=True, allow_nan=False)})
+
+
+def decoded(data: bytes, path: Path) -> Model:
+    """The model that `encoded` gave the bytes of, history and versions among it; `path` is what messages call it.
+
+    Raises
+    ------
+    FileError, ValueError, TypeError, LookupError
+        Other bytes.
+    """
+    arrays, words = tensors.decode(data)
+    return _opened(path, arrays, _about(path, words))
 
 
 def _about(path: Path, words: Mapping[str, str]) -> dict[str, Any]:

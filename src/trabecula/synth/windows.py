@@ -11,8 +11,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
-from trabecula.engine.blocks import Box, digest_bytes, slices_of
-from trabecula.engine.checkpoint import identity_of
+from trabecula.engine.blocks import Box, part_bytes, slices_of
 from trabecula.engine.plan import Plan
 from trabecula.synth.base import Model, as_request
 
@@ -49,7 +48,7 @@ class WindowModel(Model):
         ----------
         shape : int, sequence of int, or Request
             As of `generate`; along an axis that is not periodic it does not matter.
-        box : three pairs of int
+        box : three pairs of int, of a picture two
             First voxel and the one after the last along z, y, x; negative ones lie before the origin.
         seed, **parts :
             As of `generate`.
@@ -90,19 +89,13 @@ class WindowModel(Model):
         """Forecast of making the request in blocks of `side` voxels."""
         self._check_request(request)
         shape = tuple(min(side, length) for length in request.shape)
-        # A block is held as it was made and as it is packed; when all are made, planes of the whole for its digest.
-        own = self.dtype.itemsize * int(np.prod(shape, dtype=np.int64))
-        digest = digest_bytes(request.shape, self.dtype)
-        return Plan({**self._plan_box(request, shape), "block": max(4 * own, 2 * digest)}, disk=self._size(request))
+        block = part_bytes(request.shape, shape, self.dtype)
+        levels = self._size(request) // 7  # an eighth, and an eighth of that, ...
+        return Plan({**self._plan_box(request, shape), "block": block}, disk=self._size(request) + levels)
 
     def recipe(self, request: Request, sha256: str) -> Recipe:
         """The recipe of a result whose voxels have this digest."""
         return Recipe().then_made("generate", sha256, **self._step(request, self._report()))
-
-    def identity(self, request: Request) -> str:
-        """SHA-256 of all that the voxels of a request depend on."""
-        settings = {"model": self.sha256} if self.spec.learns else self.settings()
-        return identity_of(self.spec.name, settings, request, self.exemplars)
 
     def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         return self.values_of(request, tuple((0, side) for side in request.shape)), self._report()
@@ -128,14 +121,16 @@ class WindowModel(Model):
 
 
 def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
+    axes = "zyx"[-len(request.shape) :]
+    pairs = f"{'three' if len(axes) == 3 else 'two'} pairs of whole numbers, along {', '.join(axes)}"
     try:
         found = tuple((int(first), int(last)) for first, last in box)
         whole = [int(side) == side for pair in box for side in pair]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"the box {box!r} is not made of three pairs of whole numbers") from None
-    if len(found) != 3 or not all(whole):
-        raise InputError(f"the box {box!r} should have three pairs of whole numbers, along z, y and x")
-    for (first, last), axis in zip(found, "zyx", strict=True):
+        raise InputError(f"the box {box!r} is not made of {pairs}") from None
+    if len(found) != len(axes) or not all(whole):
+        raise InputError(f"the box {box!r} should have {pairs}")
+    for (first, last), axis in zip(found, axes, strict=True):
         if first >= last:
             raise InputError(f"the box runs from {first} to {last} along {axis}, which holds no voxel")
         if first < -_FARTHEST or last > _FARTHEST:

@@ -1,0 +1,202 @@
+"""Volumes in blocks: what cutting costs, memory against its forecast, kills at random moments, workers.
+
+`--side N` makes another size than 256^3, `--methods NAME ...` takes some. Every run is a process of its own.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import trabecula as tb
+from common import table
+from trabecula.engine.blocks import boxes_of
+from trabecula.flow import resume
+from trabecula.making import generate_to, part_of
+from trabecula.synth.registry import methods
+
+KILLS = 100
+WORDS = {"noise": ("sample:bone", "--crop", "64", "--method", "noise"), "gan": ("--model", "bone")}
+"""Of the command, by method; window methods alone. Others that need no exemplar are added by name."""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command took: seconds of the processor and on the wall, bytes at most, and what it printed as JSON."""
+
+    busy: float
+    wall: float
+    peak: int
+    found: dict
+
+
+def side_of() -> int:
+    """Voxels a side of what is made."""
+    return int(os.environ.get("TRABECULA_BENCH_SIDE", "256").split(";")[0])
+
+
+def command(*words: object) -> Ran:
+    """Run `trabecula ... --json` as a process."""
+    start = time.perf_counter()
+    program = [sys.executable, "-m", "trabecula.cli.main", *map(str, words), "--threads", "1", "--json"]
+    with tempfile.TemporaryFile("w+") as out:
+        child = subprocess.Popen(program, stdout=out, stderr=subprocess.PIPE, text=True)
+        err = child.stderr.read() if child.stderr else ""
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            raise SystemExit(f"{' '.join(map(str, words))}: {err}")
+        out.seek(0)
+        found = json.loads(out.read())
+    return Ran(used.ru_utime + used.ru_stime, time.perf_counter() - start, used.ru_maxrss * 1024, found)
+
+
+def sources() -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Window methods and what the command says of each, those alone whose extras are here."""
+    only = os.environ.get("TRABECULA_BENCH_METHODS", "").split(";")
+    for name, spec in methods().items():
+        if only != [""] and name not in only:
+            continue
+        if spec.scaling != "window" or (spec.extras and importlib.util.find_spec("torch") is None):
+            continue
+        if name in WORDS:
+            yield name, WORDS[name]
+        elif spec.alone:
+            yield name, ("--method", name)
+
+
+@contextmanager
+def place() -> Iterator[Path]:
+    """A folder for what is made, beside no other work."""
+    with tempfile.TemporaryDirectory(prefix="big-") as folder:
+        yield Path(folder)
+
+
+def big_blocks() -> None:
+    """At once and in blocks, to a .zarr, one thread: seconds of the processor beyond those of 16^3, peaks, forecasts, digests.
+
+    The better of two runs. `over` is what blocks cost beyond the run at once; `peak / forecast` is of the whole process. The
+    seconds of the forecast are on the wall: they say something on a quiet machine only.
+    """
+    side, heads = (
+        side_of(),
+        ("busy s", "ns / voxel", "over", "wall s", "forecast s", "peak MiB", "/ forecast", "sha256"),
+    )
+    row = table(f"{side}^3", *heads, wide=20)
+    for name, words in sources():
+        asked = ("--seed", 1, *words)
+        with place() as folder:
+            small = (*asked, "--shape", 16, "--out", folder / "least.zarr")
+            least = min((command("generate", *small) for _ in range(2)), key=lambda ran: ran.busy)
+            at_once = None
+            for title, cut in (
+                ("at once", ()),
+                ("blocks of 256", ("--chunks", 256)),
+                ("blocks of 128", ("--chunks", 128)),
+            ):
+                if title == "at once" and side > 512:
+                    continue
+                run = (*asked, "--shape", side, "--out", folder / "x.zarr", *cut)
+                plan = command("plan", *run).found
+                made = min((command("generate", *run) for _ in range(2)), key=lambda ran: ran.busy)
+                took = made.busy - least.busy
+                at_once = at_once or took
+                row(
+                    f"{name}, {title}",
+                    f"{took:.2f}",
+                    f"{took / side**3 * 1e9:.0f}",
+                    f"{took / at_once - 1:+.0%}",
+                    f"{made.wall:.1f}",
+                    f"{plan['seconds']:.1f}",
+                    f"{made.peak / 2**20:.0f}",
+                    f"{made.peak / plan['peak']:.2f}",
+                    made.found["sha256"][:8],
+                )
+
+
+def big_kills() -> None:
+    """A run of 27 blocks of 32 and what is coarser, killed at a random moment and gone on with: are the voxels the same?"""
+    with place() as folder:
+        np.save(folder / "scan.npy", tb.crop(tb.sample("bone"), 24).values)
+        model = tb.method("noise", reach=4, corrections=2).fit(tb.read(folder / "scan.npy"))
+        request, path = tb.Request(96, seed=1), folder / "x.zarr"
+        whole = model.generate(request).recipe.steps[-1]["sha256"]
+
+        def begin() -> None:
+            generate_to(model, request, path, chunks=32)
+
+        def go_on() -> None:
+            made = (
+                resume(path)
+                if part_of(path).exists() or path.exists()
+                else generate_to(model, request, path, chunks=32)
+            )
+            (folder / "sha256").write_text(made.sha256)
+
+        importlib.import_module("zarr")  # once, and not in every copy
+        start = time.perf_counter()
+        _child(begin)
+        longest = time.perf_counter() - start
+        _remove(path)
+        rng, same, caught, there = np.random.default_rng(0), 0, 0, []
+        for _ in range(KILLS):
+            caught += _child(begin, kill_after=float(rng.uniform(0, longest)))
+            there.append(len([file for file in part_of(path).rglob("0/c/*/*/*") if not file.suffix]))
+            _child(go_on)
+            same += (folder / "sha256").read_text() == whole
+            _remove(path)
+        left = len(list(folder.iterdir())) - 2
+        row = table("kills", "while running", "identical", "blocks there", "left over", wide=8)
+        total = len(boxes_of(request.shape, 32))
+        spread = f"{min(there)} .. {max(there)} of {total}, mean {np.mean(there):.0f}"
+        row(KILLS, caught, same, spread, left)
+
+
+def big_workers() -> None:
+    """The same volume by 1, 2 and 3 processes of this machine: digests, and seconds on the wall (start of workers included)."""
+    row = table(f"{side_of()}^3 noise", "wall s", "sha256")
+    with place() as folder:
+        asked = ("--seed", 1, *WORDS["noise"], "--shape", side_of(), "--out", folder / "x.zarr", "--chunks", 128)
+        for count in (0, 1, 2, 3):
+            made = command("generate", *asked, *(("--workers", count) if count else ()))
+            row(f"{count} workers" if count else "this process", f"{made.wall:.1f}", made.found["sha256"][:8])
+
+
+def _child(job: Callable[[], None], *, kill_after: float | None = None) -> bool:
+    """Run a job in a copy of this process, which it may not outlive; whether it was killed while it ran.
+
+    The parent never opens a store, so that no thread of zarr is lost in the copy.
+    """
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            job()
+            status = 0
+        finally:
+            os._exit(status)
+    if kill_after is not None:
+        time.sleep(kill_after)
+        os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    if kill_after is None and status:
+        raise SystemExit("the run failed")
+    return os.WIFSIGNALED(status)
+
+
+def _remove(path: Path) -> None:
+    for one in (path, part_of(path)):
+        shutil.rmtree(one, ignore_errors=True)

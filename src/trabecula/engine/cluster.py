@@ -1,0 +1,217 @@
+"""Blocks made by the workers of a Dask cluster: processes of this machine, or a cluster that the user has.
+
+Only work leaves this process: what makes the blocks is sent once, the blocks go from the workers straight into the store,
+which they reach by the same path. A block that was lost with its worker is made again by another; one that is in the store
+is not, since a worker looks there first.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import ClusterError, InputError
+from trabecula.core.optional import need
+from trabecula.core.recipe import versions
+from trabecula.engine import store
+from trabecula.engine.blocks import Volume, do
+from trabecula.engine.cuts import Box, Task
+from trabecula.engine.tiles import thread_count, threads
+
+_WAIT = 10.0
+"""Seconds for a scheduler to answer, and for its first worker to be there."""
+
+_WORKER = 96 << 20
+"""Bytes that a worker takes beside what it makes."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Where blocks are made.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a Dask scheduler, such as "tcp://10.0.0.1:8786".
+    workers : int, optional
+        Instead of it: processes of this machine.
+
+    Raises
+    ------
+    InputError
+        Both or none, no address, or no worker.
+    """
+
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        if (self.scheduler is None) == (self.workers is None):
+            raise InputError("give either the address of a scheduler (--scheduler), or a number of workers (--workers)")
+        if self.workers is not None and not 1 <= self.workers <= 4096:
+            raise InputError(f"--workers {self.workers} should be from 1 to 4096")
+        if self.scheduler is not None and "://" not in self.scheduler:
+            raise InputError(
+                f"--scheduler {self.scheduler} is no address: write tcp://HOST:PORT, as the scheduler shows it"
+            )
+
+
+class Workers:
+    """Workers that are there (see `blocks.Hands`).
+
+    Attributes
+    ----------
+    at_once : int
+        Blocks that they make at the same time.
+    memory : int or None
+        Bytes that one block may take; None where no worker has a limit.
+    """
+
+    def __init__(self, client: Any, *, each: int | None, memory: int | None) -> None:
+        self._client, self._each = client, each
+        known = client.scheduler_info(n_workers=-1)["workers"].values()
+        self.at_once = sum(worker["nthreads"] for worker in known)
+        limits = [worker["memory_limit"] // worker["nthreads"] for worker in known if worker["memory_limit"]]
+        given = [] if memory is None else [memory // self.at_once]
+        self.memory = min(limits + given) - _WORKER if limits or given else None
+
+    def make(
+        self, volume: Volume, part: Path, tasks: Sequence[Task], sources: Sequence[Sequence[int]]
+    ) -> Iterator[None]:
+        """Do the tasks, each after those whose places in the list are its sources; yield once after each."""
+        from distributed import as_completed
+
+        job = _Job(str(part), volume.identity, volume.labels, self._each, versions())
+        # By a task and not by scatter: what a lost worker alone held is then sent again.
+        make = self._client.submit(_kept, volume.make, pure=False)
+        futures: list[Any] = []
+        for task, before in zip(tasks, sources, strict=True):
+            futures.append(self._client.submit(_done, task, job, make, [futures[n] for n in before], pure=False))
+        waiting = as_completed(futures, loop=self._client.loop)
+        del futures  # so that nobody asks for what is done, and in the store, a second time
+        try:
+            for future in waiting:
+                _check(future)
+                yield
+        except BaseException:
+            self._client.cancel([future for future in getattr(waiting, "futures", ())])
+            raise
+
+
+@dataclass(frozen=True)
+class _Job:
+    part: str
+    identity: str
+    labels: bool
+    threads: int | None
+    versions: dict[str, str]
+
+
+def _kept(make: Callable[[Box], np.ndarray]) -> Callable[[Box], np.ndarray]:
+    return make
+
+
+def _done(task: Task, job: _Job, make: Callable[[Box], np.ndarray], before: Sequence[None]) -> None:
+    """In a worker: make a box and write it."""
+    have = versions()
+    differ = [name for name in ("trabecula", "numpy") if have[name] != job.versions[name]]
+    if differ:
+        raise ClusterError(
+            f"the worker on {platform.node()} has {differ[0]} {have[differ[0]]}, this process {job.versions[differ[0]]}: "
+            "install the same on both, or their voxels may differ"
+        )
+    opened = store.open_unfinished(Path(job.part))
+    if opened is None or opened.identity != job.identity:
+        raise ClusterError(
+            f"the worker on {platform.node()} does not see {job.part}, or cannot write there: choose an --out that all workers "
+            "reach by the same path"
+        )
+    if all(file.exists() for file in opened.files(task.level, task.box)):
+        return
+    with threads(thread_count() if job.threads is None else job.threads):
+        do(task, opened, make, labels=job.labels)
+
+
+def _check(future: Any) -> None:
+    from distributed import KilledWorker
+
+    try:
+        future.result()
+    except KilledWorker as error:
+        raise ClusterError(
+            "workers died one after another at the same block: out of memory? give --memory for smaller blocks, or larger "
+            "workers; the blocks that are finished stay, and generate --resume goes on"
+        ) from error
+    except ModuleNotFoundError as error:
+        raise ClusterError(
+            f"a worker lacks {error.name}: install there what is installed here, trabecula among it"
+        ) from error
+
+
+def _connected(dask: Any, address: Any, wait: float) -> Any:
+    """A client. It is made in a thread, since Dask waits for ever for what takes the call and then says nothing."""
+    answer: SimpleQueue[Any] = SimpleQueue()
+
+    def connect() -> None:
+        try:
+            answer.put(dask.Client(address, timeout=wait, set_as_default=False))
+        except Exception as error:  # noqa: BLE001 (it is raised below)
+            answer.put(error)
+
+    Thread(target=connect, daemon=True).start()
+    try:
+        found = answer.get(timeout=2 * wait)
+    except Empty:
+        raise TimeoutError from None
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+@contextmanager
+def workers_of(cluster: Cluster, *, memory: int | None = None, wait: float = _WAIT) -> Iterator[Workers]:
+    """The workers of a cluster while the block lasts; those of this machine are started and ended.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    memory : int, optional
+        Bytes that all of them may take together.
+    wait : float
+        Seconds for the scheduler to answer, and for its first worker to be there.
+
+    Raises
+    ------
+    ClusterError
+        The scheduler does not answer, or it has no worker.
+    MissingExtraError
+        Dask is not installed.
+    """
+    dask = need("distributed", extra="cluster", purpose="making blocks on workers")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes as an exception
+    with ExitStack() as stack:
+        each, address = None, cluster.scheduler
+        if cluster.workers is not None:
+            each = max(1, thread_count() // cluster.workers)
+            local = {"processes": True, "threads_per_worker": 1, "memory_limit": 0, "dashboard_address": "127.0.0.1:0"}
+            address = stack.enter_context(
+                dask.LocalCluster(n_workers=cluster.workers, silence_logs=logging.CRITICAL, **local)
+            )
+        try:
+            client = stack.enter_context(_connected(dask, address, wait))
+            client.wait_for_workers(1, timeout=wait)
+        except (OSError, ValueError) as error:  # a timeout is an OSError
+            raise ClusterError(
+                f"no answer from a scheduler at {cluster.scheduler} with a worker within {wait:g} s: check the address, and that "
+                "scheduler and workers are running (dask scheduler, dask worker)"
+            ) from error
+        yield Workers(client, each=each, memory=memory)
