@@ -149,14 +149,43 @@ def test_what_is_to_hang_together_does(connected):
         assert set(range(1, sizes.size + 1)) <= set(faces.tolist())
 
 
-def test_where_nothing_fits_it_says_so():
+def bars():
     """Bars side by side: no two of them can become one body."""
-    bars = np.zeros((36, 36, 36), np.uint8)
+    values = np.zeros((36, 36, 36), np.uint8)
     for z, y in ((4, 5), (6, 20), (16, 12), (18, 29), (28, 4), (30, 22)):
-        bars[z : z + 5, y : y + 5] = 1
+        values[z : z + 5, y : y + 5] = 1
+    return values
+
+
+BARS = dict(patch=14, overlap=4, period="none", tries=3)
+
+
+def test_where_no_piece_fits_struts_make_one_body():
+    made = tb.method("quilt", **BARS).fit(bars()).generate(40, seed=1)
+    told = report(made)
+    assert told["gave_way"] == 0 and told["struts"] > 0
+    assert 0 < told["strut_voxels"] < 0.1 * made.values.sum()
+    assert ndimage.label(made.values)[1] == 1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_sparse_bone_is_one_piece(seed):
+    model = tb.method("quilt", patch=14, overlap=5, candidates=500).fit(tb.crop(tb.sample("bone"), 48))
+    made = model.generate((40, 40, 48), seed=seed, target={"volume_fraction": ramp((40, 40, 48), 0.1, 0.25)})
+    assert report(made)["gave_way"] == 0
+    assert ndimage.label(made.values)[1] == 1
+
+
+def test_where_there_is_no_way_it_says_so():
+    """A wall of void that is given: what lies on either side of it can never be one body."""
+    wall = np.zeros((30, 30, 44), bool)
+    wall[:, :, 20:24] = True
     told = []
     with listen(lambda line, done: told.append(line)):
-        made = tb.method("quilt", patch=14, overlap=4, period="none", tries=3).fit(bars).generate(40, seed=1)
+        request = dict(fixed=tb.Image(np.zeros(wall.shape, np.uint8), "labels"), known=wall, seed=1)
+        made = tb.method("quilt", **BARS).fit(bars()).generate(wall.shape, **request)
+    assert not made.values[wall].any()
+    assert made.values[:, :, :20].any() and made.values[:, :, 24:].any()
     assert report(made)["gave_way"] > 0
     assert report(made)["gave_way_at"][0]["in"] == "connectivity"
     assert any("gave way in connectivity" in line for line in told)

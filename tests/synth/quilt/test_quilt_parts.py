@@ -8,10 +8,15 @@ from quilt_lattice import lattice, reference
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.synth.quilt.bodies import FINE, SOLID, VOID, Bodies, Judge, classes_for
+from trabecula.synth.quilt.bodies import CLOSED, FINE, SOLID, VOID, Bodies, Judge, classes_for
+from trabecula.synth.quilt.config import QuiltConfig
+from trabecula.synth.quilt.cut import seamed
 from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.period import in_phase, period_along, periods_of, shifts_of
 from trabecula.synth.quilt.pools import Descriptors, Pool
+from trabecula.synth.quilt.ranking import Ranked
+from trabecula.synth.quilt.run import Run
+from trabecula.synth.quilt.strut import Struts
 from trabecula.synth.quilt.thin import thin_voxels
 from trabecula.synth.quilt.windows import Frame, near_empty
 from trabecula.synth.quilt.words import Words, mismatches, planes_for, query_of
@@ -37,6 +42,115 @@ def test_mismatches_are_counted_voxel_by_voxel(seed, sizes):
         for s, z, y, x in places
     ]
     assert mismatches(words, query, at).tolist() == plain
+
+
+@given(st.integers(0, 10**6), st.integers(1, 5))
+def test_a_part_of_a_query_counts_a_part_of_the_voxels(seed, nth):
+    rng = np.random.default_rng(seed)
+    stack = rng.integers(0, 3, (1, 12, 13, 14)).astype(np.uint8)
+    words = Words.of(stack, patch=9, overlap=4, planes=planes_for(3))
+    near = rng.random((9, 9, 9)) < 0.5
+    query = query_of(words, stack[0, :9, :9, :9], near, (13 * 14, 14))
+    part = query.every(nth)
+    at = np.arange(4, dtype=np.int32)
+    whole, less = mismatches(words, query, at), mismatches(words, part, at)
+    assert part.voxels == sum(int(mask).bit_count() for mask in query.masks[::nth])
+    assert np.all(less <= whole) and less[0] == whole[0] == 0
+    assert nth > 1 or np.array_equal(less, whole)
+
+
+def test_what_goes_on_exactly_passes_the_sieve():
+    """Of thousands of candidates the one that was cut out is found again by a part of its words."""
+    rng = np.random.default_rng(2)
+    blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
+    run = Run(
+        tb.method("quilt", patch=12, overlap=5, connected="none").fit(blobs).learnt, QuiltConfig(share=1.0), asking()
+    )
+    at = int(np.ravel_multi_index((0, 9, 14, 21), run.learnt.stack.shape))
+    box = run.learnt.piece(at).copy()
+    near = np.zeros(box.shape, bool)
+    near[:5] = near[:, :5] = True
+    query = query_of(run.learnt.words, box, near, run.learnt.strides[1:])
+    none = (np.empty(0, np.int64), np.empty((0, 3), np.int64))
+    asked = run.descriptors.scaled({"volume_fraction": 0.5})
+    found = run.chooser.ranker.ranked(
+        query, run.pools.of((0, 0, 0)), asked, place=0, count=10**6, before=none, without=()
+    )
+    assert len(found.at) < 29**3 // 4, "most were sifted out"
+    assert found.mismatch[found.at == at].tolist()[:1] == [0]
+
+
+def asking():
+    return tb.Request((24, 24, 24), seed=1, target={"volume_fraction": 0.5})
+
+
+def test_of_the_nearest_the_least_seam_comes_first():
+    rng = np.random.default_rng(4)
+    blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
+    model = tb.method("quilt", patch=12, overlap=5, seams=6, tries=10, connected="none").fit(blobs)
+    run = Run(model.learnt, model.config, asking())
+    assert run._step(0) == 1
+    place = run._place(1, run.frame.corner(1))
+    found = run.chooser.ranker.ranked(
+        place.query, place.pool, place.asked, place=1, count=500, before=place.before, without=()
+    )
+    nearest = np.argsort(found.score, kind="stable")[:10]
+    order = [n for n, _ in run.chooser._by_seam(place, found)]
+    costs = [seamed(place.old, run.frame.margin, model.learnt.piece(int(found.at[n])))[1] for n in order]
+    assert set(order[:6]) == set(nearest[:6].tolist()) and set(order) == set(nearest.tolist())
+    assert costs[:6] == sorted(costs[:6]) and costs[6:] == sorted(costs[6:])
+    assert len(set(costs)) > 2
+
+
+@given(st.integers(0, 10**6), st.integers(1, 40))
+def test_candidates_are_taken_off_from_the_nearest(seed, count):
+    score = np.random.default_rng(seed).integers(0, 30, 60)
+    ranked = Ranked(np.arange(60), np.zeros(60), np.zeros(60), score.copy(), True)
+    first, second = ranked.taken_off(count), ranked.taken_off(count)
+    assert np.concatenate([first, second]).tolist() == np.argsort(score, kind="stable")[: 2 * count].tolist()
+
+
+def two_stubs():
+    """All is made but one box; two rods end at it, and a third lies elsewhere on a body of its own."""
+    canvas = np.zeros((9, 9, 15), np.uint8)
+    canvas[4, 4, :5] = canvas[4, 4, 10:] = 1
+    canvas[2:7, 2:7, 5:10] = EMPTY
+    frame = Frame(canvas.shape, (False,) * 3, (5, 5, 5), (5, 5, 5), (2, 2, 5))
+    bodies = Bodies(canvas, frame.wraps, classes_for("solid", 0, 2))
+    old, of = np.empty((13, 13, 13), np.uint8), np.empty((13, 13, 13), np.int32)
+    frame.cut_out(canvas, (2, 2, 5), old, OUT)
+    frame.cut_out(bodies.of, (2, 2, 5), of, 0)
+    return bodies, Judge(old.shape, frame.margin, island=0), old, of
+
+
+def test_a_strut_leads_where_pieces_have_solid():
+    bodies, judge, old, of = two_stubs()
+    new = np.where(old == EMPTY, 0, old).astype(np.uint8)
+    assert judge.verdict(bodies, old, new, of) == CLOSED
+    detour = np.zeros((5, 5, 5), bool)
+    detour[2, :3, 0] = detour[2, 0, :] = detour[2, :3, 4] = True
+    for share, voxels in ((np.zeros(detour.shape), 5), (detour.astype(float), 9)):
+        made = Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, share)
+        added = np.argwhere(made != new) - 4
+        assert len(added) == voxels
+        assert ndimage.label(made == 1)[1] == 1
+        if voxels == 9:
+            assert all(detour[tuple(at)] for at in added)
+
+
+def test_a_strut_of_some_thickness_stays_in_its_box():
+    bodies, judge, old, of = two_stubs()
+    new = np.where(old == EMPTY, 0, old).astype(np.uint8)
+    made = Struts(void=0, solid=1, radius=2).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5)))
+    added = np.argwhere(made != new)
+    assert len(added) > 40 and added.min() >= 4 and added.max() < 9
+
+
+def test_without_a_way_there_is_no_strut():
+    bodies, judge, old, of = two_stubs()
+    old[:, :, 6] = np.where(old[:, :, 6] == EMPTY, FIXED, old[:, :, 6])
+    new = np.where(old == EMPTY, 0, old).astype(np.uint8)
+    assert Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5))) is None
 
 
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(1, 60))

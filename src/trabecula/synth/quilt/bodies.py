@@ -13,8 +13,19 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt.body_kernels import entered, first_ends, flooded, islands, judged
+from trabecula.synth.quilt.body_kernels import (
+    ENDS,
+    LINK,
+    SHUT_NOW,
+    WHOLE,
+    Book,
+    Sight,
+    entered,
+    judged,
+    led,
+)
 from trabecula.synth.quilt.marks import FIXED, OUT
+from trabecula.synth.quilt.part_kernels import first_ends, flooded, islands
 
 FINE, TORN, CLOSED = 0, 1, 2
 """Verdicts on a piece."""
@@ -82,6 +93,11 @@ class Bodies:
             self.of[inside] = numbers[labels[inside] - 1]
             self.count += len(sizes)
 
+    @property
+    def book(self) -> Book:
+        """What the kernels take of it."""
+        return Book(self.parent, self.ends, self.sizes, self.mark, self.alive)
+
     def page(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """What the book says of these bodies, and how many there are."""
         kept = numbers.copy()
@@ -134,11 +150,14 @@ class Judge:
     def __init__(self, window: tuple[int, ...], margin: tuple[int, ...], *, island: int) -> None:
         self.margin, self.island = margin, island
         count = int(np.prod(window))
-        self.before, self.after = np.empty(window, np.int32), np.empty(window, np.int32)
-        self.stack = np.empty(count, np.int32)
-        self.parts = np.empty((8, count + 1), np.int64)
-        self.seen = np.empty(count + 1, np.int64)
-        self.tally = np.zeros((4, 3), np.int64)
+        self.sight = Sight(
+            before=np.empty(window, np.int32),
+            after=np.empty(window, np.int32),
+            parts=np.empty((8, count + 1), np.int64),
+            seen=np.empty(count + 1, np.int64),
+            stack=np.empty(count, np.int32),
+            tally=np.zeros((4, 3), np.int64),
+        )
         self.count = 0
         self.old_seen: np.ndarray | None = None
         self.new_seen: np.ndarray | None = None
@@ -146,33 +165,37 @@ class Judge:
     @property
     def growth(self) -> int:
         """Bodies that the window judged last adds to those that may still grow; one that it ends counts as two."""
-        return int((self.tally[1] - self.tally[0] + 2 * self.tally[2]).sum())
+        tally = self.sight.tally
+        return int((tally[1] - tally[0] + 2 * tally[2]).sum())
 
     def verdict(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
         """Whether `new` may stand in place of the window `old`, whose bodies are `of` (uint8, and int32, of one shape)."""
+        sight = self.sight
         if old is not self.old_seen:
-            flooded(old, bodies.classes, self.before, self.stack)
+            flooded(old, bodies.classes, sight.before, sight.stack)
             self.old_seen = old
-        return self._judged(bodies, old, new, of)
+        self.count = count = int(flooded(new, bodies.classes, sight.after, sight.stack))
+        sight.parts[:, : count + 1] = 0
+        self.new_seen = new
+        return int(judged(old, new, of, self.margin, bodies.classes, bodies.book, sight, count, self.island))
 
     def enter(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, ...]:
         """Write a window into the book whatever the verdict, and its bodies into `of`; returns what `Bodies.restore` takes."""
         bodies.make_room(new.size)
         if new is not self.new_seen or old is not self.old_seen:
-            flooded(old, bodies.classes, self.before, self.stack)
-            self._judged(bodies, old, new, of)
-        before = bodies.page(self.seen[1 : 1 + self.seen[0]])
-        bodies.count = entered(
-            new, self.margin, bodies.classes, self.after, of, bodies.parent, bodies.ends, bodies.sizes, bodies.alive,
-            bodies.count, self.parts, self.seen, self.tally,
-        )  # fmt: skip
+            self.verdict(bodies, old, new, of)
+        seen = self.sight.seen
+        before = bodies.page(seen[1 : 1 + seen[0]])
+        bodies.count = int(entered(new, of, self.margin, bodies.classes, bodies.book, self.sight, bodies.count))
         return before
 
-    def _judged(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
-        self.count = count = int(flooded(new, bodies.classes, self.after, self.stack))
-        self.parts[:, : count + 1] = 0
-        self.new_seen = new
-        return int(judged(
-            old, new, self.margin, bodies.classes, self.before, self.after, of, bodies.parent, bodies.ends, bodies.sizes,
-            bodies.mark, bodies.alive, count, self.parts, self.seen, self.stack, self.tally, self.island,
-        ))  # fmt: skip
+    def shut(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the window judged last: the leader of every voxel's part (int32), the leaders that would be shut, the smallest body
+        first, and by number (bool) which leaders are more than islands.
+        """
+        parts = self.sight.parts[:, : self.count + 1]
+        leaders = np.empty(self.sight.after.shape, np.int32)
+        led(self.sight.after, self.sight.parts, leaders)
+        first = np.flatnonzero((parts[SHUT_NOW] > 0) & (parts[LINK] == 0))
+        kept = (parts[ENDS] > 0) | (parts[WHOLE] > self.island)
+        return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept

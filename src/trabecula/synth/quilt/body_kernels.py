@@ -1,54 +1,14 @@
-"""The kernels of `bodies`: parts of a window, and what a piece would do to the bodies that they belong to."""
+"""The kernels of `bodies`: what a piece would do to the bodies that the parts of its window belong to."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
-
-
-@kernel
-def islands(parent, sizes, most, but_one, found):
-    """Mark bodies of up to `most` voxels, but the largest of all where `but_one`."""
-    largest = 0
-    for body in range(1, len(parent)):
-        if but_one and parent[body] == body and sizes[body] > sizes[largest]:
-            largest = body
-    for body in range(1, len(parent)):
-        root = _root_of(parent, body)
-        found[body] = root > 0 and root != largest and sizes[root] <= most
-
-
-@kernel
-def first_ends(canvas, labels, wraps, ends, out):
-    """Faces of every body towards voxels to make, and whether it touches a face of the volume or what is outside."""
-    shape = canvas.shape
-    for z in range(shape[0]):
-        for y in range(shape[1]):
-            for x in range(shape[2]):
-                k = labels[z, y, x] - 1
-                if k < 0:
-                    continue
-                for axis in range(3):
-                    for sign in (-1, 1):
-                        at = [z, y, x]
-                        at[axis] += sign
-                        if wraps[axis]:
-                            at[axis] %= shape[axis]
-                        if 0 <= at[axis] < shape[axis]:
-                            beside = canvas[at[0], at[1], at[2]]
-                            ends[k] += beside == EMPTY
-                            out[k] |= beside == OUT
-                        else:
-                            out[k] |= shape[axis] > 1
-
-
-@inline
-def _root_of(parent, body):
-    while parent[body] != body:
-        body = parent[body]
-    return body
+from trabecula.synth.quilt.marks import EMPTY, FIXED
+from trabecula.synth.quilt.part_kernels import root_of
 
 
 @inline
@@ -80,69 +40,50 @@ def _ends_at(window, z, y, x):
     return count
 
 
-@kernel
-def flooded(window, classes, labels, parent):
-    """Number the connected parts of every class, from 1 in raster order; returns how many there are."""
-    depth, height, width = window.shape
-    count = 0
-    for z in range(depth):
-        for y in range(height):
-            left, left_kind = 0, 0
-            for x in range(width):
-                kind = classes[window[z, y, x]]
-                mine = 0
-                if kind > 0:
-                    mine = left if left_kind == kind else 0
-                    for up in range(2):
-                        if up == 0:
-                            near = y > 0 and classes[window[z, y - 1, x]] == kind
-                            other = labels[z, y - 1, x] if near else 0
-                        else:
-                            near = z > 0 and classes[window[z - 1, y, x]] == kind
-                            other = labels[z - 1, y, x] if near else 0
-                        if other == 0 or other == mine:
-                            continue
-                        if mine == 0:
-                            mine = other
-                            continue
-                        a, b = mine, other
-                        while parent[a - 1] != a:
-                            a = parent[a - 1]
-                        while parent[b - 1] != b:
-                            b = parent[b - 1]
-                        parent[max(a, b) - 1] = min(a, b)
-                        mine = min(a, b)
-                    if mine == 0:
-                        count += 1
-                        mine = count
-                        parent[count - 1] = count
-                labels[z, y, x] = mine
-                left, left_kind = mine, kind
-    last = 0
-    for k in range(count):
-        if parent[k] == k + 1:
-            last += 1
-            parent[k] = -last
-        else:
-            parent[k] = parent[parent[k] - 1]  # a root comes before all that follow it, and has its number
-    for z in range(depth):
-        for y in range(height):
-            for x in range(width):
-                if labels[z, y, x] > 0:
-                    labels[z, y, x] = -parent[labels[z, y, x] - 1]
-    return last
+class Book(NamedTuple):
+    """What is known of every body, by its number; arrays as in `bodies.Bodies`."""
+
+    parent: np.ndarray
+    ends: np.ndarray
+    sizes: np.ndarray
+    mark: np.ndarray
+    alive: np.ndarray
 
 
-# Rows of `parts`; its columns are the parts of the new window, from 1.
-_LINK, _BODY, _ENDS, _SIZE, _KIND, _SHUT_BEFORE, _WHOLE, _SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
+class Sight(NamedTuple):
+    """What is seen in one window.
+
+    before, after : (z, y, x) int32
+        Parts of the old and of the new window, from 1.
+    parts : (8, .) int64
+        Rows below; columns are the parts of the new window. Parts of one body follow one leader, which holds all there is.
+    seen : (.,) int64
+        How many bodies the window has, then their numbers.
+    stack : (.,) int32
+        Room to work in.
+    tally : (4, 3) int64
+        Per class the bodies that were alive here, those that will be, those that would be shut, and those that were.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    parts: np.ndarray
+    seen: np.ndarray
+    stack: np.ndarray
+    tally: np.ndarray
+
+
+# Rows of `parts`. BODY is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies that had no end already.
+LINK, BODY, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
 _ALIVE, _COMING, _SHUT, _WAS_SHUT = 0, 1, 2, 3
 _CLOSED = -1  # instead of ends: no longer growing, and the one body of its class; 0: an island, or given, or given up
+_GONE = -1  # instead of a part: the body was in the box alone, and the new window has nothing of it
 
 
 @inline
 def _leader(parts, k):
-    while parts[_LINK, k] > 0:
-        k = parts[_LINK, k]
+    while parts[LINK, k] > 0:
+        k = parts[LINK, k]
     return k
 
 
@@ -150,48 +91,42 @@ def _leader(parts, k):
 def _joined(parts, a, b):
     a, b = _leader(parts, a), _leader(parts, b)
     if a != b:
-        parts[_LINK, max(a, b)] = min(a, b)
+        parts[LINK, max(a, b)] = min(a, b)
 
 
 @kernel
-def judged(
-    old,
-    new,
-    margin,
-    classes,
-    before,
-    after,
-    of,
-    parent,
-    ends,
-    sizes,
-    mark,
-    alive,
-    count,
-    parts,
-    seen,
-    sent,
-    tally,
-    island,
-):
-    """Parts of one body follow one leader, which holds the body's number (+ 1; 0: a new body) and the ends it would have.
-
-    seen[0]: how many bodies the window has; then their numbers. `mark` is 0 before and after. `tally` holds per class the
-    bodies that were alive here, those that will be, those that would be shut, and those that were.
+def judged(old, new, of, margin, classes, book, sight, count, island):
+    """Whether `new` may stand in place of `old`: 0, or 1 where it tears what hangs together, or 2 where it closes a body beside
+    others. `of`: bodies of the old window; `count`: parts of the new one; `island`: voxels that may be closed. `book.mark` is 0
+    before and after.
     """
-    shape = new.shape
-    torn = False
-    known = 0
-    tally[:] = 0
+    sight.tally[:] = 0
+    known, torn = _matched(old, new, of, margin, classes, book, sight)
+    known = _weighed(old, new, of, margin, classes, book, sight, known)
+    sight.seen[0] = known
+    _carried_over(book, sight)
+    _counted(sight, count, island)
+    for n in range(1, known + 1):
+        book.mark[sight.seen[n]] = 0
+    if torn:
+        return 1
+    return 2 if _closes_beside_others(book.alive, sight.tally) else 0
+
+
+@inline
+def _matched(old, new, of, margin, classes, book, sight):
+    """Which bodies every new part goes on; returns how many there are, and whether one is torn."""
+    shape, parts, sent = new.shape, sight.parts, sight.stack
+    torn, known = False, 0
     sent[: old.size] = 0
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                mine, was = after[z, y, x], before[z, y, x]
+                mine, was = sight.after[z, y, x], sight.before[z, y, x]
                 inside = _in_box(z, y, x, shape, margin)
                 if mine > 0:
-                    parts[_SIZE, mine] += inside
-                    parts[_KIND, mine] = classes[new[z, y, x]]
+                    parts[SIZE, mine] += inside
+                    parts[KIND, mine] = classes[new[z, y, x]]
                 if was == 0 or (inside and old[z, y, x] < FIXED):
                     continue
                 # Nothing changes here: what hung together by the old window has to by the new.
@@ -199,103 +134,131 @@ def judged(
                     sent[was - 1] = mine
                 elif sent[was - 1] != mine:
                     torn = True
-                body = _root_of(parent, of[z, y, x])
-                if mark[body] == 0:
-                    mark[body] = mine
+                body = root_of(book.parent, of[z, y, x])
+                if book.mark[body] == 0:
+                    book.mark[body] = mine
                     known += 1
-                    seen[known] = body
-                elif mark[body] != mine:
-                    _joined(parts, mark[body], mine)
+                    sight.seen[known] = body
+                elif book.mark[body] != mine:
+                    _joined(parts, book.mark[body], mine)
+    return known, torn
+
+
+@inline
+def _weighed(old, new, of, margin, classes, book, sight, known):
+    """Voxels and ends that every leader gains or loses in the window; returns how many bodies there are with those that go."""
+    shape, parts = new.shape, sight.parts
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
                 inside = _in_box(z, y, x, shape, margin)
-                if after[z, y, x] > 0:
-                    k = _leader(parts, after[z, y, x])
-                    parts[_ENDS, k] += _ends_at(new, z, y, x)
-                    parts[_WHOLE, k] += inside
-                if before[z, y, x] > 0:
-                    body = _root_of(parent, of[z, y, x])
-                    if mark[body] == 0:  # it was in the box alone, and goes
-                        mark[body] = -1
-                        known += 1
-                        seen[known] = body
-                        tally[_ALIVE, classes[old[z, y, x]]] += ends[body] > 0
-                        tally[_WAS_SHUT, classes[old[z, y, x]]] += ends[body] == _CLOSED
-                    elif mark[body] > 0:
-                        k = _leader(parts, mark[body])
-                        parts[_ENDS, k] -= _ends_at(old, z, y, x)
-                        parts[_WHOLE, k] -= inside
-    seen[0] = known
-    for n in range(1, known + 1):
-        body = seen[n]
-        if mark[body] > 0:
-            k = _leader(parts, mark[body])
-            parts[_ENDS, k] += max(ends[body], 0)
-            parts[_WHOLE, k] += sizes[body]
-            tally[_ALIVE, parts[_KIND, k]] += ends[body] > 0
-            tally[_WAS_SHUT, parts[_KIND, k]] += ends[body] == _CLOSED
-            if ends[body] == 0:  # it was shut before, which is nobody's fault now
-                parts[_SHUT_BEFORE, k] += sizes[body]
-            if parts[_BODY, k] == 0 or body + 1 < parts[_BODY, k]:
-                parts[_BODY, k] = body + 1
+                if sight.after[z, y, x] > 0:
+                    k = _leader(parts, sight.after[z, y, x])
+                    parts[ENDS, k] += _ends_at(new, z, y, x)
+                    parts[WHOLE, k] += inside
+                if sight.before[z, y, x] == 0:
+                    continue
+                body = root_of(book.parent, of[z, y, x])
+                if book.mark[body] == 0:
+                    book.mark[body] = _GONE
+                    known += 1
+                    sight.seen[known] = body
+                    sight.tally[_ALIVE, classes[old[z, y, x]]] += book.ends[body] > 0
+                    sight.tally[_WAS_SHUT, classes[old[z, y, x]]] += book.ends[body] == _CLOSED
+                elif book.mark[body] > 0:
+                    k = _leader(parts, book.mark[body])
+                    parts[ENDS, k] -= _ends_at(old, z, y, x)
+                    parts[WHOLE, k] -= inside
+    return known
+
+
+@inline
+def _carried_over(book, sight):
+    """What leaders take over from the bodies that they go on."""
+    parts, tally = sight.parts, sight.tally
+    for n in range(1, sight.seen[0] + 1):
+        body = sight.seen[n]
+        if book.mark[body] == _GONE:
+            continue
+        k = _leader(parts, book.mark[body])
+        parts[ENDS, k] += max(book.ends[body], 0)
+        parts[WHOLE, k] += book.sizes[body]
+        tally[_ALIVE, parts[KIND, k]] += book.ends[body] > 0
+        tally[_WAS_SHUT, parts[KIND, k]] += book.ends[body] == _CLOSED
+        if book.ends[body] == 0:  # it was shut before, which is nobody's fault now
+            parts[SHUT_BEFORE, k] += book.sizes[body]
+        if parts[BODY, k] == 0 or body + 1 < parts[BODY, k]:
+            parts[BODY, k] = body + 1
+
+
+@inline
+def _counted(sight, count, island):
+    """How many leaders may go on growing, and how many would be shut."""
+    parts = sight.parts
     for k in range(1, count + 1):
-        if parts[_LINK, k] == 0:
-            if parts[_ENDS, k] > 0:
-                which = _COMING
-            elif parts[_WHOLE, k] <= max(island, parts[_SHUT_BEFORE, k]):
-                continue
-            else:
-                which = _SHUT
-                parts[_SHUT_NOW, k] = 1
-            tally[which, parts[_KIND, k]] += 1
-    for n in range(1, known + 1):
-        mark[seen[n]] = 0
-    if torn:
-        return 1
+        if parts[LINK, k] > 0:
+            continue
+        if parts[ENDS, k] > 0:
+            sight.tally[_COMING, parts[KIND, k]] += 1
+        elif parts[WHOLE, k] > max(island, parts[SHUT_BEFORE, k]):
+            sight.tally[_SHUT, parts[KIND, k]] += 1
+            parts[SHUT_NOW, k] = 1
+
+
+@inline
+def _closes_beside_others(alive, tally):
     for kind in range(1, 3):
         shut = alive[1, kind] - tally[_WAS_SHUT, kind] + tally[_SHUT, kind]
         if shut > 0 and alive[0, kind] - tally[_ALIVE, kind] + tally[_COMING, kind] + shut > 1:
-            return 2
-    return 0
+            return True
+    return False
 
 
 @kernel
-def entered(new, margin, classes, after, of, parent, ends, sizes, alive, count, parts, seen, tally):
-    """The parts as bodies; returns how many numbers are in use."""
-    shape = new.shape
-    for n in range(1, seen[0] + 1):
-        if seen[n] > 0:
-            ends[seen[n]] = 0  # what goes on gets its ends below
-            sizes[seen[n]] = 0
+def led(after, parts, found):
+    """The leader of every voxel's part."""
+    for z in range(after.shape[0]):
+        for y in range(after.shape[1]):
+            for x in range(after.shape[2]):
+                k = after[z, y, x]
+                found[z, y, x] = _leader(parts, k) if k > 0 else 0
+
+
+@kernel
+def entered(new, of, margin, classes, book, sight, count):
+    """The parts as bodies; `count` numbers are in use before, and what it returns after."""
+    shape, parts, tally = new.shape, sight.parts, sight.tally
+    for n in range(1, sight.seen[0] + 1):
+        if sight.seen[n] > 0:
+            book.ends[sight.seen[n]] = 0  # what goes on gets its ends below
+            book.sizes[sight.seen[n]] = 0
     given_up = np.zeros(3, np.bool_)
     for kind in range(1, 3):
-        alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
-        alive[1, kind] -= tally[_WAS_SHUT, kind]
-        given_up[kind] = alive[0, kind] + alive[1, kind] + tally[_SHUT, kind] > 1
+        book.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
+        book.alive[1, kind] -= tally[_WAS_SHUT, kind]
+        given_up[kind] = book.alive[0, kind] + book.alive[1, kind] + tally[_SHUT, kind] > 1
         if not given_up[kind]:
-            alive[1, kind] += tally[_SHUT, kind]
+            book.alive[1, kind] += tally[_SHUT, kind]
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                k = after[z, y, x]
-                if k == 0:
+                if sight.after[z, y, x] == 0:
                     continue
-                k = _leader(parts, k)
-                if parts[_BODY, k] == 0:
-                    parent[count] = count
+                k = _leader(parts, sight.after[z, y, x])
+                if parts[BODY, k] == 0:
+                    book.parent[count] = count
                     count += 1
-                    parts[_BODY, k] = count
-                body = parts[_BODY, k] - 1
+                    parts[BODY, k] = count
+                body = parts[BODY, k] - 1
                 if body > 0:
-                    ends[body] = max(parts[_ENDS, k], 0)
-                    if parts[_SHUT_NOW, k] > 0 and not given_up[parts[_KIND, k]]:
-                        ends[body] = _CLOSED
-                    sizes[body] = parts[_WHOLE, k]
+                    book.ends[body] = max(parts[ENDS, k], 0)
+                    if parts[SHUT_NOW, k] > 0 and not given_up[parts[KIND, k]]:
+                        book.ends[body] = _CLOSED
+                    book.sizes[body] = parts[WHOLE, k]
                 if _in_box(z, y, x, shape, margin):
                     of[z, y, x] = body
                 else:
-                    root = _root_of(parent, of[z, y, x])
+                    root = root_of(book.parent, of[z, y, x])
                     if root != body:
-                        parent[root] = body
+                        book.parent[root] = body
     return count

@@ -38,6 +38,10 @@ class QuiltConfig:
     mismatch: float = 0.15
     """Share of differing voxels in an overlap, 0 .. 1, above which four times as many candidates are looked at."""
 
+    sieve: int = 4
+    """Of many candidates one in so many words of the overlap is compared first, 1 .. 16, and only the nearest eighth in full.
+    1: all in full."""
+
     variety: float = 0.0
     """By how much a candidate may be worse than the best and still be taken, as a share, 0 .. 10."""
 
@@ -55,11 +59,15 @@ class QuiltConfig:
     feature: int = 1
     """Voxels that the solid is thick at least, 1 .. 8: no seam leaves less. 1: nothing is asked for."""
 
-    tries: int = 24
+    seams: int = 0
+    """Of so many candidates with the least distance the one with the least visible seam is taken, 1 .. 64. 0: 8, of a lattice
+    4."""
+
+    tries: int = 12
     """Candidates that are laid down and judged at a place, 1 .. 1000, before more are looked at."""
 
     backtrack: int = 2
-    """Pieces that are taken back, 0 .. 8, where nothing fits, before a place gives way."""
+    """Pieces that are taken back, 0 .. 8, where nothing fits, before struts are laid or a place gives way."""
 
     def __post_init__(self) -> None:
         keep_numbers(self, _RANGES)
@@ -85,8 +93,17 @@ class QuiltConfig:
 
 
 _PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"candidates": 1000, "tries": 12, "mismatch": 1.0},
-    "paper": {"patch": 14, "overlap": 4, "alpha": 0.9, "share": 1.0, "candidates": 1 << 31, "period": "none"},
+    "fast": {"candidates": 1000, "seams": 1, "tries": 8, "mismatch": 1.0},
+    "paper": {
+        "patch": 14,
+        "overlap": 4,
+        "alpha": 0.9,
+        "share": 1.0,
+        "candidates": 1 << 31,
+        "sieve": 1,
+        "seams": 1,
+        "period": "none",
+    },
 }
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
@@ -102,8 +119,10 @@ _RANGES = {
     "share": (0, 1),
     "candidates": (8, 1 << 31),
     "mismatch": (0, 1),
+    "sieve": (1, 16),
     "variety": (0, 10),
     "feature": (1, 8),
+    "seams": (0, 64),
     "tries": (1, 1000),
     "backtrack": (0, 8),
 }

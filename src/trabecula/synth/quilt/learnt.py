@@ -114,8 +114,10 @@ class Learnt:
 
     def piece(self, at: int) -> np.ndarray:
         """The patch that begins at a voxel of the stack."""
-        source, z, y, x = np.unravel_index(at, self.stack.shape)
-        depth, height, width = self.box
+        by_source, by_layer, by_row = self.strides
+        (source, at), (depth, height, width) = divmod(at, by_source), self.box
+        (z, at) = divmod(at, by_layer)
+        y, x = divmod(at, by_row)
         return np.ascontiguousarray(self.stack[source, z : z + depth, y : y + height, x : x + width])
 
 

@@ -25,7 +25,7 @@ _FAR = 8  # ranges beyond the exemplars' at which a target is taken as that far
 class Descriptors:
     """What every candidate's descriptors are, in whole numbers.
 
-    values : (k, n) int32, 0 .. SCALE over what the candidates hold; the most important first.
+    values : (k, n) uint16, 0 .. SCALE over what the candidates hold; the most important first.
     """
 
     names: tuple[str, ...]
@@ -39,7 +39,7 @@ class Descriptors:
         """Of all candidates of the exemplars, one exemplar after the other in raster order."""
         order = sorted(names, key=lambda name: -weights.get(name, 1.0))
         count = sum(int(np.prod(counts)) for counts in learnt.counts)
-        values = np.empty((len(order), count), np.int32)
+        values = np.empty((len(order), count), np.uint16)
         low, high = np.zeros(len(order)), np.ones(len(order))
         for row, name in enumerate(order):
             found = np.concatenate([learnt.described(image, name).ravel() for image in learnt.images])
@@ -67,7 +67,7 @@ class Pool:
     """Candidates of one phase: where each begins in the stack, and its descriptors, by the first descriptor rising."""
 
     at: np.ndarray  # (n,) int32
-    values: np.ndarray  # (k, n) int32
+    values: np.ndarray  # (k, n) uint16
 
     def nearest(self, target: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Up to `count` candidates nearest in descriptors, and their weighted differences (equation 6) as int64."""
@@ -85,10 +85,11 @@ class Pools:
         self.counts = learnt.counts
         self.strides, self.descriptors = learnt.strides, descriptors
         self.periods, self.shifts = learnt.periods, learnt.shifts
-        self.shape, self.box = learnt.stack.shape, learnt.box
+        self.shape = learnt.stack.shape
         self.limits = np.array(self.counts)
         self.before = np.concatenate([[0], np.cumsum([int(np.prod(counts)) for counts in self.counts])])
         self.stage = key(seed, "quilt/order")
+        self.moves = _moves(learnt)
         self._made: dict[tuple[int, ...], Pool] = {}
 
     def beside(self, at: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,11 +106,7 @@ class Pools:
 
     def around(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Candidates a few voxels from these, as `beside` gives them; along an axis with a period there are none."""
-        reach = [0 if period or size == 1 else _AROUND for period, size in zip(self.periods, self.box, strict=True)]
-        axes = np.meshgrid(*(np.arange(-by, by + 1) for by in reach), indexing="ij")
-        moves = np.stack([axis.ravel() for axis in axes], axis=1)
-        moves = moves[(moves != 0).any(axis=1)]
-        where, numbers = self.beside(np.repeat(at, len(moves)), np.tile(moves, (len(at), 1)))
+        where, numbers = self.beside(np.repeat(at, len(self.moves)), np.tile(self.moves, (len(at), 1)))
         where, first = np.unique(where, return_index=True)
         return where, numbers[first]
 
@@ -135,6 +132,14 @@ class Pools:
         values = self.descriptors.values[:, np.concatenate(rows)]
         order = np.lexsort((mixed, values[0]))
         return Pool(where[order], np.ascontiguousarray(values[:, order]))
+
+
+def _moves(learnt: Learnt) -> np.ndarray:
+    """(n, 3) ways to the candidates around one; none along an axis with a period."""
+    reach = [0 if period or size == 1 else _AROUND for period, size in zip(learnt.periods, learnt.box, strict=True)]
+    axes = np.meshgrid(*(np.arange(-by, by + 1) for by in reach), indexing="ij")
+    moves = np.stack([axis.ravel() for axis in axes], axis=1)
+    return moves[(moves != 0).any(axis=1)]
 
 
 @kernel

@@ -14,6 +14,8 @@ from trabecula.synth.quilt.words import Query, Words, mismatches
 
 _PARTS = 1 << 44  # a distance of 1
 _GOOD = 16  # candidates around which others are looked at
+_FEW = 1024  # candidates that are not sifted
+_KEPT = 8  # one in so many passes the sieve
 _VARIED = 1 << 10  # steps in which a distance varies by chance
 _REFUSED = np.iinfo(np.int64).max
 
@@ -42,18 +44,17 @@ class Ranked:
     score: np.ndarray
     complete: bool
 
-    def best(self) -> int:
-        """The nearest candidate that is left, or -1."""
-        n = int(np.argmin(self.score)) if len(self.score) else -1
-        return -1 if n < 0 or self.score[n] == _REFUSED else n
-
     def least(self) -> int:
         """The least mismatch among all, in voxels."""
         return int(self.mismatch.min()) if len(self.mismatch) else 0
 
-    def take_off(self, n: int) -> None:
-        """Leave a candidate out from now on."""
-        self.score[n] = _REFUSED
+    def taken_off(self, count: int) -> np.ndarray:
+        """The nearest `count` candidates that are left (of equals the first), which are left out from now on."""
+        count = min(count, len(self.score))
+        near = _smallest(self.score, count) if count else np.empty(0, np.int64)
+        near = near[self.score[near] < _REFUSED]
+        self.score[near] = _REFUSED
+        return near
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Ranker:
     descriptors: Descriptors
     alpha: float
     variety: float
+    sieve: int
     stage: np.uint64
     strict: bool
 
@@ -79,18 +81,20 @@ class Ranker:
         before: tuple[np.ndarray, np.ndarray],
         without: Collection[int],
     ) -> Ranked:
-        """The `count` candidates of a pool that are nearest in descriptors, those that go on with pieces laid `before` (first
-        voxels and offsets), and what lies around the best of all these; where fields are asked for, only those that differ from
-        them no more than the first do.
+        """The `count` candidates of a pool that are nearest in descriptors (of many, those that pass the sieve), those that go on
+        with pieces laid `before` (first voxels and offsets), and what lies around the best of all these; where fields are asked
+        for, only those that differ from them no more than the first do.
         """
         at, difference = pool.nearest(asked, self.descriptors.weights, count)
         complete = len(at) == len(pool.at)
         limit = int(difference.max()) if self.strict else _REFUSED
+        if self.sieve > 1 and len(at) > _FEW and query.voxels:
+            at, difference = self._sifted(query, at, difference)
         more, more_off = self._within(*self.pools.beside(*before), asked, limit)
         at, difference = np.concatenate([more, at]), np.concatenate([more_off, difference])
         mismatch = mismatches(self.words, query, at)
         score = self._scored(query, mismatch, difference)
-        if query.voxels:
+        if query.voxels and len(self.pools.moves):
             best = at[_smallest(score, min(_GOOD, len(score)))]
             more, more_off = self._within(*self.pools.around(best), asked, limit)
             more_apart = mismatches(self.words, query, more)
@@ -102,6 +106,16 @@ class Ranker:
         if without:
             score[np.isin(at, np.fromiter(without, np.int64))] = _REFUSED
         return Ranked(at, mismatch, difference, score, complete)
+
+    def _sifted(self, query: Query, at: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those candidates, and their differences, that are nearest by a part of the overlap."""
+        order = np.argsort(at)  # so that words of one candidate are near those of the next in memory
+        at, difference = at[order], difference[order]
+        part = query.every(self.sieve)
+        score = self._scored(part, mismatches(self.words, part, at), difference)
+        kept = max(_FEW, len(at) // _KEPT)
+        near = score <= np.partition(score, kept - 1)[kept - 1]
+        return at[near], difference[near]
 
     def _within(
         self, at: np.ndarray, numbers: np.ndarray, asked: np.ndarray, limit: int

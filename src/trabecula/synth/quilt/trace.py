@@ -25,6 +25,8 @@ class Trace:
         nothing is asked for.
     tried : list of int
         Pieces that were laid down and judged.
+    strut : list of int
+        Voxels of struts, that were laid where no piece could keep what is to hang together.
     gave_way : list of str
         "" or what no piece could keep: "connectivity" or "feature size".
     taken_back : int
@@ -37,21 +39,25 @@ class Trace:
     mismatch: list[float] = field(default_factory=list)
     difference: list[float] = field(default_factory=list)
     tried: list[int] = field(default_factory=list)
+    strut: list[int] = field(default_factory=list)
     gave_way: list[str] = field(default_factory=list)
     taken_back: int = 0
     painted: int = 0
 
-    def add(self, corner: tuple[int, ...], mismatch: float, difference: float, tried: int, gave_way: str) -> None:
+    def add(
+        self, corner: tuple[int, ...], mismatch: float, difference: float, tried: int, strut: int, gave_way: str
+    ) -> None:
         """One more place."""
         self.corner.append(corner)
         self.mismatch.append(mismatch)
         self.difference.append(difference)
         self.tried.append(tried)
+        self.strut.append(strut)
         self.gave_way.append(gave_way)
 
     def drop(self) -> None:
         """Forget the last place: it is taken back."""
-        for entries in (self.corner, self.mismatch, self.difference, self.tried, self.gave_way):
+        for entries in (self.corner, self.mismatch, self.difference, self.tried, self.strut, self.gave_way):
             entries.pop()
         self.taken_back += 1
 
@@ -62,6 +68,8 @@ class Trace:
             known = np.array([value for value in values if value == value])
             if len(known):
                 told[name] = {"mean": _short(known.mean()), "max": _short(known.max())}
+        told["struts"] = sum(1 for voxels in self.strut if voxels)
+        told["strut_voxels"] = sum(self.strut)
         given = [(corner, why) for corner, why in zip(self.corner, self.gave_way, strict=True) if why]
         told["gave_way"] = len(given)
         if given:
@@ -75,6 +83,7 @@ class Trace:
             "mismatch": np.array(self.mismatch),
             "difference": np.array(self.difference),
             "tried": np.array(self.tried, np.int64),
+            "strut": np.array(self.strut, np.int64),
             "gave_way": np.array([_REASONS.index(why) for why in self.gave_way], np.int64),
             "taken_back": np.array(self.taken_back),
         }
@@ -87,6 +96,7 @@ class Trace:
             [float(value) for value in arrays["mismatch"]],
             [float(value) for value in arrays["difference"]],
             [int(count) for count in arrays["tried"]],
+            [int(count) for count in arrays["strut"]],
             [_REASONS[int(why)] for why in arrays["gave_way"]],
             int(arrays["taken_back"]),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class Frame:
     step: tuple[int, ...]
     start: tuple[int, ...]
 
-    @property
+    @cached_property
     def margin(self) -> tuple[int, ...]:
         """Voxels around a box in its window: none along an axis of one voxel, and no voxel twice."""
         return tuple(
@@ -31,7 +32,7 @@ class Frame:
             for side, patch, wrap in zip(self.shape, self.patch, self.wraps, strict=True)
         )
 
-    @property
+    @cached_property
     def counts(self) -> tuple[int, ...]:
         """Boxes along every axis, so that all voxels are covered."""
         counts = []

@@ -54,6 +54,13 @@ class Query:
     masks: np.ndarray  # uint64
     voxels: int
 
+    def every(self, nth: int) -> Query:
+        """Every nth of its words; they run through the box row by row, so that each is of another part of the overlap."""
+        offsets, narrow, bits, masks = (
+            np.ascontiguousarray(words[..., ::nth]) for words in (self.offsets, self.narrow, self.bits, self.masks)
+        )
+        return Query(offsets, narrow, bits, masks, int(np.unpackbits(masks.view(np.uint8)).sum(dtype=np.int64)))
+
 
 def query_of(words: Words, box: np.ndarray, near: np.ndarray, strides: tuple[int, int]) -> Query:
     """The words that hold `near` (bool) of a box of labels."""
@@ -61,7 +68,7 @@ def query_of(words: Words, box: np.ndarray, near: np.ndarray, strides: tuple[int
     offsets, narrow = np.empty(most, np.int64), np.empty(most, np.bool_)
     bits, masks = np.zeros((planes, most), np.uint64), np.zeros(most, np.uint64)
     count, voxels = _cover(box, near, *strides, words.rows, words.columns, offsets, narrow, bits, masks)
-    return Query(offsets[:count], narrow[:count], bits[:, :count], masks[:count], int(voxels))
+    return Query(offsets[:count], narrow[:count], np.ascontiguousarray(bits[:, :count]), masks[:count], int(voxels))
 
 
 def mismatches(words: Words, query: Query, at: np.ndarray) -> np.ndarray:
