@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trabecula.core.request import Request
 from trabecula.engine.normals import quantiles
 from trabecula.engine.tiles import for_slabs
+from trabecula.synth.noise.domain import Domain
 from trabecula.synth.noise.kernels import white_plane
 
 WHITE = 256
@@ -22,10 +22,10 @@ Use = Callable[[tuple[slice, ...], int, np.ndarray], None]
 
 
 def white(
-    around: tuple[int, ...], corner: Sequence[int], request: Request, stage: np.uint64
+    around: tuple[int, ...], corner: Sequence[int], domain: Domain, stage: np.uint64
 ) -> Callable[[int], np.ndarray]:
     """What makes a plane of white noise of the box that starts at `corner`."""
-    periods = [side if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)]
+    periods = [side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)]
     inside, across = np.array(corner[1:], np.int64), np.array(periods[1:], np.int64)
 
     def plane_at(z: int) -> np.ndarray:

@@ -71,16 +71,23 @@ def fitted_filter(two_point: np.ndarray, fraction: float, *, corrections: int, i
     """The filter for S2 at every offset (odd sides, offset 0 in the middle).
 
     The covariance fades out over the outer half of every axis (of every direction, where `isotropic`), where few pairs fit.
-    Its spectrum then still has a negative part, since a finite image's S2 is uncertain and not every S2 belongs to a
-    Gaussian field. Cutting that off adds white noise, felt most at the shortest offsets; so the nearest spectrum without
-    negative part is sought, in least squares over offsets with weights that fall with distance, by projected gradients with
-    momentum (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
     """
     angle, table = joint_probability(fraction)
     covariance = np.sin(np.interp(two_point, table, angle))
     fading = _fading_around(two_point.shape) if isotropic else _fading(two_point.shape)
-    wanted = np.fft.ifftshift(covariance * fading).astype(np.float32)
-    weight = np.fft.ifftshift(_weight(two_point.shape)).astype(np.float32)
+    return filter_of(covariance * fading, corrections=corrections)
+
+
+def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
+    """The filter for a covariance at every offset (odd sides, offset 0 in the middle).
+
+    The spectrum of a measured covariance has a negative part, since a finite image's S2 is uncertain and not every S2
+    belongs to a Gaussian field. Cutting that off adds white noise, felt most at the shortest offsets; so the nearest spectrum
+    without negative part is sought, in least squares over offsets with weights that fall with distance, by projected
+    gradients with momentum (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
+    """
+    wanted = np.fft.ifftshift(covariance).astype(np.float32)
+    weight = np.fft.ifftshift(_weight(covariance.shape)).astype(np.float32)
     axes = (0, 1, 2)
     raw = np.fft.rfftn(wanted, axes=axes).real
     clipped = float(-raw[raw < 0].sum() / np.abs(raw).sum())
@@ -113,7 +120,7 @@ def _fading(shape: tuple[int, ...]) -> np.ndarray:
 def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
     """The same along every direction."""
     z, y, x = _axes(shape)
-    along = np.clip(2 * np.sqrt(z**2 + y**2 + x**2) / (min(shape) // 2 + 1) - 1, 0, 1)
+    along = np.clip(2 * np.sqrt(z**2 + y**2 + x**2) / (min(side for side in shape if side > 1) // 2 + 1) - 1, 0, 1)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * along))
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from trabecula.engine.compile import kernel
 from trabecula.engine.normals import normal_line
+from trabecula.engine.random import philox
 
 
 @kernel
@@ -14,3 +17,21 @@ def white_plane(plane, key, z, corner, periods, table):
         if periods[0] > 0:
             row = row % periods[0]
         normal_line(plane[y], key, z, row, corner[1], periods[1], table)
+
+
+@kernel
+def cube_words(values, key, cz, cy, cx):
+    """Random whole numbers 0 .. 2**31 - 1 of the cubes that the voxels are in, four a draw: (Z, Y, X) int32."""
+    for z in range(values.shape[0]):
+        for y in range(values.shape[1]):
+            group = np.int64(-1) << np.int64(40)
+            w = philox(key, 0, 0, 0, 0)
+            row = values[z, y]
+            for x in range(len(row)):
+                cell = cx[x]
+                if cell >> 2 != group:
+                    group = cell >> 2
+                    w = philox(key, cz[z], cy[y], group, 0)
+                at = cell & 3
+                word = w[0] if at == 0 else w[1] if at == 1 else w[2] if at == 2 else w[3]
+                row[x] = np.int32(word >> np.uint64(1))

@@ -1,4 +1,4 @@
-"""`noise`: its theory against known integrals, and its fields against the two-point functions they were made for."""
+"""The Gaussian field: its theory against known integrals, and its fields against the two-point functions they were made for."""
 
 import tracemalloc
 
@@ -15,6 +15,7 @@ from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.covariance import averaged, counts_by_offset, fitted_filter, joint_probability
+from trabecula.synth.noise.gaussian import whole
 from trabecula.synth.noise.kernels import white_plane
 
 
@@ -98,12 +99,12 @@ def test_a_voxel_is_the_sum_over_the_filter_to_the_last_bit():
     """Oracle: the convolution, in whole numbers, voxel by voxel."""
     model = tb.method("noise", reach=4).fit(exponential((24, 24, 24), scale=2, seed=9, fraction=0.4))
     values = model.generate((9, 8, 10), seed=1).values
-    weights = np.rint(model.filters[0].values * np.float64(2**18)).astype(np.int64)
+    weights = whole(model.filters[0]).astype(np.int64)
     noise = np.stack([white((16, 18), z=z, corner=(-4, -4)) for z in range(-4, 13)]).astype(np.int64)
     field = np.array(
         [np.sum(weights[::-1, ::-1, ::-1] * noise[z : z + 9, y : y + 9, x : x + 9]) for z, y, x in np.ndindex(9, 8, 10)]
     ).reshape(9, 8, 10)
-    fraction = model.fractions[0]
+    fraction = model.phases.fractions[0]
     spread = np.sqrt(np.sum(weights**2.0)) * 256
     assert np.array_equal(
         values == 0, field > norm.isf(fraction) * spread * np.sqrt(np.mean((quantiles(256) / 256.0) ** 2))
@@ -117,7 +118,7 @@ def test_how_a_volume_is_cut_does_not_matter(monkeypatch, phases):
     whole = {wraps: model.generate((30, 26, 21), seed=3, periodic=wraps).values for wraps in (False, True)}
     ranked = tb.method("noise", reach=5, exact=True).fit(exemplar)
     exact = ranked.generate((30, 26, 21), seed=3).values
-    monkeypatch.setattr("trabecula.synth.noise.method._PIECE", 11)
+    monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 11)
     for wraps, values in whole.items():
         assert np.array_equal(model.generate((30, 26, 21), seed=3, periodic=wraps).values, values)
     assert np.array_equal(ranked.generate((30, 26, 21), seed=3).values, exact)
@@ -153,7 +154,7 @@ def test_exact_shares_have_no_windows():
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
-    monkeypatch.setattr("trabecula.synth.noise.method._PIECE", 40)
+    monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 40)
     exemplar = np.random.default_rng(0).integers(0, 2, (40, 40, 40))
     model = tb.method("noise", reach=15, corrections=2, exact=exact).fit(exemplar)
     request = tb.Request((100, 75, 80), seed=1)
@@ -225,7 +226,7 @@ def test_bone_has_the_fraction_and_the_two_point_function_and_is_broken(bone):
 
 
 def test_settings_out_of_range_are_refused():
-    for name, value in [("kind", "perlin"), ("reach", 3), ("reach", 2.5), ("corrections", -1)]:
+    for name, value in [("kind", "pink"), ("reach", 3), ("reach", 2.5), ("corrections", -1)]:
         with pytest.raises(InputError, match=name):
             NoiseConfig(**{name: value})
 

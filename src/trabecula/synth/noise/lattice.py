@@ -1,0 +1,167 @@
+"""Cells of a lattice under the voxels: positions in whole numbers, and a point in every cell.
+
+An edge of a cell is `CELL` steps. Positions, points and what is counted from them are whole numbers of steps, so that every
+box, every cut of it and every processor finds the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trabecula.synth.noise.domain import Domain
+from trabecula.synth.noise.lattice_kernels import place_points
+
+CELL = 4096
+"""Steps along an edge of a cell."""
+
+APART = 2**0.5 - 1
+"""Cells between the voxels of a trial: no simple part of a cell, so that they fall everywhere in cells."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Voxels along an axis, on a lattice.
+
+    Attributes
+    ----------
+    at : (N,) float64
+        Middles of the voxels, rising whole numbers of steps from the first cell's corner on.
+    first : int
+        That cell's number.
+    period : int
+        Cells after which the lattice repeats; 0 where it is endless.
+    flat : bool
+        Whether this is the axis that a picture lacks: one layer of cells, all points in its plane.
+    """
+
+    at: np.ndarray
+    first: int
+    period: int
+    flat: bool = False
+
+    @property
+    def cells(self) -> int:
+        """Cells that the voxels lie in."""
+        return int(self.at[-1]) // CELL + 1
+
+    @property
+    def cell(self) -> np.ndarray:
+        """The cell of every voxel, counted from the first."""
+        return (self.at // CELL).astype(np.int64)
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Where in its cell every voxel is, 0 .. 1."""
+        return np.asarray((self.at % CELL) / CELL)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Voxels on lattices.
+
+    Attributes
+    ----------
+    places : three (N,) int64
+        Their numbers along z, y, x, rising.
+    step : three floats
+        Cells that a voxel is wide, along each.
+    edges : three floats
+        Of a cell, in one unit of length.
+    periods : three ints
+        Voxels after which all repeats; 0 where it does not.
+    flat : bool
+        Whether a picture is made.
+    """
+
+    places: tuple[np.ndarray, ...]
+    step: tuple[float, ...]
+    edges: tuple[float, ...]
+    periods: tuple[int, ...]
+    flat: bool
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Voxels along every axis."""
+        return tuple(len(place) for place in self.places)
+
+    def part(self, cuts: Sequence[slice]) -> Grid:
+        """Some of the voxels."""
+        return replace(self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True)))
+
+    def axes(self, finer: int = 1) -> list[Axis]:
+        """The voxels on the lattice, of which every cell is divided into `finer` along every axis.
+
+        A period is rounded to whole cells before they are divided, to 1 at least.
+        """
+        found = [
+            _axis(place, width, period, finer)
+            for place, width, period in zip(self.places, self.step, self.periods, strict=True)
+        ]
+        return [Axis(np.zeros(1), 0, 0, flat=True), *found[1:]] if self.flat else found
+
+
+def shortest(edges: Sequence[float], *, flat: bool) -> float:
+    """The shortest edge of a cell; in a picture of those that it shows."""
+    return min(edges[1:] if flat else edges)
+
+
+def grid_of(domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]) -> Grid:
+    """The voxels of a box."""
+    periods = tuple(side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True))
+    return Grid(tuple(np.arange(start, stop) for start, stop in box), tuple(step), tuple(edges), periods, domain.flat)
+
+
+def scattered(step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool) -> Grid:
+    """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other): many cells for few voxels."""
+    places = tuple(
+        np.floor(np.arange(count) * max(1.0, APART / width)).astype(np.int64)
+        for count, width in zip(counts, step, strict=True)
+    )
+    return Grid(places, tuple(step), tuple(edges), (0, 0, 0), flat)
+
+
+def _axis(place: np.ndarray, width: float, period: int, finer: int) -> Axis:
+    cells = max(1, round(period * width)) * finer if period else 0
+    if period:
+        turn, place = np.divmod(place, period)
+        at = turn * (cells * CELL) + (2 * place + 1) * (cells * CELL) // (2 * period)
+    else:
+        at = np.floor((place + 0.5) * (width * finer * CELL)).astype(np.int64)
+    first = int(at[0]) // CELL
+    return Axis((at - first * CELL).astype(np.float64), first, cells)
+
+
+@dataclass(frozen=True)
+class Points:
+    """A point in every cell of a box of cells.
+
+    Attributes
+    ----------
+    place : (C, 3) float64
+        Whole steps from where the axes' positions are counted, cells in the order of an array.
+    word : (C,) int64
+        A random whole number from 0 to 2**24 - 1.
+    counts : (3,) int64
+        Cells along z, y, x.
+    around : (3,) int64
+        How many of them lie before the first voxel's, and after the last one's.
+    """
+
+    place: np.ndarray
+    word: np.ndarray
+    counts: np.ndarray
+    around: np.ndarray
+
+
+def points_of(axes: Sequence[Axis], key: np.uint64, *, jitter: float, margin: int) -> Points:
+    """The points of all cells that the voxels lie in, and of `margin` cells around them."""
+    around = np.array([0 if axis.flat else margin for axis in axes], np.int64)
+    counts = np.array([axis.cells for axis in axes], np.int64) + 2 * around
+    total = int(counts.prod())
+    place, word = np.empty((total, 3)), np.empty(total, np.int64)
+    first, periods = (np.array([getattr(axis, name) for axis in axes], np.int64) for name in ("first", "period"))
+    place_points(place, word, key, first, counts, periods, around, axes[0].flat, round(jitter * CELL))
+    return Points(place, word, counts, around)

@@ -1,0 +1,139 @@
+"""Patterns on a lattice: made brick by brick in threads, cut at a level that a trial finds or a thickness gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+
+from trabecula.engine.blocks import Box
+from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.synth.noise.config import WALLED, NoiseConfig
+from trabecula.synth.noise.convolve import Use
+from trabecula.synth.noise.domain import Domain
+from trabecula.synth.noise.lattice import APART, CELL, Grid, grid_of, scattered, shortest
+from trabecula.synth.noise.perlin import perlin
+from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_edges, worley
+from trabecula.synth.noise.white import white
+
+Fill = Callable[[np.ndarray, Grid, int, NoiseConfig, float], None]
+"""Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a seed.
+
+Above the last argument any number above it will do.
+"""
+
+PATTERNS: dict[str, tuple[Fill, int]] = {
+    "perlin": (perlin, 0),
+    "voronoi": (voronoi, 0),
+    "voronoi_cells": (voronoi_cells, 1 << 24),
+    "voronoi_edges": (voronoi_edges, 0),
+    "white": (white, 1 << 31),
+    "worley": (worley, 0),
+}
+"""What fills a pattern, and how many numbers it chooses from, each as often; 0 where a trial has to tell."""
+
+_BRICK = (32, 64, 256)
+_CELLS = (4, 8, 32)  # in a brick, at most, where the neighbours of every point are held
+_TRIAL = {False: (96, 96, 96), True: (1, 940, 940)}  # voxels, of volumes and of pictures
+_TRIAL_SEED = 0
+_HELD = {"white": 8, "perlin": 24}  # bytes a voxel of a brick; of points
+_VOXEL = 28
+_POINT = {
+    "voronoi": 5050,
+    "voronoi_edges": 5050,
+    "voronoi_cells": 40,
+    "worley": 40,
+}  # bytes a point in a brick and around it
+
+
+class Lattice:
+    """One pattern.
+
+    Parameters
+    ----------
+    config : NoiseConfig
+    edges, spacing : three floats
+        Of a cell and of a voxel, along z, y, x.
+    flat : bool
+        Whether pictures are made.
+    """
+
+    def __init__(self, config: NoiseConfig, edges: Sequence[float], spacing: Sequence[float], *, flat: bool) -> None:
+        self.config = config
+        self.edges = tuple(edges)
+        self.step = tuple(voxel / edge for voxel, edge in zip(spacing, edges, strict=True))
+        self.flat = flat
+        self._choices = PATTERNS[config.kind][1]
+
+    def each(self, number: int, domain: Domain, box: Box, use: Use, *, most: float = np.inf) -> None:
+        """The pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
+        whole, sides = grid_of(domain, box, self.step, self.edges), _sides(self.config, self.step)
+
+        def slab(start: int, stop: int) -> None:
+            for brick in _bricks((stop - start, *whole.shape[1:]), sides):
+                piece = (slice(start + brick[0].start, start + brick[0].stop), *brick[1:])
+                values = _filled(self.config, whole.part(piece), domain.seed, most)
+                for z, plane in enumerate(values):
+                    use(piece, z, plane)
+
+        for_slabs(slab, whole.shape[0])
+
+    def level(self, number: int, share: float) -> float:
+        """The level above which the pattern has the share, or which leaves walls of the thickness that was asked for."""
+        if self.config.thickness is not None:
+            return float(np.floor(0.5 * self.config.thickness / shortest(self.edges, flat=self.flat) * CELL * WALL))
+        if self._choices:
+            return round((1 - share) * self._choices) - 0.5
+        return tried_level(self.config, self.step, self.edges, share, flat=self.flat)
+
+    def scratch(self, shape: Sequence[int]) -> int:
+        """Bytes for a box of this shape."""
+        sides = [min(pair) for pair in zip(_sides(self.config, self.step), shape, strict=True)]
+        own = thread_count() * _brick_bytes(self.config, sides, self.step)
+        if self._choices or self.config.thickness is not None:
+            return own
+        step = [max(width, APART) for width in self.step]
+        trial = _brick_bytes(self.config, _sides(self.config, step), step) + 12 * int(np.prod(_TRIAL[self.flat]))
+        return max(own, trial)
+
+
+@lru_cache(maxsize=64)
+def tried_level(
+    config: NoiseConfig, step: tuple[float, ...], edges: tuple[float, ...], share: float, *, flat: bool
+) -> float:
+    """The level above which a pattern has the share: from many cells, always the same ones."""
+    grid, values = scattered(step, edges, _TRIAL[flat], flat=flat), []
+    for brick in _bricks(grid.shape, _sides(config, [max(width, APART) for width in step])):
+        values.append(_filled(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
+    found = np.concatenate(values)
+    place = min(max(round((1 - share) * len(found)), 1), len(found) - 1)
+    return float(np.partition(found, place)[place]) - 0.5
+
+
+def _filled(config: NoiseConfig, grid: Grid, seed: int, most: float) -> np.ndarray:
+    values = np.empty(grid.shape, np.int32)
+    PATTERNS[config.kind][0](values, grid, seed, config, most)
+    return values
+
+
+def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
+    """Of a brick, voxels."""
+    if config.kind not in WALLED:
+        return _BRICK
+    return tuple(max(1, min(side, int(most / width))) for side, most, width in zip(_BRICK, _CELLS, step, strict=True))
+
+
+def _brick_bytes(config: NoiseConfig, sides: Sequence[int], step: Sequence[float]) -> int:
+    cells = [int(side * width) + 10 for side, width in zip(sides, step, strict=True)]
+    voxel, point = _HELD.get(config.kind, _VOXEL), _POINT.get(config.kind, 0)
+    return voxel * int(np.prod(sides)) + point * int(np.prod(cells))
+
+
+def _bricks(shape: Sequence[int], sides: Sequence[int]) -> Iterator[tuple[slice, ...]]:
+    cuts = [
+        [slice(first, min(first + side, end)) for first in range(0, end, side)]
+        for end, side in zip(shape, sides, strict=True)
+    ]
+    return product(*cuts)
