@@ -13,15 +13,22 @@ import inspect
 import sys
 from collections.abc import Callable
 
+import big
+import bubbles
+import bubbles_figures
+import bubbles_fit
 import gan
+import gan_ablation
 import graded
 import image
 import image_paper
 import image_speed
 import image_truth
+import noise
 import texture
 import texture_speed
 import trabecula as tb
+import view
 from common import tell, timed, unit
 from descriptors import certificate, descriptors, large
 from trabecula.cli.terminal import fail, show_rows
@@ -63,7 +70,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_sizes": texture_speed.sizes,
     "gan_models": gan.models,
     "gan_speed": gan.speed,
-    "gan_ablation": gan.ablation,
+    "gan_ablation": gan_ablation.ablation,
     "gan_smoke": gan.smoke,
     "image_likeness": image.image_likeness,
     "image_paper": image_paper.image_paper,
@@ -73,7 +80,20 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
+    "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
+    "bubbles_fit": bubbles_fit.bubbles_fit,
+    "noise": noise.noise,
+    "bubbles_table": bubbles.bubbles_table,
+    "bubbles_grids": bubbles.bubbles_grids,
+    "bubbles_porosity": bubbles.bubbles_porosity,
+    "bubbles_threads": bubbles.bubbles_threads,
+    "bubbles_figures": bubbles_figures.bubbles_figures,
+    "big_blocks": big.big_blocks,
+    "big_kills": big.big_kills,
+    "big_workers": big.big_workers,
+    "view_still": view.view_still,
+    "view_page": view.view_page,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,

@@ -5,7 +5,8 @@
 3. The pictures of the gallery (steps/pictures.py).
 4. sphinx-build with warnings as errors, into docs/_build/html.
 
-With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are run and nothing is built.
+With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are run and nothing is built; with
+`gallery` only the pictures are drawn.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ NOT_PAGES = ("_build", "steps")
 
 def main(names: list[str]) -> int:
     """The steps, each with its time; returns the exit status."""
+    if names == ["gallery"]:
+        timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+        return 0
     timed("pages", lambda: pages.write(DOCS))
     chosen = [(DOCS / name).resolve() for name in names] or [README, *written_pages()]
     failures = timed("examples", lambda: examples.run(chosen, home=DOCS.parent))

@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import trabecula
+from steps.presets import pictured
 from trabecula.synth.base import Spec
 from trabecula.synth.registry import methods
 
@@ -43,12 +44,16 @@ _ALSO = {
     "mesh.base": ("Mesh",),
     "mesh.check": ("check", "MeshCheck"),
     "mesh.files": ("write_mesh",),
+    "view.page.show": ("view",),
+    "view.page.document": ("Page",),
+    "view.still": ("turntable",),
     "view.slices": ("slices", "montage"),
     "engine.plan": ("Plan",),
+    "engine.slabs": ("Slabs", "slabs_of"),
 }
 # Sections of the measures page and the modules and packages of each; one that is not named here comes last.
 _MEASURES = {
-    "Everything at once": ("describe", "physics"),
+    "Everything at once": ("describe", "blockwise", "physics"),
     "Amount and surface": ("amount", "minkowski"),
     "Sizes": ("thickness", "morphometry", "distance"),
     "Correlation": ("correlation",),
@@ -129,6 +134,7 @@ def method_page(spec: Spec) -> str:
         ("extras", ", ".join(spec.extras) or "none"),
     ]
     settings = table(("setting", "default", "meaning"), settings_of(spec))
+    presets = presets_of(spec)
     return f"""{text}
 
 ## At a glance
@@ -140,6 +146,29 @@ def method_page(spec: Spec) -> str:
 In Python `tb.method("{spec.name}", name=value)`; on the command line `--set name=value`.
 
 {settings}
+{presets}"""
+
+
+def presets_of(spec: Spec) -> str:
+    """The settings of every preset, and what it looks like where it can be drawn without an exemplar."""
+    if not spec.presets:
+        return ""
+    module, _, attribute = spec.target.partition(":")
+    config = getattr(importlib.import_module(module), attribute).config_type
+    rows = []
+    for name in spec.presets:
+        shown = f"![{name}](../gallery/{spec.name}-{name}.png)" if name in pictured().get(spec.name, ()) else ""
+        words = ", ".join(f"`{key}={value}`" for key, value in config.preset(name).items()) or "the defaults"
+        rows.append((f"`{name}`", words, shown))
+    drawn = any(row[2] for row in rows)
+    head = ("preset", "settings", "a still, and a slice") if drawn else ("preset", "settings")
+    return f"""
+## Presets
+
+In Python `tb.method("{spec.name}", preset=NAME)`; on the command line `--preset NAME`. Settings that are given besides go
+before a preset's.
+
+{table(head, [row[: len(head)] for row in rows])}
 """
 
 
@@ -261,7 +290,8 @@ def api_page() -> str:
     parts = [
         "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its first use, so "
         "`import trabecula` costs next to nothing. Longer names are what these functions take and return. "
-        "`tb.mesh(image)` is `trabecula.mesh.surface.mesh`, `tb.errors` are [the errors](../guide/errors.md), "
+        "`tb.mesh(image)` is `trabecula.mesh.surface.mesh`, `tb.view(image)` is `trabecula.view.page.show.view`, "
+        "`tb.errors` are [the errors](../guide/errors.md), "
         "`tb.measure` has [its own page](measures.md).\n"
     ]
     for room, names in rooms.items():

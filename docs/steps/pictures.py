@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import trabecula as tb
+from steps.paper import draw_paper
+from steps.presets import draw_presets
 from trabecula.view.looks import LOOKS
 from trabecula.view.slices import montage
 
@@ -25,6 +27,8 @@ def draw(folder: Path) -> None:
         parts.append(draw_sample(name, folder))
     parts.append(draw_shapes(folder))
     parts.append(draw_looks(folder))
+    parts.append(draw_presets(folder))
+    parts.append(draw_paper(folder))
     (folder / "index.md").write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -79,7 +83,7 @@ def draw_looks(folder: Path) -> str:
     return f"""## Looks
 
 `--look` of `trabecula render`, `look=` of {{py:func}}`trabecula.render`: the same 64^3 voxels of `sample:bone`.
-A look is colour and gloss; it changes no voxel.
+A look is colour, gloss and how light goes through; it changes no voxel ([more](../howto/look.md)).
 
 | {names} |
 |{" --- |" * len(LOOKS)}

@@ -1,0 +1,88 @@
+"""Draw the presets of methods that need no exemplar: a still and a slice of each, `METHOD-PRESET.png`, and one sheet of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image as Pillow
+
+import trabecula as tb
+from trabecula.synth.registry import methods
+from trabecula.view.looks import LOOKS
+
+_SEED = 7
+_TALL = 320  # pixels
+_LOOK_OF = {"baguette": "bread", "cheese": "sponge"}
+_SIDES = (88, 120, 120)
+_LOAVES = {"bread": (116, 128, 176), "baguette": (88, 104, 232)}
+"""Presets that are shown as a loaf, with its sides; of the others a block."""
+
+
+_SECTION = """## Presets of {method}
+
+Made without an exemplar, seed {seed}, each in the look of its name or one near to it: {names}. The settings are on
+[the method's page](../methods/{method}.md).
+
+![stills of all presets of {method}]({method}.png)
+"""
+
+
+def pictured() -> dict[str, tuple[str, ...]]:
+    """Presets that have a picture, by method."""
+    return {name: spec.presets for name, spec in methods().items() if spec.alone and spec.presets}
+
+
+def draw_presets(folder: Path) -> str:
+    """All of them; the sections that show them."""
+    sections = []
+    for method, presets in pictured().items():
+        stills = []
+        for preset in presets:
+            still, slice_ = _drawn(method, preset)
+            stills.append(still)
+            Pillow.fromarray(_beside([still, slice_])).save(folder / f"{method}-{preset}.png")
+        half = -(-len(stills) // 2)
+        rows = [_beside(stills[:half]), _beside(stills[half:])]
+        wide = max(row.shape[1] for row in rows)
+        sheet = [np.pad(row, [(0, 0), (0, wide - row.shape[1]), (0, 0)], mode="edge") for row in rows]
+        Pillow.fromarray(np.concatenate(sheet)).save(folder / f"{method}.png")
+        sections.append(_SECTION.format(method=method, names=", ".join(f"`{name}`" for name in presets), seed=_SEED))
+    return "\n".join(sections)
+
+
+def _drawn(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
+    """A still, and the middle slice that shows most."""
+    look: Any = LOOKS[_LOOK_OF.get(preset, preset if preset in LOOKS else "stone")]
+    mask = loaf(_LOAVES[preset]) if preset in _LOAVES else None
+    sides = _SIDES if mask is None else mask.shape
+    material = tb.method(method, preset=preset).fit().generate(sides, seed=_SEED, mask=mask)
+    still = tb.render(material, look=_LOOK_OF.get(preset, preset if preset in LOOKS else "stone"), size=(420, _TALL))
+    colours = np.array([look.void, look.solid], np.uint8)
+    # A loaf across its length, a block from the side.
+    plane = material.values[:, :, sides[2] // 2] if mask is not None else material.values[:, sides[1] // 2]
+    within = np.ones_like(plane, bool) if mask is None else mask[:, :, sides[2] // 2]
+    shown = np.where(within[..., None], colours[plane], np.array(look.background, np.uint8))[::-1]
+    times = (_TALL - 40) // shown.shape[0]
+    return still.values, np.kron(shown, np.ones((times, times, 1), np.uint8))
+
+
+def loaf(sides: tuple[int, ...]) -> np.ndarray:
+    """Flat below, round above, blunt at its ends."""
+    z, y, x = (2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True))
+    return (np.abs(x) ** 3.5 + np.abs(y) ** 2.5 + np.abs(z) ** np.where(z < 0, 5, 2.2)) < 1
+
+
+def _beside(pictures: Sequence[np.ndarray]) -> np.ndarray:
+    """Pictures of the same height or less in a row, on the first one's ground."""
+    ground, tall = pictures[0][0, 0], max(len(picture) for picture in pictures)
+    row = []
+    for picture in pictures:
+        above = (tall - len(picture)) // 2
+        frame = np.empty((tall, picture.shape[1] + 24 * (len(picture) < tall), 3), np.uint8)
+        frame[:] = ground
+        frame[above : above + len(picture), : picture.shape[1]] = picture
+        row.append(frame)
+    return np.concatenate(row, axis=1)

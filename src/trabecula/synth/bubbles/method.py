@@ -1,0 +1,256 @@
+"""`bubbles`: where they start and how fast they grow is drawn by cell; what a voxel becomes is told from those around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import InputError, RequestError
+from trabecula.core.image import Image
+from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
+from trabecula.engine.blocks import Box, slices_of
+from trabecula.engine.plan import Plan
+from trabecula.synth.base import Method
+from trabecula.synth.bubbles import SPEC
+from trabecula.synth.bubbles.calibrate import bytes_of_search, calibrated
+from trabecula.synth.bubbles.config import BubblesConfig
+from trabecula.synth.bubbles.flow import flow_of
+from trabecula.synth.bubbles.flow.forecast import bytes_of_flow
+from trabecula.synth.bubbles.forecast import bytes_of_box, bytes_of_level
+from trabecula.synth.bubbles.growth import Growth
+from trabecula.synth.bubbles.kernels import BLOCK
+from trabecula.synth.bubbles.law import Law, distance_of, law_of
+from trabecula.synth.bubbles.stop import Arrivals, arrivals_of
+from trabecula.synth.bubbles.whole import bytes_of_particles, grown_whole
+from trabecula.synth.facts import Facts
+from trabecula.synth.windows import WindowModel
+
+_PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_LEAST = 8  # voxels along an axis of the exemplar
+
+
+class Bubbles(Method):
+    """Bubbles that grow."""
+
+    spec = SPEC
+    config_type = BubblesConfig
+
+    def _blank(self, facts: Facts) -> BubblesModel:
+        return BubblesModel(self.config, [facts])
+
+    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+        shape = exemplars[0].shape
+        search = bytes_of_search(shape) if self.config.trials else 0
+        return Plan({"interpreter and kernels": _PROCESS, "search": search, "its phases": 3 * math.prod(shape) + 4096})
+
+    def _fit(self, exemplars: Sequence[Image]) -> BubblesModel:
+        exemplar = exemplars[0]
+        present = np.unique(exemplar.values)
+        if len(exemplar.phases) != 2:
+            names = ", ".join(exemplar.phases[label] for label in present)
+            raise InputError(f"the exemplar is of {names}: bubbles and what is between them are two phases, name two")
+        if min(exemplar.shape) < _LEAST:
+            raise InputError(f"the exemplar is {exemplar.shape}: give at least {_LEAST} voxels along every axis")
+        found, report = calibrated(self.config, exemplar, BubblesModel)
+        return BubblesModel(self.config, exemplars, found, report)
+
+
+@dataclass
+class _Run:
+    """What boxes of one request have in common: the growth, and the arrivals in all of its box (True), in its mask (False)."""
+
+    request: Request
+    growth: Growth
+    arrivals: dict[bool, Arrivals] = field(default_factory=dict)
+
+    def serves(self, request: Request) -> bool:
+        """Whether another request is of the same material."""
+        own = self.request
+        alike = all(getattr(request, name) == getattr(own, name) for name in ("shape", "seed", "periodic"))
+        return alike and request.mask is own.mask
+
+
+class BubblesModel(WindowModel):
+    """Settings with which bubbles grow, of voxels of a known size.
+
+    Attributes
+    ----------
+    found : BubblesConfig
+        Those with which they grow: as they were given, or found for an exemplar.
+    report : dict
+        How they were found (`calibrate.calibrated`); empty where they were given.
+    """
+
+    spec = SPEC
+    config: BubblesConfig
+    block = 256
+
+    def __init__(
+        self,
+        config: BubblesConfig,
+        exemplars: Sequence[Image | Facts],
+        found: BubblesConfig | None = None,
+        report: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(config, exemplars)
+        self.found = config if found is None else found
+        self.report = dict(report or {})
+        self._last: _Run | None = None
+
+    def _report(self) -> Mapping[str, Any]:
+        return {"fit": self.report} if self.report else {}
+
+    def _box(self, request: Request, box: Box) -> np.ndarray:
+        run = self._run(request)
+        level = self._level(run, request, box)
+        growth, deep = run.growth, _deep(box, (0, 1))
+        once = tuple(map(_first_turn, deep, growth.periods))
+        labels = np.empty([stop - start for start, stop in once], self.dtype)
+        growth.fill(labels, [start for start, _ in once], self._phases(), level)
+        if once != deep:
+            labels = labels[np.ix_(*map(_turning, deep, once, growth.periods))]
+        return labels[0] if len(box) == 2 else labels
+
+    def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        if self.found.growth == "fronts":
+            return super()._generate(request)
+        wanted = self._wanted(request)
+        if np.ndim(wanted):
+            raise RequestError("particles stop all at once: ask for one number as the porosity, or for growth='fronts'")
+        made = grown_whole(self._growth(request), self.found, request, wanted)
+        void, solid = self._phases()
+        values = np.where(made.air, np.uint8(void), np.uint8(solid))
+        if request.mask is not None:
+            values[~request.mask] = void
+        return values, {"rounds": made.rounds, "alive": made.alive}
+
+    def plan_block(self, request: Request, side: int) -> Plan:
+        """Forecast of making the request in blocks (see `WindowModel`)."""
+        self._check_windows()
+        return super().plan_block(request, side)
+
+    def values_of(self, request: Request, box: Box) -> np.ndarray:
+        """The values of a box (see `WindowModel`)."""
+        self._check_windows()
+        return super().values_of(request, box)
+
+    def _check_windows(self) -> None:
+        if self.found.growth == "particles":
+            raise RequestError(
+                "particles grow in rounds over the whole volume, no box of which is made alone: set growth to fronts"
+            )
+
+    def _run(self, request: Request) -> _Run:
+        if self._last is None or not self._last.serves(request):
+            self._last = _Run(request, self._growth(request))
+        return self._last
+
+    def _growth(self, request: Request) -> Growth:
+        ndim = len(request.shape)
+        law = self._law(ndim)
+        spacing, length = self._lengths(ndim)
+        flow = flow_of(self.found, request.shape, spacing, request.mask, distance=length)
+        periods = [side if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)]
+        return Growth(law, request.seed, _deep(periods, 0), _deep(request.shape, 1), flow)
+
+    def _lengths(self, ndim: int) -> tuple[tuple[float, ...], float]:
+        """The edges of a voxel, and the mean distance between bubbles in the same unit."""
+        spacing = self.facts[0].spacing[-ndim:]
+        return spacing, distance_of(self.found, spacing[0], ndim) * spacing[0]
+
+    def _law(self, ndim: int) -> Law:
+        return law_of(self.found, self.facts[0].spacing[0], ndim)
+
+    def _level(self, run: _Run, request: Request, box: Box) -> Any:
+        """T^2 at which growth stops: a number, or a field of the box."""
+        wanted = self._wanted(request)
+        if wanted is None:
+            return np.float32(run.growth.law.latest**2)
+        # A porosity that was found for an exemplar is the material's, whatever form is cut of it; one that was asked for
+        # is the form's.
+        mask = None if self.config.porosity is None and not request.target else request.mask
+        whole = mask is None
+        if whole not in run.arrivals:
+            run.arrivals[whole] = arrivals_of(run.growth, _deep(request.shape, 1), mask)
+        arrivals = run.arrivals[whole]
+        if np.ndim(wanted):
+            wanted = _cut(wanted, mask, box)
+        if not arrivals.reaches(float(np.max(wanted))):
+            raise RequestError(
+                f"porosity {np.max(wanted):.4g} is out of reach, {arrivals.most:.4g} is the most that walls and the time to "
+                "grow leave: ask for less (one number, or a field that is nowhere above it), or for thinner walls "
+                "(separation, thickness) or more coalescence"
+            )
+        return arrivals.level(wanted)
+
+    def _wanted(self, request: Request) -> Any:
+        wanted = porosity_of(request.target)
+        return self.found.porosity if wanted is None else wanted
+
+    def _phases(self) -> tuple[int, int]:
+        """Labels of void and solid."""
+        phases = self.facts[0].phases
+        void = phases.index("void") if "void" in phases else 0
+        return void, 1 - void
+
+    def _check_target(self, request: Request) -> None:
+        """Any porosity that walls leave room for: how much that is the growth tells."""
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        self._law(len(request.shape))
+
+    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        law, wanted, masked = self._law(len(shape)), self._wanted(request), request.mask is not None
+        flows = self.found.randomness < 1 and self.found.directed(masked=masked)
+        box = bytes_of_box(law, _deep(shape, 1), flows=flows)
+        parts = {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "bubbles": box}
+        if flows or masked:
+            spacing, length = self._lengths(len(shape))
+            parts["flow"] = bytes_of_flow(
+                self.found, request.shape, spacing, masked=masked, distance=length, step=BLOCK
+            )
+        if self.found.growth == "particles":
+            return {**parts, "rounds": bytes_of_particles(shape, flows=flows)}
+        kept, held = (0, 0) if wanted is None else bytes_of_level(law, _deep(request.shape, 1), flows=flows)
+        levels = 28 * math.prod(shape) if np.ndim(wanted) else 0
+        return {**parts, "level": max(kept + levels, held - box - math.prod(shape))}
+
+    def _held(self) -> int:
+        return sum(image.values.nbytes for image in self.exemplars)
+
+
+def _deep(axes: Sequence[Any], first: Any) -> tuple[Any, ...]:
+    """What is said of y and x, with what is said of z of a picture."""
+    return tuple(axes) if len(axes) == 3 else (first, *axes)
+
+
+def _first_turn(ends: tuple[int, int], period: int) -> tuple[int, int]:
+    """Where the voxels of a range lie in the first turn of an axis: a range that holds them."""
+    start, stop = ends
+    if not period:
+        return ends
+    lap = start // period * period
+    return (start - lap, stop - lap) if stop - lap <= period else (0, period)
+
+
+def _turning(ends: tuple[int, int], once: tuple[int, int], period: int) -> np.ndarray:
+    """Where in the range `once` every voxel of a range is found."""
+    voxels = np.arange(*ends)
+    return (voxels % period if period else voxels) - once[0]
+
+
+def _cut(wanted: np.ndarray, mask: np.ndarray | None, box: Box) -> np.ndarray:
+    """The field of porosity in a box (Z, Y, X), 0 outside of the mask."""
+    if any(start < 0 or stop > side for (start, stop), side in zip(box, wanted.shape, strict=True)):
+        raise InputError(
+            f"the box {box} leaves the porosity's field of shape {wanted.shape}: nothing says what it is there"
+        )
+    cut = slices_of(box)
+    part = wanted[cut] if mask is None else np.where(mask[cut], wanted[cut], np.float32(0))
+    return np.ascontiguousarray(part).reshape([stop - start for start, stop in _deep(box, (0, 1))])
