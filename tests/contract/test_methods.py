@@ -315,7 +315,7 @@ def test_the_forecast_of_memory_holds(name, spec, exemplar):
 def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
     if spec.learns:
         pytest.skip(f"{name} learns in memory that tracemalloc does not see; its own tests measure it")
-    method = tb.method(name)
+    method = tb.method(name, **spec.trial)
     plan = method.plan_fit(exemplar)
     method.fit(exemplar)  # so that loading kernels is not counted
     tracemalloc.start()

@@ -13,11 +13,20 @@ import trabecula as tb  # noqa: E402
 from trabecula.core.progress import listen  # noqa: E402
 from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noqa: E402
 from trabecula.synth.gan import train  # noqa: E402
-from trabecula.synth.gan.config import GanConfig  # noqa: E402
+from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
+from trabecula.synth.gan.data import fields_of  # noqa: E402
 from trabecula.synth.gan.figures import trouble_with  # noqa: E402
+from trabecula.synth.gan.networks import Subpixel  # noqa: E402
+from trabecula.synth.gan.perceptual import Table  # noqa: E402
 from trabecula.synth.gan.players import Players  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
+
+
+@pytest.fixture(autouse=True)
+def few_tiles(monkeypatch):
+    """Calibrations on little noise: nothing here is judged by its fractions."""
+    monkeypatch.setattr(Subpixel, "tiles", 8)
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +142,27 @@ def test_the_forecast_of_memory_holds():
     assert peak <= forecast <= 2 * peak
 
 
+@pytest.mark.parametrize("reading", ["deconvolution", "deconvolution+conv"])
+def test_a_step_of_the_papers_recipe(stripes, reading):
+    """Every part of equation 2 is there, and Adam's first step moves no weight by more than the rate, most by just that."""
+    settings = {**PRESETS["paper"], "generator": reading, "width": 2, "latent": 4, "batch": 2, "precision": "float32"}
+    config = GanConfig(**settings)
+    image = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
+    fields = fields_of(image, config)
+    players = Players(config, 1, torch.device("cpu"))
+    players.table = Table(fields.crops(2, 0, 1), chunk=2)
+    before = players.state()
+    told = players.play(fields.crops(2, 0, 0), torch.Generator().manual_seed(0), 0, 0.0)
+    assert set(told) == {"judge", "maker", "gram", "structural"} and all(value > 0 for value in told.values())
+    for net in ("maker", "judge"):
+        part = {name: tensor for name, tensor in getattr(players, net).named_parameters()}
+        moved = torch.cat(
+            [(tensor.detach() - before[f"{net}.{name}"]).abs().flatten() for name, tensor in part.items()]
+        )
+        assert float(moved.max()) <= 1.001 * config.rate
+        assert float(moved.median()) == pytest.approx(config.rate, rel=0.05)
+
+
 def test_collapse_is_seen():
     draw = torch.Generator().manual_seed(0)
     real = torch.randn(2, 1, 8, 8, 8, generator=draw)
@@ -140,6 +170,8 @@ def test_collapse_is_seen():
     told = {"maker": 1.0}
     assert trouble_with(made, real, told) == ""
     assert "one phase" in trouble_with(torch.full_like(made, 0.9) + 0.01 * made, real, told)
+    assert "one phase" in trouble_with(0.001 * made, real, told)
+    assert trouble_with(0.1 * made, real, told) == ""  # narrow around 0: it is only slow
     assert "again and again" in trouble_with(made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told)
     assert "not a number" in trouble_with(made, real, {"maker": float("inf")})
     assert trouble_with(0.01 * made, real, told, grown=False) == ""

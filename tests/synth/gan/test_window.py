@@ -14,10 +14,12 @@ from trabecula.errors import FileError, RequestError
 torch = pytest.importorskip("torch", reason="gan needs the extra 'learn', which is not installed")
 
 from trabecula.synth.facts import facts_of  # noqa: E402
+from trabecula.synth.gan import window  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
 from trabecula.synth.gan.loading import arithmetic, network_of  # noqa: E402
 from trabecula.synth.gan.model import GanModel  # noqa: E402
 from trabecula.synth.gan.networks import generator_of  # noqa: E402
+from trabecula.synth.gan.specks import without_specks  # noqa: E402
 from trabecula.synth.saved import load_model  # noqa: E402
 
 BONE = tb.crop(tb.sample("bone"), 40)
@@ -59,6 +61,23 @@ def test_a_tile_is_made_by_its_place_alone(either):
     assert np.array_equal(one, whole[29:, 7:8, :6])
     other = either.window(10, ((edge, edge + 5), (-edge, -edge + 40), (3, 20)), seed=3)
     assert not np.array_equal(other, whole[30:])
+
+
+def test_specks_are_taken_away_across_the_faces_of_tiles(monkeypatch):
+    """As from the whole at once: a face of a tile hides nothing, and a box does not either."""
+    model = untrained(width=2, precision="float32", specks=2)
+    edge = 8 * model.config.cell
+    box = ((edge - 12, edge + 12), (edge - 12, edge + 12), (-12, 12))
+    found = model.window(10, box, seed=3)
+    part = model.window(10, tuple((first + 5, last - 7) for first, last in box), seed=3)
+    assert np.array_equal(part, found[5:-7, 5:-7, 5:-7])
+    monkeypatch.setattr(window, "without_specks", lambda labels, edge: labels)
+    raw = model.window(10, tuple((first - 3, last + 3) for first, last in box), seed=3)
+    wanted = without_specks(raw, 2)[3:-3, 3:-3, 3:-3]
+    assert (raw[3:-3, 3:-3, 3:-3] != wanted).sum() > 20
+    near = np.s_[10:14, :, :], np.s_[:, 10:14, :], np.s_[:, :, 10:14]
+    assert all((raw[3:-3, 3:-3, 3:-3][face] != wanted[face]).any() for face in near)
+    assert np.array_equal(found, wanted)
 
 
 def test_there_is_no_seam_between_tiles(model):

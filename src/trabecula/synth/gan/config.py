@@ -38,6 +38,10 @@ class GanConfig:
     """Further blurs when material is made, after the training, 0 .. 2 - smoothing: fewer specks, smoother interfaces, fewer
     connections."""
 
+    specks: int = 2
+    """Edge of the box, voxels, 0 .. 2: pieces of a phase that fit into it are taken away when material is made, 1 to 8 voxels
+    that are joined to nothing. 0 keeps them."""
+
     latent: int = 16
     """Channels of the latent, 1 .. 512. The paper's: 100."""
 
@@ -161,6 +165,7 @@ _RANGES = (
     ("width", 2, 128, True),
     ("smoothing", 0, 2, True),
     ("polish", 0, 2, True),
+    ("specks", 0, 2, True),
     ("latent", 1, 512, True),
     ("crop", 32, 128, True),
     ("batch", 1, 512, True),
@@ -208,6 +213,7 @@ _PAPER: dict[str, Any] = {
     "decay": 0.0,
     "average": 0.0,
     "clip": 0.0,
+    "specks": 0,
     "minutes": 0.0,
     "iterations": 40000,
 }

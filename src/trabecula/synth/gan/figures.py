@@ -19,7 +19,9 @@ SIDE = 96
 """Voxels along an edge of the volume that is looked at."""
 
 _REACH = 30
-_LEAST_SPREAD = 0.2  # of the real crops' standard deviation: less is one phase
+_LEAST_SPREAD = 0.2  # of the real crops' standard deviation: less, and far from the middle, is one phase
+_MIDDLE = 0.5  # a slow start is as narrow, but lies around 0
+_DEAD = 0.02  # as the first, wherever it lies
 _MOST_ALIKE = 0.95  # correlation of two made crops: more is one picture
 
 
@@ -32,7 +34,8 @@ def trouble_with(made: Tensor, real: Tensor, told: dict[str, float], *, grown: b
         return "the loss is not a number any more"
     if not grown:
         return ""
-    if float(made.std()) < _LEAST_SPREAD * float(real.std()):
+    spread = float(made.std()) / max(float(real.std()), 1e-9)
+    if spread < _DEAD or (spread < _LEAST_SPREAD and abs(float(made.mean())) > _MIDDLE):
         return "it makes one phase only"
     if len(made) > 1:
         a, b = (crop.flatten() - crop.mean() for crop in made[:2])
@@ -76,7 +79,7 @@ class Figures:
             field = network.cells(z.to(memory_format=torch.channels_last_3d)).float()
             common = [slice(min(sides)) for sides in zip(field.shape[2:], fields.shape[1:], strict=True)]
             distance = float(sliced(field[(..., *common)], fields[(None, slice(None), *common)], draw))
-        calibration = calibration_of(network, self.image, self.seed, tiles=4)
+        calibration = calibration_of(network, self.image, self.seed, tiles=max(1, network.tiles // 64))
         values = decode(field[0].numpy(), calibration)
         found = {"distance": distance}
         if self.curves:

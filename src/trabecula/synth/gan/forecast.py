@@ -12,6 +12,7 @@ from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.figures import SIDE
 from trabecula.synth.gan.loading import arithmetic
 from trabecula.synth.gan.networks import discriminator_of, generator_of
+from trabecula.synth.gan.window import CELLS
 
 _PLAYERS = 4  # copies of the weights: their gradients, two moments and the last good state
 _KEPT = 5  # results of a layer that are held for the way back: its own, rearranged, and after the activation
@@ -36,7 +37,7 @@ def training_bytes(config: GanConfig, image: Image) -> dict[str, int]:
         z = torch.empty(config.batch, maker.latent, cells, cells, cells)
         crop = torch.empty(config.batch, channels, config.crop, config.crop, config.crop)
         held = sum(_results(maker, lambda: maker(z))) + 2 * sum(_results(judge, lambda: judge(crop)))
-        cells = SIDE // config.cell + 2 * maker.halo
+        cells = max(SIDE // config.cell, CELLS) + 2 * maker.halo
         look = max(_results(maker, lambda: maker.cells(torch.empty(1, maker.latent, cells, cells, cells))))
         weights = sum(p.numel() for net in (maker, maker, judge) for p in net.parameters())
     fields = 4 * channels * image.values.size

@@ -10,7 +10,7 @@ import torch
 
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.networks import generator_of
-from trabecula.synth.gan.window import CELLS
+from trabecula.synth.gan.window import CELLS, more_cells
 
 
 def network_of(config: GanConfig, channels: int, weights: Mapping[str, np.ndarray]) -> Any:
@@ -45,7 +45,7 @@ def dtype_of(name: str) -> torch.dtype:
     return torch.bfloat16 if name == "bf16" else torch.float32
 
 
-def tile_bytes(config: GanConfig, channels: int) -> int:
+def tile_bytes(config: GanConfig, channels: int, specks: int) -> int:
     """Memory that a network takes for a tile: the layer with the largest input and output, and their rearranged copies."""
     with torch.device("meta"):  # shapes without numbers
         network = generator_of(config, channels).to(dtype_of(arithmetic(config)))
@@ -58,6 +58,6 @@ def tile_bytes(config: GanConfig, channels: int) -> int:
         for layer in network.modules():
             if not list(layer.children()):
                 layer.register_forward_hook(see)
-        inner = CELLS + 2 * network.halo
+        inner = CELLS + more_cells(specks) + 2 * network.halo
         field = network.cells(torch.empty(1, network.latent, inner, inner, inner, dtype=dtype_of(arithmetic(config))))
         return 4 * largest + 8 * field.nbytes

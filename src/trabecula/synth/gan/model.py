@@ -62,6 +62,11 @@ class GanModel(WindowModel):
         return count if count > 2 else 1
 
     @property
+    def specks(self) -> int:
+        """Edge of the pieces that are taken away: grey has none."""
+        return self.config.specks if self.calibration["kind"] == "labels" else 0
+
+    @property
     def dtype(self) -> np.dtype:
         """Of the values."""
         return np.dtype(self.calibration.get("dtype", "uint8"))
@@ -94,7 +99,8 @@ class GanModel(WindowModel):
             side // cell if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)
         )
         become = partial(decode, calibration=self.calibration)
-        return made(network, key(request.seed, "gan/latent"), box, periods, become, self.dtype)
+        latent = key(request.seed, "gan/latent")
+        return made(network, latent, box, periods, become, self.dtype, specks=self.specks)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
@@ -117,14 +123,15 @@ class GanModel(WindowModel):
     def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.loading import tile_bytes
-        from trabecula.synth.gan.window import CELLS
+        from trabecula.synth.gan.window import CELLS, more_cells
 
         weights = sum(array.nbytes for array in self.state["generator"].values())
+        edge = (CELLS + more_cells(self.specks)) * self.config.cell
         return {
             "interpreter and kernels": PROCESS,
             "exemplar": 2 * weights,
-            "network": thread_count() * tile_bytes(self.config, self.channels),
-            "tiles": thread_count() * 2 * (CELLS * self.config.cell) ** 3 * self.dtype.itemsize + _LATENT,
+            "network": thread_count() * tile_bytes(self.config, self.channels, self.specks),
+            "tiles": thread_count() * 3 * edge**3 * self.dtype.itemsize + _LATENT,
         }
 
 

@@ -1,8 +1,9 @@
 """The networks. A module that imports torch: reached through `core.optional` alone.
 
 A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent that it needs beyond each
-side) and `latent` (channels), and makes with `cells` the voxels of the inner cells, whatever lies beyond the halo. A
-discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its layers on request.
+side), `tiles` (of noise that it is calibrated on) and `latent` (channels). Its `cells` makes the voxels of the inner cells,
+whatever lies beyond the halo. A discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its
+layers on request.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class Subpixel(nn.Module):
 
     cell = 8
     halo = 3
+    tiles = 256
 
     def __init__(self, latent: int, width: int, channels: int, *, smoothing: int, polish: int) -> None:
         super().__init__()
@@ -135,6 +137,7 @@ class Deconvolution(nn.Module):
 
     cell = 16
     halo = 3
+    tiles = 8
 
     def __init__(self, latent: int, width: int, channels: int, *, last: bool) -> None:
         super().__init__()

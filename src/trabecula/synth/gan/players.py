@@ -109,15 +109,13 @@ class Players:
     ) -> tuple[Tensor, dict[str, float]]:
         """What the maker minimises (equation 2), and its parts."""
         config = self.config
-        if not (config.gram or config.structural):
-            fooled = self.judge(seen)
-            relative = config.adversarial == "relativistic"
-            loss = losses.relativistic(fooled, verdicts) if relative else losses.standard(fooled, real=True)
-            return loss, {"maker": loss.item()}
-        if not isinstance(self.judge, Score):
+        plain = not (config.gram or config.structural)
+        if not plain and not isinstance(self.judge, Score):
             raise TypeError("the gram and the structural loss need the paper's discriminator")
-        features = self.judge.features(seen)
-        loss = losses.standard(self.judge.judged(features), real=True)
+        features = [] if plain else self.judge.features(seen)
+        fooled = self.judge(seen) if plain else self.judge.judged(features)
+        relative = config.adversarial == "relativistic"
+        loss = losses.relativistic(fooled, verdicts) if relative else losses.standard(fooled, real=True)
         told = {"maker": loss.item()}
         if config.gram:
             with torch.no_grad():

@@ -26,12 +26,14 @@ from trabecula.synth.gan.players import Players
 from trabecula.synth.gan.resume import kept, left
 from trabecula.synth.gan.watch import Folder
 
+TABLE, CHUNK = 16, 4
+"""Crops that hold the candidates of the structural loss, and how many of them at once."""
+
 _CHECK = 10  # iterations between two glances at whether it is alive
 _YOUNG = 0.1  # share of the training after the warm-up in which everything may still look alike
 _RESTARTS = 4
 _SLOWER = 0.5  # the rate after a restart, times the one before
 _LEAST = 0.02  # of the rate, at the end of its decay
-_TABLE, _CHUNK = 16, 4  # crops that hold the candidates of the structural loss, and how many of them at once
 _BETTER = 0.98  # an improvement is a figure below this much of the best
 
 
@@ -100,7 +102,7 @@ def trained(config: GanConfig, image: Image) -> dict[str, Any]:
 def _trained(config: GanConfig, image: Image, fields: Fields) -> dict[str, Any]:
     players = Players(config, len(fields.values), fields.values.device)
     if config.structural:
-        players.table = Table(fields.crops(min(_TABLE, 4 * config.batch), config.seed, 2**40), chunk=_CHUNK)
+        players.table = Table(fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40), chunk=CHUNK)
     looks = _Looks(config, image, fields.values.cpu())
     course = looks.resumed(players)
     good, looked, mark = (replace(course), players.state()), -1.0, time.monotonic()

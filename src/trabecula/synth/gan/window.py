@@ -3,6 +3,9 @@
 A tile's latent is a function of seed and place, its shape is always the same, and its network runs in one thread: so a
 voxel does not depend on the box, on other tiles or on the number of threads. (Networks give other last bits for other
 shapes, which is why a smaller box does not get a smaller tile.)
+
+Where specks are taken away, a tile is made with half a cell more on every side: no speck is so wide that a face could hide
+what it is joined to.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from trabecula.core.progress import track
 from trabecula.engine.blocks import Box
 from trabecula.engine.normals import normal_cells, quantiles
 from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.synth.gan.specks import without_specks
 
 CELLS = 8
 """Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes that are no multiple."""
@@ -31,6 +35,8 @@ def made(
     periods: tuple[int, ...],
     decode: Callable[[np.ndarray], np.ndarray],
     dtype: Any,
+    *,
+    specks: int = 0,
 ) -> np.ndarray:
     """The values of a box.
 
@@ -43,6 +49,8 @@ def made(
         Cells after which an axis repeats; 0 where it does not.
     decode : (K, Z, Y, X) float32 field -> (Z, Y, X) values
     dtype : of the values
+    specks : int
+        Edge of the pieces that are taken away, voxels; for labels alone.
     """
     values = np.empty([last - first for first, last in box], dtype)
     edge = CELLS * network.cell
@@ -56,16 +64,26 @@ def made(
             def work(start: int, stop: int, together: list[Any] = together) -> None:
                 for tile in together[start:stop]:
                     inside, target = _places(box, tile, edge)
-                    values[target] = decode(_tile(network, key, tile, periods)[(slice(None), *inside)])
+                    field = _tile(network, key, tile, periods, more_cells(specks))
+                    if specks:
+                        beyond = (slice(network.cell // 2, network.cell // 2 + edge),) * 3
+                        values[target] = without_specks(decode(field), specks)[beyond][inside]
+                    else:
+                        values[target] = decode(field[(slice(None), *inside)])
 
             for_slabs(work, len(together), least=1)
     return values
 
 
-def _tile(network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...]) -> np.ndarray:
-    """The field of a tile of the grid, (K, Z, Y, X) float32."""
+def more_cells(specks: int) -> int:
+    """Cells that a tile has beyond its own."""
+    return 1 if specks else 0
+
+
+def _tile(network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...], more: int) -> np.ndarray:
+    """The field of a tile of the grid, (K, Z, Y, X) float32, and of `more` cells after it."""
     halo = network.halo
-    latent = np.empty((network.latent, *(CELLS + 2 * halo,) * 3), np.float32)
+    latent = np.empty((network.latent, *(CELLS + more + 2 * halo,) * 3), np.float32)
     corner = np.array([CELLS * place - halo for place in tile], np.int64)
     normal_cells(latent, key, corner, np.array(periods, np.int64), quantiles())
     weight = next(network.parameters())

@@ -1,0 +1,116 @@
+"""Table 1 of the paper on what trains on a processor: the losses that the judge's features offer, at equal processor time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+import trabecula as tb
+from common import busy, pictures, table, tell
+from gan import exemplar
+from trabecula.core.errors import TrainingError
+from trabecula.synth.gan.config import GanConfig
+from trabecula.view.slices import montage
+
+LEARNT = 100
+"""Edge of the exemplar, voxels, as the paper's: a corner of the scan."""
+
+SIDE = 96
+"""Edge of what is made, and of the other corners of the scan, which share no voxel with the exemplar."""
+
+SAMPLES = 5
+_TURNS = 10
+
+_SCORE: dict[str, Any] = {"discriminator": "score", "sliced": 0.0, "crop": 32, "batch": 4, "specks": 0}
+
+VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
+    "adversarial only": (_SCORE, "1.51 5.95 40/17"),
+    "PatchGAN": ({**_SCORE, "discriminator": "patch"}, "1.49 5.83 30/23"),
+    "+ gram": ({**_SCORE, "gram": 0.1}, "1.16 5.79 26/19"),
+    "+ structural": ({**_SCORE, "structural": 1.0}, "0.71 3.27 8/5"),
+    "all": ({**_SCORE, "gram": 0.1, "structural": 1.0}, "0.59 3.05 6/3"),
+}
+"""Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in percent, D2 (not of this
+package's scale), components / floating. The paper's judges at width 16; generator, warm-up, relativistic loss and schedule of
+`compact`, crops of 32^3, and no sliced distributions after the warm-up."""
+
+_FIGURES = (
+    "porosity_error",
+    "two_point_distance",
+    "two_point_relative",
+    "components",
+    "largest_fraction",
+    "specific_surface",
+    "euler_density",
+)
+
+
+def ablation() -> None:
+    """Table 1 of the paper at compact width, bone and Berea: TRABECULA_BENCH_ITERATIONS (1000), or fewer of what is dearer."""
+    most = int(os.environ.get("TRABECULA_BENCH_ITERATIONS", "1000"))
+    for name in ("bone", "berea"):
+        scan = exemplar(name)
+        if scan is None:
+            continue
+        learnt = tb.crop(scan, LEARNT, corner=(0, 0, 0))
+        costs = _costs(learnt)
+        row = table(name, "ms an iter.", "iterations", *_FIGURES, "paper's bone", wide=18)
+        last = min(scan.shape) - SIDE
+        corners = [corner for corner in product((0, last), repeat=3) if any(corner)]
+        row("scan elsewhere", "", "", *_means(learnt, [tb.crop(scan, SIDE, corner=corner) for corner in corners]), "")
+        shown = {"exemplar": tb.crop(learnt, SIDE)}
+        for (variant, (settings, paper)), cost in zip(VARIANTS.items(), costs, strict=True):
+            iterations = round(most * min(costs) / cost)
+            try:
+                model = tb.method("gan", minutes=0, iterations=iterations, looks=4, device="cpu", **settings).fit(
+                    learnt
+                )
+            except TrainingError as error:
+                tell(variant, error)
+                continue
+            made = [model.generate(SIDE, seed=seed) for seed in range(SAMPLES)]
+            row(variant, f"{1000 * cost:.0f}", iterations, *_means(learnt, made), paper)
+            shown[variant] = made[0]
+            if folder := pictures():
+                montage(list(shown.values()), list(shown), folder / f"gan-ablation-{name}.png")
+
+
+def _costs(image: tb.Image) -> list[float]:
+    """Seconds of the processor that an iteration takes of each variant, warm-up included.
+
+    Taken in turns, so that what else the machine does slows all of them alike: equal time is then a number of iterations.
+    """
+    import torch
+
+    from trabecula.synth.gan.data import fields_of
+    from trabecula.synth.gan.perceptual import Table
+    from trabecula.synth.gan.players import Players
+    from trabecula.synth.gan.train import CHUNK, TABLE
+
+    configs = [GanConfig(**settings) for settings, _ in VARIANTS.values()]
+    fields = fields_of(image, configs[0])
+    players = [Players(config, 1, torch.device("cpu")) for config in configs]
+    for one in players:
+        one.table = Table(fields.crops(min(TABLE, 4 * one.config.batch), 0, 2**40), chunk=CHUNK)
+    draw = torch.Generator().manual_seed(0)
+    spent = np.zeros((2, len(players)))
+    for turn in range(2 + _TURNS):
+        real = fields.crops(configs[0].batch, 0, turn)
+        for number, one in enumerate(players):
+            warm, play = (
+                busy(lambda p=one, r=real: p.warm(r, draw)),
+                busy(lambda p=one, r=real, t=turn: p.play(r, draw, t, 0.1)),
+            )
+            if turn >= 2:
+                spent[:, number] += warm[0] / _TURNS, play[0] / _TURNS
+    share = configs[0].warmup
+    return list(share * spent[0].mean() + (1 - share) * spent[1])
+
+
+def _means(exemplar: tb.Image, images: Sequence[tb.Image]) -> list[str]:
+    certificates = tb.verify(exemplar, *images, level="quick")
+    return [f"{np.mean([float(one.metrics[key].value) for one in certificates]):.4g}" for key in _FIGURES]
