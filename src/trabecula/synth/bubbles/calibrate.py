@@ -41,7 +41,8 @@ _HELD, _LEAST_HELD = 30, 8_600_000  # bytes a voxel of a trial and its measures,
 _ROOM = 0.005  # porosity that has to be in reach beyond what is wanted
 _LEAST = 32  # voxels along an axis that a coarser exemplar keeps
 _LOOKS = 0.3  # share of the trials that look where to begin
-_ALIKE = 1.08  # longest over shortest intercept length from which a direction is preferred
+_WEIGHTS = {"anisotropy": 3.0}  # of the distances in their sum: a direction is seen long before it measures much
+_ALIKE = 1.15  # longest over shortest intercept length from which a direction is preferred
 _SCALES = {
     "size": Scale("size", -4.0, 4.0, 0.75),  # log2 of the first guess's density over what is tried
     "wall": Scale("wall", -7.0, -1.5, 0.5),  # log2 of the thickness over L
@@ -85,7 +86,7 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
     -------
     found : BubblesConfig
     report : dict
-        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their sum `total`), `checks`
+        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their weighted sum `total`), `checks`
         (the end's for seeds that the search has not seen), `trace` (the least total so far after every trial).
     """
     if not config.trials:
@@ -208,8 +209,8 @@ def bytes_of_search(shape: Sequence[int]) -> int:
 
 
 def total(parts: Mapping[str, float]) -> float:
-    """One distance of all."""
-    return round(sum(parts.values()), 6)
+    """One distance of all: their sum, some of them weighted."""
+    return round(sum(_WEIGHTS.get(name, 1.0) * value for name, value in parts.items()), 6)
 
 
 def moved(first: BubblesConfig, scales: list[Scale], point: Point) -> BubblesConfig:
