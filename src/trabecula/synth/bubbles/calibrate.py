@@ -86,8 +86,8 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
     -------
     found : BubblesConfig
     report : dict
-        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their weighted sum `total`), `checks`
-        (the end's for seeds that the search has not seen), `trace` (the least total so far after every trial).
+        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their weighted sum `total`),
+        `checks` (the end's for seeds that the search has not seen), `trace` (the least total so far after every trial).
     """
     if not config.trials:
         return config, {}
