@@ -79,6 +79,7 @@ class WindowModel(Model):
 
     def values_of(self, request: Request, box: Box) -> np.ndarray:
         """The values of a box of a request that has been checked."""
+        self._check_windows()
         values = self._box(request, box)
         if request.mask is not None:
             phases = self.facts[0].phases
@@ -88,6 +89,7 @@ class WindowModel(Model):
     def plan_block(self, request: Request, side: int) -> Plan:
         """Forecast of making the request in blocks of `side` voxels."""
         self._check_request(request)
+        self._check_windows()
         shape = tuple(min(side, length) for length in request.shape)
         block = part_bytes(request.shape, shape, self.dtype)
         levels = self._size(request) // 7  # an eighth, and an eighth of that, ...
@@ -110,6 +112,9 @@ class WindowModel(Model):
 
     def _size(self, request: Request) -> int:
         return self.dtype.itemsize * int(np.prod(request.shape, dtype=np.int64))
+
+    def _check_windows(self) -> None:
+        """Raise where the settings let no box be made alone; such a model fills in `_generate` as well."""
 
     @abstractmethod
     def _box(self, request: Request, box: Box) -> np.ndarray:

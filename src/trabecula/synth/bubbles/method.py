@@ -129,16 +129,6 @@ class BubblesModel(WindowModel):
             values[~request.mask] = void
         return values, {"rounds": made.rounds, "alive": made.alive}
 
-    def plan_block(self, request: Request, side: int) -> Plan:
-        """Forecast of making the request in blocks (see `WindowModel`)."""
-        self._check_windows()
-        return super().plan_block(request, side)
-
-    def values_of(self, request: Request, box: Box) -> np.ndarray:
-        """The values of a box (see `WindowModel`)."""
-        self._check_windows()
-        return super().values_of(request, box)
-
     def _check_windows(self) -> None:
         if self.found.growth == "particles":
             raise RequestError(

@@ -133,16 +133,6 @@ class NoiseModel(WindowModel):
         ranks = max(4 * voxels, 20 * voxels - plan.memory["field"]) if self.config.exact else 0
         return replace(plan, memory={**plan.memory, "output": voxels + ranks})
 
-    def plan_block(self, request: Request, side: int) -> Plan:
-        """Forecast of making the request in blocks (see `WindowModel`)."""
-        self._check_windows()
-        return super().plan_block(request, side)
-
-    def values_of(self, request: Request, box: Box) -> np.ndarray:
-        """The values of a box (see `WindowModel`)."""
-        self._check_windows()
-        return super().values_of(request, box)
-
     def _check_windows(self) -> None:
         if self.config.exact:
             raise RequestError(
