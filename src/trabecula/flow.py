@@ -7,7 +7,6 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -22,22 +21,20 @@ from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.io.lazy import slabs_if_large
 from trabecula.loading import load, load_fixed, load_like, load_mask, slabs_like_if_large, voxels_of
-from trabecula.making import Written, begun, check_same_run, finished, generate_to, part_of, plan_to
+from trabecula.making import generate_to, plan_to
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.slabs import export_slabs
 from trabecula.mesh.surface import mesh
-from trabecula.replay import asked, replay, rerun
+from trabecula.replay import replay, rerun
 from trabecula.report.certificate import verify
 from trabecula.report.metric import Certificate
 from trabecula.report.page import page
 from trabecula.report.page import write_page as page_to_file
+from trabecula.resuming import resume
 from trabecula.synth.registry import method
 from trabecula.view.slices import montage
 from trabecula.view.still import render
-
-if TYPE_CHECKING:
-    from trabecula.engine.cluster import Cluster
 
 __all__ = [
     "check_target",
@@ -56,41 +53,6 @@ __all__ = [
     "slabs_like_if_large",
     "voxels_of",
 ]
-
-
-def resume(
-    path: str | os.PathLike[str],
-    *,
-    memory: int | None = None,
-    cluster: Cluster | None = None,
-    **moved: Any,
-) -> Written:
-    """Go on with the run that was making a file when it was interrupted; of a file that is finished, tell what it is.
-
-    Parameters
-    ----------
-    path : path
-        The result, or the unfinished one beside it (rock.zarr or rock.zarr.part).
-    memory, cluster :
-        As of `generate_to`; they need not be those that the run began with.
-    **moved : path
-        Where the files that the run started from lie now, if they have moved: exemplar, mask, fixed, known, target, model, as
-        for `rerun`.
-
-    Raises
-    ------
-    FileError
-        There is nothing to go on from.
-    NotReproducedError
-        The exemplar, a part of the request or the versions are not those of the run.
-    """
-    target = Path(os.fspath(path).removesuffix(".part"))
-    if target.exists() and not part_of(target).exists():
-        return finished(target)
-    step = begun(target)
-    model, request = asked(step, folder=target.absolute().parent, **moved)
-    check_same_run(model, request, target, step)
-    return generate_to(model, request, target, memory=memory, cluster=cluster)
 
 
 def check_page(path: str | os.PathLike[str]) -> None:

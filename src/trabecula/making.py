@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from trabecula.core.errors import FileError, InputError, MemoryBudgetError, NotReproducedError, RequestError
-from trabecula.core.image import describe_fields, outline
-from trabecula.core.progress import say
-from trabecula.core.recipe import Recipe, versions
+from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
+from trabecula.core.image import outline
+from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Volume, stream
 from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.store import CHUNK, Unfinished, open_finished, open_unfinished
+from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
 from trabecula.engine.trial import seconds_of
 from trabecula.io import files
 from trabecula.io.formats import suffix_of
@@ -217,66 +216,6 @@ def _workers(cluster: Cluster | None, memory: int | None) -> Iterator[Workers | 
     budget = available_memory() if memory is None and cluster.workers is not None else memory
     with workers_of(cluster, memory=budget) as found:
         yield found
-
-
-def begun(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """What the run that left something beside `path` was asked for: the step of its recipe.
-
-    Raises
-    ------
-    FileError
-        There is nothing to go on from, or it does not tell.
-    """
-    part = part_of(path)
-    if part.is_dir():
-        left = open_unfinished(part)
-        steps = [] if left is None else left.fields.get("recipe", [])
-        if left is not None and steps:
-            return steps[-1]
-    elif part.exists():
-        step = checkpoint.begun(part)
-        if step is not None:
-            return step
-    else:
-        raise FileError(f"there is nothing to go on from: no run that makes {path} was interrupted (no {part.name})")
-    raise FileError(f"{part} does not tell what run left it: give the whole command again, or remove it")
-
-
-def finished(path: Path) -> Written:
-    """What lies at `path`, made by a run that has ended; of a store the voxels are not read.
-
-    Raises
-    ------
-    FileError
-        It was not made by `generate_to`.
-    """
-    if path.is_dir():
-        opened = open_finished(path)
-        fields, shape = dict(opened.fields), tuple(opened.array.shape)
-        recipe = Recipe.from_json(fields.get("recipe"))
-    else:
-        image = files.read(path)
-        fields, shape, recipe = dict(describe_fields(image)), image.shape, image.recipe
-    if not recipe or recipe.steps[-1]["verb"] != "generate":
-        raise FileError(f"{path} was not made by generate: there is nothing to go on with")
-    say(f"{path.name} is finished: there is nothing to go on with")
-    text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
-    return Written(path, shape, text, recipe)
-
-
-def check_same_run(model: Model, request: Request, path: str | os.PathLike[str], step: Mapping[str, Any]) -> None:
-    """Raise where what was left beside `path` is not of this model and request, which were made from its step."""
-    part = part_of(path)
-    left = open_unfinished(part) if part.is_dir() else None
-    identity = checkpoint.identity_in(part) if left is None else left.identity
-    if identity == model.identity(request):
-        return
-    have, had = versions(), dict(step.get("versions") or {})
-    differ = [f"{name} {number}, here {have.get(name)}" for name, number in had.items() if have.get(name) != number]
-    why = f"it was made with {', '.join(differ)}" if differ else "its exemplar or a part of its request is another now"
-    raise NotReproducedError(
-        f"{part.name} cannot be gone on with, its voxels might not fit: {why}; give what it began with, or remove it"
-    )
 
 
 def _left_by(model: WindowModel, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:

@@ -1,0 +1,118 @@
+"""Going on with a run that was interrupted, from what it left beside its result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trabecula.core.errors import FileError, NotReproducedError
+from trabecula.core.image import describe_fields, outline
+from trabecula.core.progress import say
+from trabecula.core.recipe import Recipe, versions
+from trabecula.core.request import Request
+from trabecula.engine import checkpoint
+from trabecula.engine.store import open_finished, open_unfinished
+from trabecula.io import files
+from trabecula.making import Written, generate_to, part_of
+from trabecula.replay import asked
+from trabecula.synth.base import Model
+
+if TYPE_CHECKING:
+    from trabecula.engine.cluster import Cluster
+
+
+def resume(
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    cluster: Cluster | None = None,
+    **moved: Any,
+) -> Written:
+    """Go on with the run that was making a file when it was interrupted; of a file that is finished, tell what it is.
+
+    Parameters
+    ----------
+    path : path
+        The result, or the unfinished one beside it (rock.zarr or rock.zarr.part).
+    memory, cluster :
+        As of `generate_to`; they need not be those that the run began with.
+    **moved : path
+        Where the files that the run started from lie now, if they have moved: exemplar, mask, fixed, known, target, model, as
+        for `rerun`.
+
+    Raises
+    ------
+    FileError
+        There is nothing to go on from.
+    NotReproducedError
+        The exemplar, a part of the request or the versions are not those of the run.
+    """
+    target = Path(os.fspath(path).removesuffix(".part"))
+    if target.exists() and not part_of(target).exists():
+        return _finished(target)
+    step = _begun(target)
+    model, request = asked(step, folder=target.absolute().parent, **moved)
+    _check_same_run(model, request, target, step)
+    return generate_to(model, request, target, memory=memory, cluster=cluster)
+
+
+def _begun(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """What the run that left something beside `path` was asked for: the step of its recipe.
+
+    Raises
+    ------
+    FileError
+        There is nothing to go on from, or it does not tell.
+    """
+    part = part_of(path)
+    if part.is_dir():
+        left = open_unfinished(part)
+        steps = [] if left is None else left.fields.get("recipe", [])
+        if left is not None and steps:
+            return steps[-1]
+    elif part.exists():
+        step = checkpoint.begun(part)
+        if step is not None:
+            return step
+    else:
+        raise FileError(f"there is nothing to go on from: no run that makes {path} was interrupted (no {part.name})")
+    raise FileError(f"{part} does not tell what run left it: give the whole command again, or remove it")
+
+
+def _finished(path: Path) -> Written:
+    """What lies at `path`, made by a run that has ended; of a store the voxels are not read.
+
+    Raises
+    ------
+    FileError
+        It was not made by `generate_to`.
+    """
+    if path.is_dir():
+        opened = open_finished(path)
+        fields, shape = dict(opened.fields), tuple(opened.array.shape)
+        recipe = Recipe.from_json(fields.get("recipe"))
+    else:
+        image = files.read(path)
+        fields, shape, recipe = dict(describe_fields(image)), image.shape, image.recipe
+    if not recipe or recipe.steps[-1]["verb"] != "generate":
+        raise FileError(f"{path} was not made by generate: there is nothing to go on with")
+    say(f"{path.name} is finished: there is nothing to go on with")
+    text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
+    return Written(path, shape, text, recipe)
+
+
+def _check_same_run(model: Model, request: Request, path: str | os.PathLike[str], step: Mapping[str, Any]) -> None:
+    """Raise where what was left beside `path` is not of this model and request, which were made from its step."""
+    part = part_of(path)
+    left = open_unfinished(part) if part.is_dir() else None
+    identity = checkpoint.identity_in(part) if left is None else left.identity
+    if identity == model.identity(request):
+        return
+    have, had = versions(), dict(step.get("versions") or {})
+    differ = [f"{name} {number}, here {have.get(name)}" for name, number in had.items() if have.get(name) != number]
+    why = f"it was made with {', '.join(differ)}" if differ else "its exemplar or a part of its request is another now"
+    raise NotReproducedError(
+        f"{part.name} cannot be gone on with, its voxels might not fit: {why}; give what it began with, or remove it"
+    )
