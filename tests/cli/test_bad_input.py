@@ -313,7 +313,7 @@ def test_thresholds(place, threshold, says):
         (("render", "scan.npy", "--out", "new.png", "--camera", "nan", "0"), "are finite"),
         (("render", "plane.npy", "--out", "new.png"), "a still needs a volume"),
         (("render", "scan.npy", "--out", "new.gif"), "unknown format '.gif'"),
-        (("render", "void.npy", "--out", "new.png", "--size", "64", "64", "--cut", "x"), "unknown cut 'x'"),
+        (("render", "void.npy", "--out", "new.png", "--size", "64", "64", "--cut", "w"), "unknown cut 'w'"),
         (("measure", "plane.npy", "--crop", "99"), "does not lie inside"),
         (("measure", "sample:bone", "--spacing", "2"), "comes with its spacing, unit and phases: give none"),
         (("rerun", "scan.npy"), "holds no recipe"),

@@ -14,6 +14,7 @@ BUILTINS = {
     "MissingExtraError": ImportError,
     "NotReproducedError": RuntimeError,
     "TrainingError": RuntimeError,
+    "ClusterError": ConnectionError,
 }
 
 

@@ -158,11 +158,12 @@ def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
     exemplar = np.random.default_rng(0).integers(0, 2, (40, 40, 40))
     model = tb.method("noise", reach=15, corrections=2, exact=exact).fit(exemplar)
     request = tb.Request((100, 75, 80), seed=1)
-    plan = model.plan(request)
-    tracemalloc.start()
-    model.generate(request)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    with tb.threads(1):  # what several hold at the same moment is up to chance, and the forecast counts all of it
+        plan = model.plan(request)
+        tracemalloc.start()
+        model.generate(request)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
     assert peak <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"] <= 1.5 * peak
 
 
