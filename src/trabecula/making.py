@@ -24,6 +24,7 @@ from trabecula.io.formats import suffix_of
 from trabecula.io.units import long_name
 from trabecula.synth.base import Model
 from trabecula.synth.shipped import Shipped
+from trabecula.synth.whole import Whole
 from trabecula.synth.windows import WindowModel
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def generate_to(
     memory: int | None = None,
     chunks: int | None = None,
     cluster: Cluster | None = None,
+    scratch: str | os.PathLike[str] | None = None,
 ) -> Written:
     """Make material into a file. A run that was interrupted goes on from what it left beside it.
 
@@ -89,8 +91,8 @@ def generate_to(
     model : Model
     request : Request
     path : path
-        The suffix chooses the format. Into a Zarr store a model of an unlimited material (a `WindowModel`) makes what does
-        not fit into the budget block by block: the same voxels, and only a block in memory.
+        The suffix chooses the format. Into a Zarr store goes what does not fit into the budget as well, with the same voxels: a
+        model of an unlimited material (a `WindowModel`) makes it block by block, another in scratch files.
     memory : int, optional
         Budget in bytes, of all workers together where there are any. Default: what the machine has available.
     chunks : int, optional
@@ -98,6 +100,8 @@ def generate_to(
         store's chunks. Default: blocks as large as fit, in chunks of 128.
     cluster : Cluster, optional
         Workers that make the blocks.
+    scratch : path, optional
+        Folder for scratch files. Default: that of the result.
 
     Raises
     ------
@@ -113,8 +117,9 @@ def generate_to(
     _check_in_blocks(model, path, chunks, cluster)
     with _workers(cluster, memory) as workers:
         cut = cut_for(model, request, path, memory=memory, chunks=chunks, workers=workers)
-        if cut is not None and isinstance(model, WindowModel):
-            return _streamed(model, request, Path(path), cut, workers)
+        if cut is not None:
+            place = None if scratch is None else Path(scratch)
+            return _streamed(model, request, Path(path), cut, workers, memory=memory, chunks=chunks, scratch=place)
     with checkpoint.kept_at(part_of(path)):
         material = model.generate(request, memory=memory)
         files.write(material, path)
@@ -132,7 +137,7 @@ def cut_for(
 ) -> Cut | None:
     """How a run cuts its volume; None where it makes everything at once. Arguments and errors as of `generate_to`."""
     plan = model.plan(request)
-    if not isinstance(model, WindowModel):
+    if not _goes_in_blocks(model):
         return None
     budget = available_memory() if memory is None else memory
     store = suffix_of(os.fspath(path)) == ".zarr"
@@ -145,6 +150,11 @@ def cut_for(
         )
         return None
     chunk = chunks or (CHUNK if left is None else left.chunk)
+    if not isinstance(model, WindowModel):
+        check_budget(
+            model.plan_spilled(request, budget), budget=budget, advice="use fewer --threads, ask for a smaller --shape"
+        )
+        return Cut(chunk, chunk)
     # Of what was begun no larger blocks, of which a part would be made again.
     most = chunk if chunks else model.block if left is None else left.block
     if workers is None:
@@ -180,7 +190,8 @@ def plan_to(
     _check_in_blocks(model, path, chunks, None)
     cut = cut_for(model, request, path, memory=memory, chunks=chunks) if os.fspath(path) else None
     if not isinstance(model, WindowModel):
-        return model.plan(request)
+        budget = available_memory() if memory is None else memory
+        return model.plan(request) if cut is None else model.plan_spilled(request, budget)
     plan = model.plan(request) if cut is None else model.plan_block(request, cut.side)
     if not trial:
         return plan
@@ -195,15 +206,24 @@ def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | N
     if chunks is None and cluster is None:
         return
     option = "--chunks" if cluster is None else "workers"
-    if not isinstance(model, WindowModel):
+    if not _goes_in_blocks(model):
+        what = "colour volumes" if model.spills else "volumes"
         raise InputError(
-            f"method {model.spec.name!r} makes a volume as a whole, {option} are for methods that make any box alone (window "
+            f"method {model.spec.name!r} makes {what} in memory, {option} are for what is made in blocks: leave them out"
+        )
+    if cluster is not None and not isinstance(model, WindowModel):
+        raise InputError(
+            f"method {model.spec.name!r} makes a volume as a whole, workers are for methods that make any box alone (window "
             "methods, see trabecula methods): leave them out"
         )
     if suffix_of(os.fspath(path)) != ".zarr":
         raise InputError(f"{option} are for what is made in blocks, into a .zarr: leave them out, or write a .zarr")
     if chunks is not None and (chunks % CHUNKS[0] or not CHUNKS[0] <= chunks <= CHUNKS[1]):
         raise InputError(f"--chunks {chunks} should be a multiple of {CHUNKS[0]} from {CHUNKS[0]} to {CHUNKS[1]}")
+
+
+def _goes_in_blocks(model: Model) -> bool:
+    return isinstance(model, WindowModel) or (model.spills and model.facts[0].kind != "colour")
 
 
 @contextmanager
@@ -218,25 +238,55 @@ def _workers(cluster: Cluster | None, memory: int | None) -> Iterator[Workers | 
         yield found
 
 
-def _left_by(model: WindowModel, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:
+def _left_by(model: Model, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:
     """What an interrupted run of the same request left, made in blocks."""
     part = part_of(path)
     left = open_unfinished(part) if part.is_dir() else None
     return left if left is not None and left.identity == model.identity(request) else None
 
 
-def _streamed(model: WindowModel, request: Request, path: Path, cut: Cut, workers: Workers | None) -> Written:
+def _streamed(
+    model: Model,
+    request: Request,
+    path: Path,
+    cut: Cut,
+    workers: Workers | None,
+    *,
+    memory: int | None,
+    chunks: int | None,
+    scratch: Path | None,
+) -> Written:
     fields = model.fields(request)
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
+    whole = None
+    if isinstance(model, WindowModel):
+        make = (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
+    else:
+        pages = model.plan_spilled(request, available_memory() if memory is None else memory).memory["pages"]
+        whole = Whole(model, request, _scratch_of(path, scratch), memory=pages, thickest=chunks)
+        make = whole.box
+
+    def recipe(sha256: str) -> Recipe:
+        return model.recipe(request, sha256, None if whole is None or not sha256 else whole.report)
+
     volume = Volume(
         shape=request.shape,
         dtype=model.dtype,
-        make=(lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request),
-        describe=lambda sha256: {**plain, "recipe": model.recipe(request, sha256).to_json()},
+        make=make,
+        describe=lambda sha256: {**plain, "recipe": recipe(sha256).to_json()},
         identity=model.identity(request),
         scale=fields["spacing"],
         unit=long_name(fields["unit"]),
         labels=fields["kind"] == "labels",
     )
     sha256 = stream(volume, path, part=part_of(path), side=cut.side, chunk=cut.chunk, hands=workers)
-    return Written(path, request.shape, outline(request.shape, **fields), model.recipe(request, sha256))
+    written = Written(path, request.shape, outline(request.shape, **fields), recipe(sha256))
+    if whole is not None:
+        whole.remove()
+    return written
+
+
+def _scratch_of(path: Path, folder: Path | None) -> Path:
+    """Where scratch files of a result go."""
+    name = Path(path).absolute().name + ".scratch"
+    return Path(path).absolute().with_name(name) if folder is None else folder / name

@@ -28,6 +28,7 @@ def resume(
     *,
     memory: int | None = None,
     cluster: Cluster | None = None,
+    scratch: str | os.PathLike[str] | None = None,
     **moved: Any,
 ) -> Written:
     """Go on with the run that was making a file when it was interrupted; of a file that is finished, tell what it is.
@@ -38,6 +39,8 @@ def resume(
         The result, or the unfinished one beside it (rock.zarr or rock.zarr.part).
     memory, cluster :
         As of `generate_to`; they need not be those that the run began with.
+    scratch : path, optional
+        As of `generate_to`: where the run began with one, what is made already lies there.
     **moved : path
         Where the files that the run started from lie now, if they have moved: exemplar, mask, fixed, known, target, model, as
         for `rerun`.
@@ -55,7 +58,7 @@ def resume(
     step = _begun(target)
     model, request = asked(step, folder=target.absolute().parent, **moved)
     _check_same_run(model, request, target, step)
-    return generate_to(model, request, target, memory=memory, cluster=cluster)
+    return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
 
 
 def _begun(path: str | os.PathLike[str]) -> Mapping[str, Any]:

@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers", type=int, metavar="N", help="make the blocks of a .zarr in N processes (needs the extra cluster)"
     )
     group.add_argument("--scheduler", metavar="ADDR", help="or on the Dask cluster of this scheduler: tcp://HOST:PORT")
+    group.add_argument(
+        "--scratch",
+        metavar="DIR",
+        help="folder for the scratch files of a .zarr that does not fit into memory (default: that of the .zarr)",
+    )
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
@@ -174,7 +179,7 @@ def _made(options: argparse.Namespace) -> Any:
     # What workers need is forecast when they are there and tell what they have.
     size = plan_to(model, job.request, options.out, **cut).disk if cluster is None else model.plan(job.request).disk
     check_target(options.out, size=size)
-    return generate_to(model, job.request, options.out, **cut, cluster=cluster)
+    return generate_to(model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch)
 
 
 _MOVED = ("exemplar", "mask", "fixed", "known", "model")
@@ -184,14 +189,15 @@ def _resumed(options: argparse.Namespace) -> Any:
     from trabecula.core.errors import InputError
     from trabecula.flow import resume
 
-    kept = {"resume", "memory", "threads", "workers", "scheduler", "json", *_MOVED}
+    kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}
     given = [name for name, value in vars(options).items() if name not in kept and value not in (None, [], 0)]
     if given:
         option = {"exemplars": "an EXEMPLAR", "halvings": "--level"}.get(given[0], f"--{given[0].replace('_', '-')}")
         hint = " (--exemplar tells where it lies now)" if given[0] == "exemplars" else ""
         raise InputError(f"{option} beside --resume: the unfinished run knows what was asked for; leave it out{hint}")
     moved = {name: getattr(options, name) for name in _MOVED}
-    return resume(options.resume, memory=options.memory, cluster=_cluster(options), **moved)
+    kept_in = {"memory": options.memory, "cluster": _cluster(options), "scratch": options.scratch}
+    return resume(options.resume, **kept_in, **moved)
 
 
 def _cluster(options: argparse.Namespace) -> Any:

@@ -31,6 +31,7 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.core.progress import say
 from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
+from trabecula.engine.arrays import packed, unpacked
 from trabecula.engine.files import replacing
 
 EVERY = 15.0
@@ -161,8 +162,7 @@ def resumed(stage: str) -> State | None:
         return None
     number, keeper.left = int(keeper.left["number"]), None
     try:
-        with np.load(keeper.path, allow_pickle=False) as stored:  # every member is checked against its CRC-32
-            arrays = {name.removeprefix(_PREFIX): stored[name] for name in stored.files if name.startswith(_PREFIX)}
+        arrays = unpacked(keeper.path, _PREFIX)
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         say(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
         return None
@@ -211,8 +211,8 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
 def _write(keeper: _Keeper, about: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
     members = {_PREFIX + name: np.asarray(array) for name, array in arrays.items()}
     members[_ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
-    with replacing(keeper.path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **members)  # type: ignore[arg-type]
+    with replacing(keeper.path) as temporary:
+        packed(temporary, members)
 
 
 def _left_by_the_same(keeper: _Keeper) -> dict[str, Any] | None:

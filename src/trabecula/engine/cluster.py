@@ -8,6 +8,7 @@ is not, since a worker looks there first.
 from __future__ import annotations
 
 import logging
+import pickle
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,7 +26,10 @@ from trabecula.core.recipe import versions
 from trabecula.engine import store
 from trabecula.engine.blocks import Volume, do
 from trabecula.engine.cuts import Box, Task
-from trabecula.engine.tiles import thread_count, threads
+from trabecula.engine.pickling import Places
+from trabecula.engine.tiles import one_blas_thread, thread_count, threads
+
+T = TypeVar("T")
 
 _WAIT = 10.0
 """Seconds for a scheduler to answer, and for its first worker to be there."""
@@ -77,7 +81,7 @@ class Workers:
     """
 
     def __init__(self, client: Any, *, each: int | None, memory: int | None) -> None:
-        self._client, self._each = client, each
+        self._client, self._each, self._places = client, each, Places()
         known = client.scheduler_info(n_workers=-1)["workers"].values()
         self.at_once = sum(worker["nthreads"] for worker in known)
         limits = [worker["memory_limit"] // worker["nthreads"] for worker in known if worker["memory_limit"]]
@@ -106,6 +110,23 @@ class Workers:
             self._client.cancel([future for future in getattr(waiting, "futures", ())])
             raise
 
+    def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
+        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files go by their places."""
+        from distributed import as_completed
+
+        futures = []
+        packed = self._client.submit(_kept, self._places.packed(work), pure=False)
+        for start, stop in bounds:
+            futures.append(self._client.submit(_worked, packed, start, stop, self._each, versions(), pure=False))
+        waiting = as_completed(futures, loop=self._client.loop)
+        del futures
+        try:
+            for future in waiting:
+                _check(future)
+        except BaseException:
+            self._client.cancel([future for future in getattr(waiting, "futures", ())])
+            raise
+
 
 @dataclass(frozen=True)
 class _Job:
@@ -116,19 +137,37 @@ class _Job:
     versions: dict[str, str]
 
 
-def _kept(make: Callable[[Box], np.ndarray]) -> Callable[[Box], np.ndarray]:
-    return make
+def _kept(sent: T) -> T:
+    return sent
+
+
+def _worked(packed: bytes, start: int, stop: int, each: int | None, wanted: dict[str, str]) -> None:
+    """In a worker: work on a slab of arrays in scratch files."""
+    _check_versions(wanted)
+    try:
+        work = pickle.loads(packed)
+    except FileNotFoundError as error:
+        raise ClusterError(
+            f"the worker on {platform.node()} does not see {error.filename}: choose a --scratch that all workers reach by the "
+            "same path"
+        ) from error
+    with threads(thread_count() if each is None else each), one_blas_thread():
+        work(start, stop)
+
+
+def _check_versions(wanted: dict[str, str]) -> None:
+    have = versions()
+    differ = [name for name in ("trabecula", "numpy") if have[name] != wanted[name]]
+    if differ:
+        raise ClusterError(
+            f"the worker on {platform.node()} has {differ[0]} {have[differ[0]]}, this process {wanted[differ[0]]}: "
+            "install the same on both, or their voxels may differ"
+        )
 
 
 def _done(task: Task, job: _Job, make: Callable[[Box], np.ndarray], before: Sequence[None]) -> None:
     """In a worker: make a box and write it."""
-    have = versions()
-    differ = [name for name in ("trabecula", "numpy") if have[name] != job.versions[name]]
-    if differ:
-        raise ClusterError(
-            f"the worker on {platform.node()} has {differ[0]} {have[differ[0]]}, this process {job.versions[differ[0]]}: "
-            "install the same on both, or their voxels may differ"
-        )
+    _check_versions(job.versions)
     opened = store.open_unfinished(Path(job.part))
     if opened is None or opened.identity != job.identity:
         raise ClusterError(

@@ -9,9 +9,13 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
 
 from trabecula.core.errors import InputError
+from trabecula.engine import scratch
+
+T = TypeVar("T")
 
 _threads: ContextVar[int | None] = ContextVar("trabecula_threads", default=None)
 
@@ -56,15 +60,52 @@ def one_blas_thread() -> AbstractContextManager[Any]:
     return _blas().limit(limits=1)
 
 
-def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8) -> None:
+def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8, anywhere: bool = False) -> None:
     """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
 
-    `work` must write nothing outside its slab and release the GIL. The slabs depend on the thread count; the result of
-    a kernel that honours the first sentence does not.
+    `work` must write nothing outside its slab and release the GIL. The slabs depend on the thread count, and where arrays lie
+    in scratch files on what may be resident of them; the result of a kernel that honours the first sentence does not.
+
+    With `anywhere` it may run in another process, and more than once: it can be pickled, writes nothing but its slab of arrays
+    that `scratch` gave, and reads none of what it writes.
     """
+    if anywhere and scratch.spread(work, length):
+        return
     count = min(thread_count(), max(1, length // least))
     with one_blas_thread():
-        _run(work, length, count, least)
+        _run(_by_thickness(work, length, count), length, count, least)
+
+
+def sum_slabs(work: Callable[[int, int], T], length: int, *, least: int = 8) -> T:
+    """The sum of `work(start, stop)` over slabs that cover `0..length` (at least 1), in as many threads as are in use.
+
+    Of whole numbers, or arrays of them, so that no order matters; `work` writes nothing that is not its own.
+    """
+    found: list[Any] = []
+    lock = Lock()
+
+    def add(start: int, stop: int) -> None:
+        part = work(start, stop)
+        with lock:
+            found[:] = [part if not found else found[0] + part]
+
+    for_slabs(add, length, least=least)
+    total: T = found[0]
+    return total
+
+
+def _by_thickness(work: Callable[[int, int], object], length: int, count: int) -> Callable[[int, int], object]:
+    """The same work in slabs as thick as arrays in scratch files allow, handing pages back after each."""
+    if not scratch.is_active():
+        return work
+
+    def bounded(start: int, stop: int) -> None:
+        thick = scratch.thickness(length, count)
+        for first in range(start, stop, thick):
+            work(first, min(first + thick, stop))
+            scratch.let_go()
+
+    return bounded
 
 
 def _run(work: Callable[[int, int], object], length: int, count: int, least: int) -> None:

@@ -37,11 +37,14 @@ class Model(ABC):
         What is known of the exemplars apart from their voxels; without any, of what is made (`facts.blank`).
     exemplars : tuple of Image
         The exemplars themselves; none where the method `learns` all that it needs of them.
+    spills : bool
+        Whether volumes that do not fit into memory are made in scratch files (`plan_spilled`).
     name : str, optional
         Of the file that it was saved to or loaded from, or of the shipped model.
     """
 
     spec: ClassVar[Spec]
+    spills: ClassVar[bool] = False
     name: str | None = None
 
     def __init__(self, config: Any, exemplars: Sequence[Image | Facts]) -> None:
@@ -107,12 +110,42 @@ class Model(ABC):
         """
         request = as_request(shape, seed, parts)
         check_budget(self.plan(request), budget=memory, advice=lambda limit: self._smaller(request, limit))
-        asked = {"step": lambda: Recipe().then_made("generate", "", **self._step(request, {})).to_json()[0]}
-        with checkpoint.running(self.spec.name, self._decisive(), request, self.exemplars, **asked):
-            made = self._generate(request)
-        values, report = made if isinstance(made, tuple) else (made, {})
+        values, report = self.made(request)
         recipe = Recipe().then("generate", values, **self._step(request, report))
         return Image(values, **self.fields(request), recipe=recipe)
+
+    def made(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """The values of a request that was checked, and what there is to tell of how they came to be (plain JSON); a run that
+        keeps its state goes on from it."""
+        asked = {"step": lambda: self.recipe(request, "").to_json()[0]}
+        with checkpoint.running(self.spec.name, self._decisive(), request, self.exemplars, **asked):
+            made = self._generate(request)
+        return made if isinstance(made, tuple) else (made, {})
+
+    def recipe(self, request: Request, sha256: str, report: Mapping[str, Any] | None = None) -> Recipe:
+        """The recipe of a result whose voxels have this digest."""
+        return Recipe().then_made("generate", sha256, **self._step(request, report or {}))
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the values."""
+        kind = self.facts[0].kind
+        return np.dtype(np.uint8) if kind == "labels" or not self.exemplars else self.exemplars[0].values.dtype
+
+    def plan_spilled(self, request: Request, memory: int) -> Plan:
+        """Forecast of making a request in scratch files within a budget of bytes, of a method that `spills`.
+
+        "pages" is what may be resident of the files.
+        """
+        whole, fixed = self.plan(request), dict(self._plan_spilled(request))
+        kept = sum(fixed.values())
+        files = max(0, whole.peak - kept)
+        return Plan({**fixed, "pages": max(0, min(memory - kept, files))}, disk=whole.disk * 8 // 7 + files)
+
+    def _plan_spilled(self, request: Request) -> Mapping[str, int]:
+        """Bytes needed in memory where arrays lie in scratch files: "interpreter and kernels", "exemplar", and "slab", what the
+        thinnest slabs take."""
+        raise NotImplementedError
 
     def _smaller(self, request: Request, budget: int) -> str:
         """Advice to one whose request is over the budget: what fits, where nothing in it is tied to its shape."""

@@ -29,11 +29,6 @@ class WindowModel(Model):
 
     block: ClassVar[int] = 128
 
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the values."""
-        return np.dtype(np.uint8)
-
     def window(
         self,
         shape: Request | int | Sequence[int],
@@ -95,9 +90,9 @@ class WindowModel(Model):
         levels = self._size(request) // 7  # an eighth, and an eighth of that, ...
         return Plan({**self._plan_box(request, shape), "block": block}, disk=self._size(request) + levels)
 
-    def recipe(self, request: Request, sha256: str) -> Recipe:
+    def recipe(self, request: Request, sha256: str, report: Mapping[str, Any] | None = None) -> Recipe:
         """The recipe of a result whose voxels have this digest."""
-        return Recipe().then_made("generate", sha256, **self._step(request, self._report()))
+        return super().recipe(request, sha256, self._report() if report is None else report)
 
     def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         return self.values_of(request, tuple((0, side) for side in request.shape)), self._report()

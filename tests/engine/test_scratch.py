@@ -1,0 +1,114 @@
+"""Arrays in scratch files: the same values, where they lie, and that they go."""
+
+import numpy as np
+import pytest
+
+from trabecula.engine import scratch
+from trabecula.engine.arrays import packed, unpacked
+from trabecula.engine.tiles import for_slabs, sum_slabs, threads
+
+
+@pytest.fixture
+def spilled(tmp_path):
+    with scratch.spilled(tmp_path / "s", memory=1 << 16, thickest=3):
+        yield tmp_path / "s"
+
+
+def test_outside_arrays_are_in_memory():
+    assert not scratch.is_active()
+    assert scratch.empty((3, 4), np.int16).base is None
+    assert not scratch.zeros((300, 400), np.int16).any()
+    assert scratch.thickness(40, 2) == 40
+
+
+def test_large_arrays_lie_in_files_and_go_with_them(spilled):
+    array = scratch.zeros((20, 30, 40), np.int16)
+    small = scratch.zeros(8, np.int16)
+    assert [file.stat().st_size for file in spilled.iterdir()] == [array.nbytes]
+    assert type(array) is np.ndarray and not array.any() and scratch.place_of(small) is None
+    part = array[3:9, ::2]
+    del array
+    part[...] = 7
+    scratch.let_go()
+    assert (part == 7).all()
+    del part
+    assert not list(spilled.iterdir())
+
+
+def test_a_view_is_opened_by_its_place(spilled):
+    array = scratch.empty((20, 30, 40), np.int16)
+    array[...] = np.arange(array.size).reshape(array.shape)
+    for view in (array, array[4:, 3], array[:, ::-1], np.moveaxis(array, 2, 0)[5:9]):
+        assert np.array_equal(scratch.opened(scratch.place_of(view)), view)
+    other = scratch.opened(scratch.place_of(array[2]))
+    other[...] = -1
+    assert (array[2] == -1).all() and (array[3] >= 0).all()
+
+
+def test_a_file_that_is_kept_stays(spilled, tmp_path):
+    array = scratch.empty((20, 30, 40), np.uint8)
+    array[...] = 5
+    place = scratch.kept(array, tmp_path / "values.raw")
+    del array
+    assert (scratch.opened(place) == 5).all() and not list(spilled.iterdir())
+    with pytest.raises(ValueError, match="scratch file"):
+        scratch.kept(np.zeros(4), tmp_path / "x")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_slabs_are_no_thicker_than_allowed_and_cover_everything(spilled, count):
+    array = scratch.zeros((50, 40, 40), np.uint8)
+    seen = []
+
+    def work(start, stop):
+        seen.append(stop - start)
+        array[start:stop] += 1
+
+    with threads(count):
+        for_slabs(work, 50)
+        assert max(seen) <= 3 and (array == 1).all()
+        assert sum_slabs(lambda a, b: int(array[a:b].sum()), 50) == array.size
+
+
+def test_slabs_are_a_share_of_all_arrays(tmp_path):
+    with scratch.spilled(tmp_path, memory=1 << 20):
+        kept = [scratch.empty((64, 256, 256), np.uint8) for _ in range(2)]
+        assert scratch.thickness(64, 1) == 64 // 8 and scratch.thickness(64, 2) == 64 // 16
+        assert scratch.thickness(1000, 1) == 125
+        del kept[0]
+        assert scratch.thickness(64, 1) == 64 // 4
+
+
+@pytest.mark.parametrize("many", [True, False])
+def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
+    monkeypatch.setattr("trabecula.engine.arrays._AT_ONCE", 700 if many else 1 << 24)
+    rng = np.random.default_rng(0)
+    given = {
+        "levels": rng.integers(0, 200, (9, 20, 30)).astype(np.uint8),
+        "votes": rng.integers(-9, 9, (2, 9, 20, 30)).astype(np.int16)[:, ::2],
+        "none": np.zeros((0, 3), np.float32),
+        "number": np.asarray(3.5),
+        "marks": rng.random((5, 40)) < 0.5,
+    }
+    packed(tmp_path / "state", given)
+    with np.load(tmp_path / "state") as stored:
+        assert sorted(stored.files) == sorted(given)
+        assert all(np.array_equal(stored[name], array) for name, array in given.items())
+    found = unpacked(tmp_path / "state")
+    with scratch.spilled(tmp_path / "s", memory=1 << 16):
+        inside = unpacked(tmp_path / "state", "v")
+        assert scratch.place_of(inside["otes"]) is not None
+        assert np.array_equal(inside["otes"], given["votes"])
+    assert list(found) == list(given)
+    for name, array in given.items():
+        assert found[name].dtype == array.dtype and np.array_equal(found[name], array)
+        found[name][...] = 0  # the caller's to write into
+
+
+def test_a_damaged_state_is_found_out(tmp_path):
+    packed(tmp_path / "state", {"levels": np.arange(5000)})
+    whole = bytearray((tmp_path / "state").read_bytes())
+    whole[3000] ^= 1
+    (tmp_path / "state").write_bytes(whole)
+    with pytest.raises(Exception, match="CRC"):
+        unpacked(tmp_path / "state")
