@@ -18,7 +18,7 @@ from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Volume, stream
 from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
-from trabecula.engine.trial import seconds_of
+from trabecula.engine.trial import seconds_of, seconds_of_whole
 from trabecula.io import files
 from trabecula.io.formats import suffix_of
 from trabecula.io.units import long_name
@@ -186,19 +186,23 @@ def plan_to(
     chunks: int | None = None,
     trial: bool = False,
 ) -> Plan:
-    """Forecast of `generate_to`; with `trial` of its seconds too, where the method makes boxes alone and one can be tried."""
+    """Forecast of `generate_to`; with `trial` of its seconds too, from volumes or boxes that are made for about a second."""
     _check_in_blocks(model, path, chunks, None)
     cut = cut_for(model, request, path, memory=memory, chunks=chunks) if os.fspath(path) else None
-    if not isinstance(model, WindowModel):
-        budget = available_memory() if memory is None else memory
-        return model.plan(request) if cut is None else model.plan_spilled(request, budget)
-    plan = model.plan(request) if cut is None else model.plan_block(request, cut.side)
-    if not trial:
-        return plan
-    side = model.block if cut is None else cut.side
-    with suppress(RequestError):  # settings with which no box can be made alone
-        return replace(plan, seconds=seconds_of(lambda box: model.values_of(request, box), request.shape, side))
-    return plan
+    if cut is None:
+        plan = model.plan(request)
+    elif isinstance(model, WindowModel):
+        plan = model.plan_block(request, cut.side)
+    else:
+        plan = model.plan_spilled(request, available_memory() if memory is None else memory)
+    seconds = None
+    with suppress(RequestError):  # settings with which no box can be made alone, no small volume
+        if trial and isinstance(model, WindowModel):
+            side = model.block if cut is None else cut.side
+            seconds = seconds_of(lambda box: model.values_of(request, box), request.shape, side)
+        elif trial and not request.is_tied:
+            seconds = seconds_of_whole(lambda shape: model.generate(replace(request, shape=shape)), request.shape)
+    return replace(plan, seconds=seconds)
 
 
 def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | None, cluster: Cluster | None) -> None:
@@ -210,11 +214,6 @@ def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | N
         what = "colour volumes" if model.spills else "volumes"
         raise InputError(
             f"method {model.spec.name!r} makes {what} in memory, {option} are for what is made in blocks: leave them out"
-        )
-    if cluster is not None and not isinstance(model, WindowModel):
-        raise InputError(
-            f"method {model.spec.name!r} makes a volume as a whole, workers are for methods that make any box alone (window "
-            "methods, see trabecula methods): leave them out"
         )
     if suffix_of(os.fspath(path)) != ".zarr":
         raise InputError(f"{option} are for what is made in blocks, into a .zarr: leave them out, or write a .zarr")
@@ -263,8 +262,10 @@ def _streamed(
         make = (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
     else:
         pages = model.plan_spilled(request, available_memory() if memory is None else memory).memory["pages"]
-        whole = Whole(model, request, _scratch_of(path, scratch), memory=pages, thickest=chunks)
-        make = whole.box
+        if workers is not None and workers.memory is not None:
+            pages = min(pages, workers.memory * workers.at_once)
+        whole = Whole(model, request, _scratch_of(path, scratch), memory=pages, thickest=chunks, hands=workers)
+        make, workers = whole.box, None
 
     def recipe(sha256: str) -> Recipe:
         return model.recipe(request, sha256, None if whole is None or not sha256 else whole.report)

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
-from trabecula.engine import store, tiles
+from trabecula.engine import checkpoint, scratch, store, tiles
 from trabecula.engine.plan import GIB
 from trabecula.errors import (
     FileError,
@@ -187,9 +188,8 @@ def test_a_repeating_window_goes_round(spec, model):
 
 
 def test_in_blocks_and_at_once_are_the_same(spec, model, material, tmp_path, monkeypatch):
-    if spec.scaling != "window":
-        pytest.skip(f"{spec.name} makes volumes as a whole")
     monkeypatch.setattr(store, "CHUNK", 16)
+    monkeypatch.setattr(scratch, "LEAST", 256)
     request = tb.Request(SHAPE, seed=5)
     at_once = generate_to(model, request, tmp_path / "whole.zarr")
     whole = tb.read(tmp_path / "whole.zarr")
@@ -206,6 +206,56 @@ def test_in_blocks_and_at_once_are_the_same(spec, model, material, tmp_path, mon
         assert in_blocks.text == at_once.text == repr(image)
         if side == 16:
             assert np.array_equal(tb.read(tmp_path / "blocks.zarr", level=1).values, coarse)
+        assert sorted(entry.name for entry in tmp_path.iterdir()) == ["blocks.zarr", "whole.zarr"]
+
+
+PARTS = {
+    "periodic": lambda exemplar: {"periodic": (True, False, True)},
+    "mask": lambda exemplar: {"mask": FORM},
+    "target": lambda exemplar: {"target": {"porosity": tb.measure.porosity(exemplar) + 0.02}},
+    "fixed": lambda exemplar: {
+        "fixed": tb.Image(np.broadcast_to(CORNER, SHAPE).astype(np.uint8), *described(exemplar)),
+        "known": np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 9, SHAPE).copy(),
+    },
+}
+CORNER = (np.add.outer(np.arange(30), np.arange(37)) // 5) % 2
+
+
+def described(exemplar):
+    return exemplar.kind, (exemplar.spacing[0],) * 3, exemplar.unit, exemplar.phases
+
+
+@pytest.mark.parametrize("part", sorted(PARTS))
+def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(spec, model, exemplar, part, tmp_path, monkeypatch):
+    if part not in spec.honours or spec.scaling == "window":
+        pytest.skip(f"{spec.name} has no such part, or its windows are tested with it")
+    monkeypatch.setattr(scratch, "LEAST", 256)
+    request = tb.Request(SHAPE, seed=5, **PARTS[part](exemplar))
+    made = generate_to(model, request, tmp_path / "blocks.zarr", chunks=16)
+    assert made.sha256 == digest(model.generate(request).values)
+
+
+def test_a_run_in_blocks_goes_on_where_it_stopped(spec, model, material, tmp_path, monkeypatch):
+    """Interrupted again and again, each time a little later, until it has ended."""
+    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+    request, path, stops, made = tb.Request(SHAPE, seed=5), tmp_path / "x.zarr", 0, None
+    while made is None:
+        calls = iter(range(7 + 5 * stops))
+
+        def interrupt(label, done, calls=calls):
+            if next(calls, None) is None:
+                raise KeyboardInterrupt
+
+        try:
+            with listen(interrupt):
+                made = generate_to(model, request, path, chunks=16)
+        except KeyboardInterrupt:
+            stops += 1
+    assert made.sha256 == material.recipe.steps[-1]["sha256"]
+    assert made.recipe.to_json() == material.recipe.to_json()
+    assert stops and [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
 
 
 def test_a_model_from_its_file_makes_the_same_voxels(spec, model, material, tmp_path):

@@ -5,7 +5,7 @@ from math import prod
 import pytest
 
 from trabecula.engine.cuts import boxes_of
-from trabecula.engine.trial import seconds_of
+from trabecula.engine.trial import seconds_of, seconds_of_whole
 
 
 class Maker:
@@ -57,3 +57,21 @@ def test_flat_volumes_and_pictures():
     for shape in ((1, 500, 500), (400, 300), (4, 4, 4)):
         maker = Maker(1e-7)
         assert maker.forecast(shape, 128) == pytest.approx(maker.truth(shape, 128), rel=0.01, abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1024,) * 3, (20, 700, 30), (60, 50, 40), (8, 8, 8)])
+@pytest.mark.parametrize(("cost", "always"), [(1e-7, 0.0), (2e-6, 0.3), (4e-5, 0.02)])
+def test_what_a_whole_takes_follows_from_smaller_ones(shape, cost, always):
+    """Of a maker that takes a constant beside a cost a voxel, and more at the first call."""
+    now, made = [0.0], []
+
+    def make(sides):
+        now[0] += always + cost * prod(sides) + (0 if made else 5)
+        made.append(prod(sides))
+
+    found = seconds_of_whole(make, shape, clock=lambda: now[0])
+    truth = always + cost * prod(shape)
+    # Half of the mean cost is the least that is believed of a further voxel, however much the constant hides.
+    assert found >= truth
+    assert found == pytest.approx(truth + 30e-9 * prod(shape), rel=0.01) or always / cost > max(made)
+    assert now[0] < 5 + 8 + 3 * cost * 36**3

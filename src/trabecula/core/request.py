@@ -101,6 +101,12 @@ class Request:
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
         return frozenset(name for name, asked in used.items() if asked)
 
+    @property
+    def is_tied(self) -> bool:
+        """Whether a part of it is tied to its shape: voxels or a field."""
+        fields = any(isinstance(value, np.ndarray) for value in self.target.values())
+        return fields or self.mask is not None or self.fixed is not None
+
     def to_json(self) -> dict[str, Any]:
         """What a result's recipe holds of the request: plain values, and of its arrays how they came to be."""
         plain: dict[str, Any] = {"shape": list(self.shape), "seed": self.seed, "periodic": list(self.periodic)}

@@ -13,6 +13,9 @@ from trabecula.engine.cuts import Box, boxes_of
 LEAST = 16
 """Edge of the first box that is timed, voxels."""
 
+_EDGES = (24, 36, 48, 72, 96, 144, 192, 288)
+"""Of the volumes that are timed where no box can be made alone, voxels."""
+
 _SECONDS = 1.0
 """After the second box the next is made where it is expected to take no longer than this."""
 
@@ -63,6 +66,47 @@ def seconds_of(
         edge = min(2 * edge, block)
     total = sum(_reckoned(timed, shape, box) for box in blocks)
     return once + total + _WRITTEN * prod(shape)
+
+
+def seconds_of_whole(
+    make: Callable[[tuple[int, ...]], object],
+    shape: Sequence[int],
+    *,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Seconds that making a volume as a whole takes on this machine, as it is now.
+
+    Parameters
+    ----------
+    make : shape -> anything
+        Makes a volume of any shape.
+    shape : sequence of int
+        Of the volume.
+    clock : function, optional
+        Gives seconds.
+
+    Notes
+    -----
+    Volumes of edge 24, 36, 48, 72, ... are timed, two at least, as long as the next one can be expected to take a second;
+    what a further voxel costs follows from the last two. Coarse levels that only large volumes have add little.
+    """
+    make(_cube(shape, _EDGES[0]))  # kernels are loaded, tables are made
+    timed: list[tuple[int, float]] = []
+    for edge in _EDGES:
+        sides = _cube(shape, edge)
+        start = clock()
+        make(sides)
+        timed.append((prod(sides), max(clock() - start, 1e-6)))
+        if sides == tuple(shape) or (len(timed) > 1 and 3 * timed[-1][1] > _SECONDS):
+            break
+    (voxels, seconds), more = timed[-1], timed[-1][1] / timed[-1][0]
+    if len(timed) > 1 and voxels > timed[-2][0]:
+        more = max((seconds - timed[-2][1]) / (voxels - timed[-2][0]), 0.5 * more)
+    return seconds + more * (prod(shape) - voxels) + _WRITTEN * prod(shape)
+
+
+def _cube(shape: Sequence[int], edge: int) -> tuple[int, ...]:
+    return tuple(min(edge, length) for length in shape)
 
 
 def _box(shape: Sequence[int], edge: int) -> Box:

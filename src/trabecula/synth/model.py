@@ -150,8 +150,7 @@ class Model(ABC):
     def _smaller(self, request: Request, budget: int) -> str:
         """Advice to one whose request is over the budget: what fits, where nothing in it is tied to its shape."""
         advice = "ask for a smaller --shape"
-        fields = [name for name, value in request.target.items() if isinstance(value, np.ndarray)]
-        if fields or request.mask is not None or request.fixed is not None:
+        if request.is_tied:
             return advice
         found = largest_within(request.shape, lambda shape: self._plan(replace(request, shape=shape)).peak, budget)
         return advice if found is None else f"{advice} ({' '.join(map(str, found))} fits)"

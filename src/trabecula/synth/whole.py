@@ -40,13 +40,22 @@ class Whole:
         Bytes that may be resident of the scratch files and of what is worked on.
     thickest : int, optional
         Planes that are worked on at once, at most.
+    hands : scratch.Hands, optional
+        Who does the work, where it is not this process alone.
     """
 
     def __init__(
-        self, model: Model, request: Request, folder: Path, *, memory: int, thickest: int | None = None
+        self,
+        model: Model,
+        request: Request,
+        folder: Path,
+        *,
+        memory: int,
+        thickest: int | None = None,
+        hands: scratch.Hands | None = None,
     ) -> None:
         self._model, self._request, self._folder = model, request, folder
-        self._memory, self._thickest = memory, thickest
+        self._spilled: dict[str, Any] = {"memory": memory // _FULL, "thickest": thickest, "hands": hands}
         self._made: tuple[scratch.Place, Mapping[str, Any]] | None = None
 
     @property
@@ -95,7 +104,7 @@ class Whole:
             for lost in self._folder.glob("*.raw"):  # of a run that was killed
                 lost.unlink()
             kept = checkpoint.kept_at(self._folder / "state")
-            with kept, scratch.spilled(self._folder, memory=self._memory // _FULL, thickest=self._thickest):
+            with kept, scratch.spilled(self._folder, **self._spilled):
                 values, report = self._model.made(self._request)
                 return self._kept(values, report), report
         except OSError as error:
