@@ -23,9 +23,11 @@ import numpy as np
 
 import trabecula as tb
 from common import table
+from trabecula.engine import checkpoint
 from trabecula.engine.blocks import boxes_of
 from trabecula.flow import resume
 from trabecula.making import generate_to, part_of
+from trabecula.synth.base import Model
 from trabecula.synth.registry import methods
 
 KILLS = 100
@@ -128,41 +130,61 @@ def big_blocks() -> None:
 
 
 def big_kills() -> None:
-    """A run of 27 blocks of 32 and what is coarser, killed at a random moment and gone on with: are the voxels the same?"""
-    with place() as folder:
-        np.save(folder / "scan.npy", tb.crop(tb.sample("bone"), 24).values)
-        model = tb.method("noise", reach=4, corrections=2).fit(tb.read(folder / "scan.npy"))
-        request, path = tb.Request(96, seed=1), folder / "x.zarr"
-        whole = model.generate(request).recipe.steps[-1]["sha256"]
+    """A run in blocks of 32, killed at a random moment and gone on with: are the voxels the same?
 
-        def begin() -> None:
-            generate_to(model, request, path, chunks=32)
+    `blocks there` is what of level 0 had been written by then. Methods that make a volume as a whole keep their state after every
+    round here; `states` is how many of the kills left one, or all voxels.
+    """
+    row = table("kills", "while running", "identical", "blocks there", "states", "left over", wide=12)
+    picture = tb.Image(tb.sample("bone").values[32], "labels", (0.04, 0.04), "mm", ("void", "solid"))
+    bone = tb.crop(tb.sample("bone"), 40)
+    asked = {
+        "noise": (tb.method("noise", reach=4, corrections=2), tb.crop(bone, 24), 96),
+        "texture": (tb.method("texture", preset="fast"), bone, 64),
+        "quilt": (tb.method("quilt", preset="fast"), bone, 64),
+        "kopf": (tb.method("kopf", preset="fast"), picture, 40),
+        "mrf": (tb.method("mrf", sweeps=(1, 2, 4)), picture, 40),
+    }
+    only = os.environ.get("TRABECULA_BENCH_METHODS", "").split(";")
+    for name, (method, exemplar, side) in asked.items():
+        if only != [""] and name not in only:
+            continue
+        with place() as folder:
+            tb.write(exemplar, folder / "scan.tif")
+            model = method.fit(tb.read(folder / "scan.tif"))
+            row(name, *_killed(model, tb.Request(side, seed=1), folder / "out" / "x.zarr"))
 
-        def go_on() -> None:
-            made = (
-                resume(path)
-                if part_of(path).exists() or path.exists()
-                else generate_to(model, request, path, chunks=32)
-            )
-            (folder / "sha256").write_text(made.sha256)
 
-        importlib.import_module("zarr")  # once, and not in every copy
-        start = time.perf_counter()
-        _child(begin)
-        longest = time.perf_counter() - start
+def _killed(model: Model, request: tb.Request, path: Path) -> list[object]:
+    """What is told of many kills of one run."""
+    whole = model.generate(request).recipe.steps[-1]["sha256"]
+
+    def begin() -> None:
+        checkpoint.EVERY = 0.0
+        generate_to(model, request, path, chunks=32)
+
+    def go_on() -> None:
+        left = part_of(path).exists() or path.exists()
+        made = resume(path) if left else generate_to(model, request, path, chunks=32)
+        (path.parent.parent / "sha256").write_text(made.sha256)
+
+    importlib.import_module("zarr")  # once, and not in every copy
+    start = time.perf_counter()
+    _child(begin)
+    longest = time.perf_counter() - start
+    _remove(path)
+    rng, same, caught, states, there = np.random.default_rng(0), 0, 0, 0, []
+    for _ in range(KILLS):
+        caught += _child(begin, kill_after=float(rng.uniform(0, longest)))
+        there.append(len([file for file in part_of(path).rglob("0/c/*/*/*") if not file.suffix]))
+        scratch = path.with_name(path.name + ".scratch")
+        states += (scratch / "state").exists() or (scratch / "made.json").exists()
+        _child(go_on)
+        same += (path.parent.parent / "sha256").read_text() == whole
         _remove(path)
-        rng, same, caught, there = np.random.default_rng(0), 0, 0, []
-        for _ in range(KILLS):
-            caught += _child(begin, kill_after=float(rng.uniform(0, longest)))
-            there.append(len([file for file in part_of(path).rglob("0/c/*/*/*") if not file.suffix]))
-            _child(go_on)
-            same += (folder / "sha256").read_text() == whole
-            _remove(path)
-        left = len(list(folder.iterdir())) - 2
-        row = table("kills", "while running", "identical", "blocks there", "left over", wide=8)
-        total = len(boxes_of(request.shape, 32))
-        spread = f"{min(there)} .. {max(there)} of {total}, mean {np.mean(there):.0f}"
-        row(KILLS, caught, same, spread, left)
+    left = len(list(path.parent.iterdir()))
+    spread = f"{min(there)} .. {max(there)} of {len(boxes_of(request.shape, 32))}"
+    return [KILLS, caught, same, spread, states, left]
 
 
 def big_workers() -> None:

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 
 import big
+import big_scaling
 import bubbles
 import bubbles_figures
 import bubbles_fit
@@ -92,6 +93,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_blocks": big.big_blocks,
     "big_kills": big.big_kills,
     "big_workers": big.big_workers,
+    "big_scaling": big_scaling.big_scaling,
     "view_still": view.view_still,
     "view_page": view.view_page,
     "measures": measures,
