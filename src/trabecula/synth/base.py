@@ -87,11 +87,24 @@ class Method(ABC):
         images = as_exemplars(exemplar)
         self._check_exemplars(images)
         check_budget(self.plan_fit(images), budget=memory, advice="learn from a smaller crop (--crop)")
-        named = [
-            image if image.recipe else with_values(image, image.values, recipe=Recipe().then("array", image.values))
-            for image in images
-        ]
-        return self._fit(named)
+        return self._fit([_named(image) for image in images])
+
+    def fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> Model:
+        """The model that `fit` made of the same exemplars, from what it had found in them (`Model.looked_up`).
+
+        Raises
+        ------
+        InputError
+            As `fit`.
+        ValueError, TypeError, LookupError
+            Something else than had been found.
+        """
+        self._check_exemplars(exemplars)
+        return self._fit_again([_named(image) for image in exemplars], found)
+
+    def _fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> Model:
+        """As `_fit`, of a method whose models tell what they `looked_up`."""
+        raise NotImplementedError
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         if len(images) > 1 and not self.spec.several:
@@ -156,6 +169,11 @@ class Method(ABC):
             Arrays or words that are not such a model's.
         """
         raise NotImplementedError
+
+
+def _named(image: Image) -> Image:
+    """An exemplar whose recipe names it, by its voxels at least."""
+    return image if image.recipe else with_values(image, image.values, recipe=Recipe().then("array", image.values))
 
 
 def as_exemplars(given: Any) -> list[Image]:

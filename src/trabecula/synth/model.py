@@ -56,6 +56,11 @@ class Model(ABC):
         """Arrays and plain JSON from which `Method.restored` makes the same model, of a method that `learns`."""
         raise NotImplementedError
 
+    def looked_up(self) -> Mapping[str, Any]:
+        """What fitting took long to find in the exemplars, plain JSON from which `Method.fit_again` makes the same model at once;
+        empty where learning them anew is as good."""
+        return {}
+
     @property
     def history(self) -> Mapping[str, Any]:
         """How the learning went, plain JSON: kept in the model's file, and no part of what the model is."""

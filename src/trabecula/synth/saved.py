@@ -6,6 +6,7 @@ A file is laid out as safetensors (engine.tensors) and holds one word, "trabecul
     method, settings
     exemplars   facts of each; its voxels are the array "exemplar.0" and so on, of a method that does not learn
     learned     plain JSON of a method that does; its arrays are "learned.NAME"
+    found       plain JSON of what one that does not took long to find in its exemplars
     history     plain JSON of how the learning went
     versions    of what wrote it
 
@@ -112,6 +113,8 @@ def encoded(model: Model, **more: Any) -> bytes:
         named = {f"{_LEARNED}{name}": array for name, array in arrays.items()}
     else:
         named = {f"{_VOXELS}{number}": image.values for number, image in enumerate(model.exemplars)}
+        found = dict(model.looked_up())
+        about.update({"found": found} if found else {})
     return tensors.encode(named, {_KEY: json.dumps({**about, **more}, sort_keys=True, allow_nan=False)})
 
 
@@ -154,14 +157,16 @@ def _opened(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, An
         chosen = method(name, **about["settings"])
         if known[name].learns:
             return chosen.restored(facts, _named(arrays, _LEARNED), about["learned"], history=dict(about["history"]))
-        return _fitted(chosen, facts, _named(arrays, _VOXELS))
+        return _fitted(chosen, facts, _named(arrays, _VOXELS), about.get("found"))
     except MissingExtraError:
         raise
     except InputError as error:
         raise FileError(f"cannot read {path} as a model: {error}") from error
 
 
-def _fitted(chosen: Method, facts: Sequence[Facts], voxels: Mapping[str, np.ndarray]) -> Model:
+def _fitted(
+    chosen: Method, facts: Sequence[Facts], voxels: Mapping[str, np.ndarray], found: Mapping[str, Any] | None
+) -> Model:
     if len(facts) == 1 and facts[0].blank:
         return chosen.fit(spacing=facts[0].spacing[0], unit=facts[0].unit)
     if sorted(voxels) != sorted(str(number) for number in range(len(facts))):
@@ -170,7 +175,7 @@ def _fitted(chosen: Method, facts: Sequence[Facts], voxels: Mapping[str, np.ndar
         Image(voxels[str(number)], one.kind, one.spacing, one.unit, one.phases, one.recipe)
         for number, one in enumerate(facts)
     ]
-    return chosen.fit(exemplars)
+    return chosen.fit(exemplars) if found is None else chosen.fit_again(exemplars, found)
 
 
 def _named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -162,3 +162,14 @@ def test_an_exemplar_with_bubbles_at_its_rim_alone_is_refused():
     rim[:6] = 0
     with pytest.raises(InputError, match="bubbles all over"):
         tb.method("bubbles").fit(rim)
+
+
+def test_a_file_tells_what_was_found(tmp_path, monkeypatch):
+    """Loading looks for nothing."""
+    model = tb.method("bubbles", trials=4).fit(tb.crop(tb.sample("bone"), 24))
+    model.save(tmp_path / "bone.model")
+    monkeypatch.setattr("trabecula.synth.bubbles.method.calibrated", None)
+    again = tb.load_model(tmp_path / "bone.model")
+    assert (again.found, again.report, again.sha256) == (model.found, model.report, model.sha256)
+    assert again.found != again.config
+    assert np.array_equal(again.generate(20, seed=3).values, model.generate(20, seed=3).values)

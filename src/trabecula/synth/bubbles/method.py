@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,9 @@ class Bubbles(Method):
         found, report = calibrated(self.config, exemplar, BubblesModel)
         return BubblesModel(self.config, exemplars, found, report)
 
+    def _fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> BubblesModel:
+        return BubblesModel(self.config, exemplars, BubblesConfig(**found["settings"]), found["report"])
+
 
 @dataclass
 class _Run:
@@ -101,6 +104,10 @@ class BubblesModel(WindowModel):
         self.found = config if found is None else found
         self.report = dict(report or {})
         self._last: _Run | None = None
+
+    def looked_up(self) -> Mapping[str, Any]:
+        """The settings that were found, and how."""
+        return {"settings": asdict(self.found), "report": self.report} if self.report else {}
 
     def _report(self) -> Mapping[str, Any]:
         return {"fit": self.report} if self.report else {}
