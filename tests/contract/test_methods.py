@@ -362,6 +362,23 @@ def test_the_forecast_of_memory_holds(name, spec, exemplar):
     assert arrays <= 1.5 * peak, "the forecast is far above what the run takes"
 
 
+def test_the_forecast_of_scratch_files_holds(name, spec, exemplar, tmp_path):
+    if spec.scaling == "window":
+        pytest.skip(f"{name} makes blocks alone")
+    model = fitted(spec, exemplar, preset="fast" if "fast" in spec.presets else None)
+    request = tb.Request((96, 88, 80), seed=1)
+    budget = model.plan_spilled(request, 0).peak + (8 << 20)
+    plan = model.plan_spilled(request, budget)
+    arrays = plan.peak - sum(plan.memory[part] for part in ("interpreter and kernels", "exemplar"))
+    generate_to(model, tb.Request((16, 16, 16), seed=1), tmp_path / "small.zarr", chunks=16)
+    tracemalloc.start()
+    generate_to(model, request, tmp_path / "x.zarr", memory=budget, chunks=32)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert plan.peak <= budget and plan.disk > np.prod(request.shape)
+    assert peak <= arrays, "what is in memory beside the files takes more than was forecast"
+
+
 def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
     if spec.learns:
         pytest.skip(f"{name} learns in memory that tracemalloc does not see; its own tests measure it")

@@ -12,8 +12,8 @@ import trabecula as tb
 from commands import refused, trabecula
 from trabecula.core.errors import ClusterError, InputError, MemoryBudgetError
 from trabecula.core.progress import listen
-from trabecula.engine import blocks
-from trabecula.engine.cluster import Cluster, workers_of
+from trabecula.engine import blocks, scratch
+from trabecula.engine.cluster import Cluster, Workers, workers_of
 from trabecula.engine.levels import halved
 from trabecula.making import generate_to, part_of
 
@@ -115,7 +115,7 @@ def test_workers_that_do_not_see_the_store_say_so(two, model, tmp_path, monkeypa
 
     def hidden(opened, side):
         tasks = real(opened, side)
-        opened.path.rename(opened.path.with_name("elsewhere"))
+        opened.place.path.rename(opened.place.path.with_name("elsewhere"))
         return tasks
 
     monkeypatch.setattr(blocks, "_to_do", hidden)
@@ -166,8 +166,48 @@ def test_the_command_with_a_worker_of_its_own(model, whole, tmp_path, monkeypatc
     words = ("generate", "--model", "scan.model", "--shape", *SHAPE, "--seed", 3, "--out", "x.zarr")
     assert trabecula(*words, "--chunks", 32, "--workers", 1).sha256 == whole.recipe.steps[-1]["sha256"]
     assert "into a .zarr" in refused(*words[:-1], "x.npy", "--workers", 1)
-    np.save("scan.npy", np.eye(24, dtype=np.uint8)[None].repeat(24, 0))
-    assert "makes a volume as a whole" in refused(
-        "generate", "scan.npy", "--shape", 9, "--out", "y.zarr", "--workers", 1
-    )
     assert "--workers 0" in refused(*words, "--workers", 0)
+
+
+WHOLE = {
+    "texture": ({"preset": "fast"}, (40, 33, 36)),
+    "quilt": ({"preset": "fast"}, (40, 33, 36)),
+    "kopf": ({"preset": "fast"}, (24, 20, 22)),
+    "chen": ({"preset": "fast"}, (24, 20, 22)),
+    "sliced": ({}, (24, 20, 22)),
+    "mrf": ({"sweeps": (1, 1, 2)}, (20, 16, 18)),
+}
+
+
+@pytest.mark.parametrize("name", sorted(WHOLE))
+def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypatch):
+    """The dear steps go to them, slab by slab; what was sent and what not makes no difference."""
+    settings, shape = WHOLE[name]
+    bone = tb.crop(tb.sample("bone"), 40)
+    picture = tb.Image(bone.values[20], "labels", bone.spacing[1:], bone.unit, bone.phases)
+    model = tb.method(name, **settings).fit(picture if tb.method(name).spec.exemplar == "2d" else bone)
+    monkeypatch.setattr(scratch, "LEAST", 256)
+    sent, real = [], Workers.spread
+    monkeypatch.setattr(Workers, "spread", lambda self, work, bounds: (sent.append(work), real(self, work, bounds)))
+    request = tb.Request(shape, seed=2)
+    made = generate_to(model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address))
+    assert made.sha256 == model.generate(request).recipe.steps[-1]["sha256"]
+    assert sent or name == "quilt", "quilt lays one piece after the other"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
+
+
+def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path):
+    model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 40))
+    with distributed.Client(two, set_as_default=False) as client:
+        victim = next(iter(client.run(os.getpid).values()))
+    killed = []
+
+    def kill(label, fraction):
+        if label.startswith("level") and fraction > 0.3 and not killed:
+            killed.append(victim)
+            os.kill(victim, signal.SIGKILL)
+
+    request = tb.Request((64, 50, 48), seed=2)
+    with listen(kill):
+        made = generate_to(model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address))
+    assert killed and made.sha256 == model.generate(request).recipe.steps[-1]["sha256"]

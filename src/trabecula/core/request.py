@@ -152,7 +152,9 @@ def check_exemplar(request: Request, exemplar: Image, *, spacing: Sequence[float
             "name the phases of both alike, in the same order (--phases)"
         )
     present = np.bincount(exemplar.values.ravel(), minlength=len(fixed.phases)) > 0
-    held = np.bincount(fixed.values[request.known]) > 0
+    held = np.zeros(256, np.bool_)
+    for values, known in zip(fixed.values, request.known, strict=True):  # plane by plane: no copy of the whole is made
+        held[values[known]] = True
     strange = [label for label in np.flatnonzero(held) if not present[label]]
     if strange:
         names = ", ".join(fixed.phases[label] for label in strange)

@@ -76,6 +76,11 @@ def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8
         _run(_by_thickness(work, length, count), length, count, least)
 
 
+def in_order(work: Callable[[int, int], object], length: int) -> None:
+    """Call `work(start, stop)` on slabs that cover `0..length` one after the other, the first one first."""
+    _by_thickness(work, length, 1)(0, length)
+
+
 def sum_slabs(work: Callable[[int, int], T], length: int, *, least: int = 8) -> T:
     """The sum of `work(start, stop)` over slabs that cover `0..length` (at least 1), in as many threads as are in use.
 
@@ -101,6 +106,9 @@ def _by_thickness(work: Callable[[int, int], object], length: int, count: int) -
 
     def bounded(start: int, stop: int) -> None:
         thick = scratch.thickness(length, count)
+        if thick >= length:  # all of them may stay
+            work(start, stop)
+            return
         for first in range(start, stop, thick):
             work(first, min(first + thick, stop))
             scratch.let_go()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.core.request import Request
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.quilt.learnt import Learnt
 from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.windows import Frame, anchored
@@ -16,10 +18,8 @@ def frame_for(learnt: Learnt, request: Request) -> Frame:
     wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
     start: tuple[int, ...] = (0, 0, 0)
     if request.fixed is not None or request.mask is not None:
-        to_make = np.ones(shape, np.bool_) if request.mask is None else request.mask.reshape(shape).copy()
-        if request.known is not None:
-            to_make &= ~request.known.reshape(shape)
-        start = anchored(shape, to_make, learnt.step, learnt.overlap if request.fixed is not None else 0)
+        lead = learnt.overlap if request.fixed is not None else 0
+        start = anchored(shape, _to_make(shape, request), learnt.step, lead)
     return Frame(shape, wraps, learnt.box, learnt.step, start)
 
 
@@ -31,10 +31,31 @@ def deep_shape(request: Request) -> tuple[int, int, int]:
 
 def canvas_for(shape: tuple[int, ...], request: Request) -> np.ndarray:
     """What there is from the start: measured voxels, and nothing outside the form."""
-    canvas = np.full(shape, EMPTY, np.uint8)
-    if request.fixed is not None and request.known is not None:
-        known = request.known.reshape(shape)
-        np.copyto(canvas, request.fixed.values.reshape(shape) + np.uint8(FIXED), where=known)
-    if request.mask is not None:
-        canvas[~request.mask.reshape(shape)] = OUT
+    canvas = scratch.empty(shape, np.uint8)
+    mask, known = (None if part is None else part.reshape(shape) for part in (request.mask, request.known))
+    fixed = None if request.fixed is None else request.fixed.values.reshape(shape)
+
+    def fill(first: int, last: int) -> None:
+        part, here = canvas[first:last], slice(first, last)
+        part[...] = EMPTY
+        if fixed is not None and known is not None:
+            np.add(fixed[here], np.uint8(FIXED), out=part, where=known[here])
+        if mask is not None:
+            np.copyto(part, np.uint8(OUT), where=~mask[here])
+
+    for_slabs(fill, shape[0])
     return canvas
+
+
+def _to_make(shape: tuple[int, ...], request: Request) -> list[np.ndarray]:
+    """Along every axis, (side,) bool: which layers have a voxel to make."""
+    mask, known = (None if part is None else part.reshape(shape) for part in (request.mask, request.known))
+    along = [np.zeros(side, np.bool_) for side in shape]
+    for z in range(shape[0]):
+        plane = np.ones(shape[1:], np.bool_) if mask is None else mask[z]
+        if known is not None:
+            plane = plane & ~known[z]
+        along[0][z] = plane.any()
+        along[1] |= plane.any(axis=1)
+        along[2] |= plane.any(axis=0)
+    return along

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from trabecula.measure.labelling import label_components
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.quilt.body_kernels import (
     ENDS,
     LINK,
@@ -25,7 +26,8 @@ from trabecula.synth.quilt.body_kernels import (
     led,
 )
 from trabecula.synth.quilt.marks import FIXED, OUT
-from trabecula.synth.quilt.part_kernels import first_ends, flooded, islands
+from trabecula.synth.quilt.part_kernels import first_ends, flooded, islands, largest, renumbered
+from trabecula.synth.quilt.parts import parts_of, slabs_of
 
 FINE, TORN, CLOSED = 0, 1, 2
 """Verdicts on a piece."""
@@ -61,36 +63,36 @@ class Bodies:
 
     def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
         self.classes = classes
-        self.of = np.zeros(canvas.shape, np.int32)
-        self.parent: np.ndarray = np.zeros(_MORE, np.int32)
-        self.ends: np.ndarray = np.zeros(_MORE, np.int64)
-        self.sizes: np.ndarray = np.zeros(_MORE, np.int64)
-        self.mark: np.ndarray = np.zeros(_MORE, np.int32)
+        self.of = scratch.zeros(canvas.shape, np.int32)
+        self.parent = scratch.zeros(_MORE, np.int32)
+        self.ends = scratch.zeros(_MORE, np.int64)
+        self.sizes = scratch.zeros(_MORE, np.int64)
+        self.mark = scratch.zeros(_MORE, np.int32)
         self.ends[0] = _ALWAYS
         self.count = 1
         self.alive = np.zeros((2, 3), np.int64)
         self.alive[0, VOID] = int(classes[OUT] == VOID)
-        if canvas.min() < OUT:
+        if any(canvas[first:last].min() < OUT for first, last in slabs_of(canvas.shape)):
             self._begin(canvas, wraps)
 
     def _begin(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
         """Bodies of what is there from the start; those without an end are nobody's business."""
         for kind in (SOLID, VOID):
-            inside = self.classes[canvas] == kind
-            if not inside.any():
-                continue
-            labels, sizes = label_components(inside, periodic=wraps)
+            member = self.classes == kind
+            part, sizes = parts_of(canvas, member, wraps, into=self.of)
             self.make_room(len(sizes))
-            mine = self.ends[self.count : self.count + len(sizes)]
-            out = np.zeros(len(sizes), np.bool_)
-            first_ends(canvas, labels, wraps, mine, out)
-            numbers = np.arange(self.count, self.count + len(sizes), dtype=np.int32)
+            used = slice(self.count, self.count + len(sizes))
+            ends, out = np.zeros(len(sizes), np.int64), np.zeros(len(sizes), np.bool_)
+            for first, last in slabs_of(canvas.shape):
+                first_ends(canvas, member, self.of, part, wraps, first, last, ends, out)
+            numbers = np.arange(used.start, used.stop, dtype=np.int32)
             if kind == VOID:
                 numbers[out] = 0
-            self.parent[self.count : self.count + len(sizes)] = numbers
-            self.sizes[self.count : self.count + len(sizes)] = sizes
-            self.alive[0, kind] += np.count_nonzero((mine > 0) & (numbers > 0))
-            self.of[inside] = numbers[labels[inside] - 1]
+            self.parent[used], self.sizes[used], self.ends[used] = numbers, sizes, ends
+            self.alive[0, kind] += np.count_nonzero((ends > 0) & (numbers > 0))
+            body = np.concatenate([np.zeros(1, np.int32), numbers])[part]
+            for first, last in slabs_of(canvas.shape):
+                renumbered(canvas[first:last], member, body, self.of[first:last])
             self.count += len(sizes)
 
     @property
@@ -122,26 +124,41 @@ class Bodies:
 
     def take_over(self, arrays: dict[str, np.ndarray]) -> None:
         """Take what `arrays` gave."""
-        self.of[:], self.alive[:], self.count = arrays["of"], arrays["alive"], 0
+        self.of, self.alive[:], self.count = arrays["of"], arrays["alive"], 0
         self.make_room(len(arrays["parent"]))
         self.count = len(arrays["parent"])
         for name in ("parent", "ends", "sizes"):
-            getattr(self, name)[: self.count] = arrays[name]
+            _copy(arrays[name], getattr(self, name))
 
     def islands(self, most: int) -> np.ndarray:
         """(count,) bool: numbers of bodies of at most so many voxels; the largest and what is out are none."""
-        found = np.zeros(self.count, np.bool_)
+        found, parent = scratch.zeros(self.count, np.bool_), self.parent[: self.count]
+        kept = 0
         # Of void all is out; of solid the largest is what the others should have joined.
-        islands(self.parent[: self.count], self.sizes, most, bool((self.classes == SOLID).any()), found)
+        if (self.classes == SOLID).any():
+            for first, last in slabs_of(parent.shape):
+                kept = int(largest(parent, self.sizes, first, last, kept))
+        for first, last in slabs_of(parent.shape):
+            islands(parent, self.sizes, most, kept, first, last, found)
         return found
 
     def make_room(self, more: int) -> None:
         """Let the book hold so many more bodies."""
         while self.count + more > len(self.parent):
-            self.parent = np.concatenate([self.parent, np.zeros_like(self.parent)])
-            self.ends = np.concatenate([self.ends, np.zeros_like(self.ends)])
-            self.sizes = np.concatenate([self.sizes, np.zeros_like(self.sizes)])
-            self.mark = np.zeros(len(self.parent), np.int32)
+            for name in ("parent", "ends", "sizes", "mark"):  # marks are 0 between judgements
+                before = getattr(self, name)
+                longer = scratch.zeros(2 * len(before), before.dtype)
+                _copy(before, longer)
+                setattr(self, name, longer)
+
+
+def _copy(table: np.ndarray, into: np.ndarray) -> None:
+    """Copy a table to the beginning of a longer one."""
+
+    def copy(first: int, last: int) -> None:
+        into[first:last] = table[first:last]
+
+    for_slabs(copy, len(table))
 
 
 class Judge:
@@ -181,9 +198,9 @@ class Judge:
 
     def enter(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, ...]:
         """Write a window into the book whatever the verdict, and its bodies into `of`; returns what `Bodies.restore` takes."""
-        bodies.make_room(new.size)
         if new is not self.new_seen or old is not self.old_seen:
             self.verdict(bodies, old, new, of)
+        bodies.make_room(self.count)
         seen = self.sight.seen
         before = bodies.page(seen[1 : 1 + seen[0]])
         bodies.count = int(entered(new, of, self.margin, bodies.classes, bodies.book, self.sight, bodies.count))

@@ -120,26 +120,7 @@ def max_flow(ways, from_source, to_sink, shape):
     path = np.empty(count, np.int32)
     total = 0
     while True:
-        level[:] = -1
-        head = tail = 0
-        for p in range(count):
-            if from_source[p] > 0:
-                level[p], queue[tail] = 0, p
-                tail += 1
-        reached = count
-        while head < tail:
-            p = queue[head]
-            head += 1
-            if level[p] >= reached:
-                continue
-            if to_sink[p] > 0:
-                reached = level[p]
-            for way in range(6):
-                if ways[p, way] > 0:
-                    q = p + jumps[way]
-                    if level[q] < 0:
-                        level[q], queue[tail] = level[p] + 1, q
-                        tail += 1
+        reached, tail = _levels(ways, from_source, to_sink, jumps, level, queue)
         if reached == count:
             break
         tried[:] = 0
@@ -148,40 +129,84 @@ def max_flow(ways, from_source, to_sink, shape):
             if level[root] > 0:
                 break
             while from_source[root] > 0:
-                path[0], length = root, 1
-                while length > 0:
-                    p = path[length - 1]
-                    if to_sink[p] > 0:
-                        break
-                    moved = False
-                    while tried[p] < 6:
-                        way = tried[p]
-                        if ways[p, way] > 0 and level[p + jumps[way]] == level[p] + 1 and level[p] < reached:
-                            path[length] = p + jumps[way]
-                            length += 1
-                            moved = True
-                            break
-                        tried[p] += 1
-                    if not moved:
-                        length -= 1
-                        if length > 0:
-                            tried[path[length - 1]] += 1
+                path[0] = root
+                length = _shortest(ways, to_sink, jumps, level, reached, tried, path)
                 if length == 0:
                     break
-                push = min(from_source[root], to_sink[path[length - 1]])
-                for k in range(length - 1):
-                    push = min(push, ways[path[k], tried[path[k]]])
-                for k in range(length - 1):
-                    p, way = path[k], tried[path[k]]
-                    ways[p, way] -= push
-                    ways[p + jumps[way], way ^ 1] += push
-                from_source[root] -= push
-                to_sink[path[length - 1]] -= push
-                total += push
+                total += _pushed(ways, from_source, to_sink, jumps, tried, path, length)
     for p in range(count):
         if level[p] >= 0:
             from_source[p] = -1
     return total
+
+
+@inline
+def _levels(ways, from_source, to_sink, jumps, level, queue):
+    """Steps from the source to every node, -1 where none lead: how many to the nearest with room to the sink (all nodes for
+    none), and how many nodes were found, in their order in `queue`."""
+    count = len(ways)
+    level[:] = -1
+    head = tail = 0
+    for p in range(count):
+        if from_source[p] > 0:
+            level[p], queue[tail] = 0, p
+            tail += 1
+    reached = count
+    while head < tail:
+        p = queue[head]
+        head += 1
+        if level[p] >= reached:
+            continue
+        if to_sink[p] > 0:
+            reached = level[p]
+        for way in range(6):
+            if ways[p, way] > 0:
+                q = p + jumps[way]
+                if level[q] < 0:
+                    level[q], queue[tail] = level[p] + 1, q
+                    tail += 1
+    return reached, tail
+
+
+@inline
+def _shortest(ways, to_sink, jumps, level, reached, tried, path):
+    """The nodes of a shortest way from path[0] to the sink, written into `path`: how many, or 0 for no way. What was tried
+    without success is not tried again."""
+    length = 1
+    while length > 0:
+        p = path[length - 1]
+        if to_sink[p] > 0:
+            break
+        moved = False
+        while tried[p] < 6:
+            way = tried[p]
+            if ways[p, way] > 0 and level[p + jumps[way]] == level[p] + 1 and level[p] < reached:
+                path[length] = p + jumps[way]
+                length += 1
+                moved = True
+                break
+            tried[p] += 1
+        if not moved:
+            length -= 1
+            if length > 0:
+                tried[path[length - 1]] += 1
+    return length
+
+
+@inline
+def _pushed(ways, from_source, to_sink, jumps, tried, path, length):
+    """Send along a way what it has room for, and say how much."""
+    root, end = path[0], path[length - 1]
+    push = min(from_source[root], to_sink[end])
+    for k in range(length - 1):
+        push = min(push, ways[path[k], tried[path[k]]])
+    for k in range(length - 1):
+        p, way = path[k], tried[path[k]]
+        ways[p, way] -= push
+        ways[p + jumps[way], way ^ 1] += push
+    from_source[root] -= push
+    to_sink[end] -= push
+    return push
 
 
 @kernel

@@ -75,9 +75,13 @@ def held_by(learnt: Learnt, name: str) -> tuple[float, float]:
 def asked_by(request: Request, name: str) -> tuple[float, float]:
     """Least and greatest value of a target, inside the mask."""
     values = np.asarray(request.target[name])
-    if request.mask is not None and values.ndim:
-        values = values[request.mask]
-    return float(values.min()), float(values.max())
+    if request.mask is None or not values.ndim:
+        return float(values.min()), float(values.max())
+    low, high = np.inf, -np.inf
+    for plane, mask in zip(values, request.mask, strict=True):  # one by one: no copy of the whole is made
+        kept = plane[mask]
+        low, high = min(low, float(kept.min(initial=np.inf))), max(high, float(kept.max(initial=-np.inf)))
+    return low, high
 
 
 def check_held(learnt: Learnt, request: Request, held: dict[str, tuple[float, float]]) -> None:

@@ -12,13 +12,15 @@ from trabecula.core.image import Image
 from trabecula.core.progress import say
 from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
-from trabecula.measure.labelling import label_components
+from trabecula.measure.runs import INSIDE
 from trabecula.synth.base import Method, Model
 from trabecula.synth.quilt import SPEC
 from trabecula.synth.quilt.begin import frame_for
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.forecast import Forecast, check_held, forecast_of
 from trabecula.synth.quilt.learnt import Learnt
+from trabecula.synth.quilt.needs import needs_of
+from trabecula.synth.quilt.parts import parts_of
 from trabecula.synth.quilt.run import Run
 from trabecula.synth.quilt.trace import Trace
 from trabecula.synth.quilt.words import planes_for
@@ -56,6 +58,7 @@ class QuiltModel(Model):
 
     spec = SPEC
     config: QuiltConfig
+    spills = True
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
@@ -104,23 +107,12 @@ class QuiltModel(Model):
         check_held(self.learnt, request, self._held)
 
     def _plan(self, request: Request) -> Plan:
-        voxels = int(np.prod(request.shape, dtype=np.int64))
-        followed = 4 if self.config.connected != "none" else 0
-        given = 16 if request.fixed is not None else 4 if request.mask is not None else 0
-        planes = planes_for(len(self.facts[0].phases))
-        images = self.learnt.images
-        candidates = sum(int(np.prod(counts)) for counts in self.learnt.counts)
-        named = len(request.target)
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "exemplar": sum(image.values.size for image in images) * (2 + 16 * planes),
-                "result": voxels * (1 + followed + given),
-                "candidates": candidates * (40 + 8 * named),
-                "windows": 160 * (self.patch + 8) ** self.facts[0].ndim,
-            },
-            disk=voxels,
-        )
+        kept = needs_of(self.learnt, self.config, request)
+        return Plan({"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels)
+
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        kept = needs_of(self.learnt, self.config, request)
+        return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 
     def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         values, trace = self.traced(request)
@@ -136,7 +128,9 @@ class QuiltModel(Model):
 
 def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:
     """Raise where the form is in pieces: what fills them cannot hang together."""
-    _, sizes = label_components(mask, periodic=periodic)
+    deep = mask.reshape((1,) * (3 - mask.ndim) + mask.shape)
+    wraps = (False,) * (3 - mask.ndim) + tuple(periodic)
+    _, sizes = parts_of(deep.view(np.uint8), INSIDE, wraps)
     if len(sizes) > 1:
         raise RequestError(
             f"the mask is {len(sizes)} separate pieces, which no solid can connect: fill them one by one, or ask for "

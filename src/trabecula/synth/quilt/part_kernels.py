@@ -15,27 +15,33 @@ def root_of(parent, body):
 
 
 @kernel
-def islands(parent, sizes, most, but_one, found):
-    """Mark bodies of up to `most` voxels, but the largest of all where `but_one`."""
-    largest = 0
-    for body in range(1, len(parent)):
-        if but_one and parent[body] == body and sizes[body] > sizes[largest]:
-            largest = body
-    for body in range(1, len(parent)):
-        root = root_of(parent, body)
-        found[body] = root > 0 and root != largest and sizes[root] <= most
+def largest(parent, sizes, first, last, found):
+    """The largest of the bodies first .. last - 1 and of `found`; of equals the first."""
+    for body in range(first, last):
+        if parent[body] == body and sizes[body] > sizes[found]:
+            found = body
+    return found
 
 
 @kernel
-def first_ends(canvas, labels, wraps, ends, out):
-    """Faces of every body towards voxels to make, and whether it touches a face of the volume or what is outside."""
+def islands(parent, sizes, most, kept, first, last, found):
+    """Mark the bodies first .. last - 1 that are of up to `most` voxels, but `kept`; 0 is none."""
+    for body in range(first, last):
+        root = root_of(parent, body)
+        found[body] = root > 0 and root != kept and sizes[root] <= most
+
+
+@kernel
+def first_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
+    """Of the layers first .. last - 1, faces of every part towards voxels to make, and whether it touches a face of the volume or
+    what is outside. `part`: what numbers stand for, from 1."""
     shape = canvas.shape
-    for z in range(shape[0]):
+    for z in range(first, last):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                k = labels[z, y, x] - 1
-                if k < 0:
+                if not member[canvas[z, y, x]]:
                     continue
+                k = part[numbers[z, y, x]] - 1
                 for axis in range(3):
                     for sign in (-1, 1):
                         at = [z, y, x]
@@ -48,6 +54,16 @@ def first_ends(canvas, labels, wraps, ends, out):
                             out[k] |= beside == OUT
                         else:
                             out[k] |= shape[axis] > 1
+
+
+@kernel
+def renumbered(canvas, member, body, numbers):
+    """Bodies instead of the numbers that stand for them."""
+    for z in range(canvas.shape[0]):
+        for y in range(canvas.shape[1]):
+            for x in range(canvas.shape[2]):
+                if member[canvas[z, y, x]]:
+                    numbers[z, y, x] = body[numbers[z, y, x]]
 
 
 @inline

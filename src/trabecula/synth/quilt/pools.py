@@ -17,6 +17,8 @@ SCALE = 65535
 """What a descriptor's whole range in the exemplars is, as a number."""
 WEIGHT = 1024
 """What the weights of all descriptors sum up to."""
+HELD = 6
+"""Times all candidates that pools hold together, about."""
 _AROUND = 2  # voxels around a good candidate
 _FAR = 8  # ranges beyond the exemplars' at which a target is taken as that far
 
@@ -109,6 +111,13 @@ class Pools:
         where, numbers = self.beside(np.repeat(at, len(self.moves)), np.tile(self.moves, (len(at), 1)))
         where, first = np.unique(where, return_index=True)
         return where, numbers[first]
+
+    def forget(self) -> None:
+        """Let go of the pools where together they hold many times all candidates, as those of a lattice do whose period is no
+        whole number; they are made again when they are asked for.
+        """
+        if sum(len(pool.at) for pool in self._made.values()) > HELD * self.before[-1]:
+            self._made.clear()
 
     def of(self, phase: tuple[int, ...]) -> Pool:
         """The pool of a phase."""

@@ -13,13 +13,14 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine import checkpoint
+from trabecula.engine import checkpoint, scratch
 from trabecula.synth.quilt.begin import canvas_for, frame_for
 from trabecula.synth.quilt.bodies import Bodies, classes_for
 from trabecula.synth.quilt.choose import Chooser, Piece, Place
 from trabecula.synth.quilt.config import QuiltConfig
+from trabecula.synth.quilt.end import painted_over, unmark
 from trabecula.synth.quilt.learnt import Learnt, void_of
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.marks import EMPTY, OUT
 from trabecula.synth.quilt.period import phase_key
 from trabecula.synth.quilt.places import Own, targets_at
 from trabecula.synth.quilt.pools import SCALE, WEIGHT, Descriptors, Pools
@@ -28,7 +29,7 @@ from trabecula.synth.quilt.trace import Trace
 from trabecula.synth.quilt.windows import box_of, near_empty
 from trabecula.synth.quilt.words import query_of
 
-_STAGE = "quilt"
+_STAGE = "quilt laid"
 
 
 @dataclass
@@ -50,6 +51,8 @@ class Run:
     ----------
     canvas : (Z, Y, X) uint8
         Labels; EMPTY, OUT and FIXED + label as `marks` says.
+    placed : int32, one entry a place
+        1 + where the piece begins in the stack; 0 where none lies.
     trace : Trace
     """
 
@@ -79,8 +82,8 @@ class Run:
             bool(self.target),
         )
         self.chooser = Chooser(learnt, config, ranker, self.bodies, self.frame.margin)
-        self.trace = Trace()
-        self.placed = np.full(int(np.prod(self.frame.counts)), -1, np.int32)
+        self.trace = Trace(self.frame)
+        self.placed = scratch.zeros(int(np.prod(self.frame.counts)), np.int32)
         self.log: deque[_Step] = deque(maxlen=max(1, config.backtrack))
         self.refused: dict[int, set[int]] = {}
         self.backs: dict[int, int] = {}
@@ -88,31 +91,29 @@ class Run:
     def made(self) -> np.ndarray:
         """Lay all pieces; returns the labels, uint8 (Z, Y, X)."""
         counts = self.frame.counts
-        layer = counts[1] * counts[2]
         for done in track(range(self._resumed(), counts[0]), "laying pieces"):
-            number = done * layer
-            while number < (done + 1) * layer:
-                number = self._step(number)
-            for memory in (self.log, self.refused, self.backs):
-                memory.clear()
+            self._lay_layer(done)
             if checkpoint.due():
                 checkpoint.offer(
                     _STAGE, done + 1, canvas=self.canvas, placed=self.placed, **self._book(), **self.trace.arrays()
                 )
         if self.bodies is not None:
-            self._paint_over(self.bodies)
-        for values in self.canvas:
-            values[values == OUT] = self.void
-        self.canvas &= FIXED - 1
+            island = self.chooser.judge.island
+            self.trace.painted = painted_over(self.canvas, self.bodies, self.chooser.struts, island)
+        unmark(self.canvas, self.void)
         return self.canvas
 
-    def _paint_over(self, bodies: Bodies) -> None:
-        """Islands of solid become void, and void that is closed in the solid that there is most of."""
-        islands, struts = bodies.islands(self.chooser.judge.island), self.chooser.struts
-        for layer, of in zip(self.canvas, bodies.of, strict=True):
-            lost = islands[of] & (layer < FIXED) & (bodies.classes[layer] > 0)
-            self.trace.painted += int(np.count_nonzero(lost))
-            layer[lost] = np.where(layer[lost] == struts.void, np.uint8(struts.solid), np.uint8(struts.void))
+    def _lay_layer(self, layer: int) -> None:
+        """Lay the pieces of one layer of places; none is taken back later."""
+        _, rows, places = self.frame.counts
+        number, end = layer * rows * places, (layer + 1) * rows * places
+        while number < end:
+            number = self._step(number)
+            if number % places == 0:
+                scratch.let_go()
+                self.pools.forget()
+        for memory in (self.log, self.refused, self.backs):
+            memory.clear()
 
     def _step(self, number: int) -> int:
         """Lay the piece of a place, or take one back; returns the place to go on with."""
@@ -130,7 +131,7 @@ class Run:
         self._lay(place, corner, piece)
         share = piece.mismatch / place.query.voxels if place.query.voxels else float("nan")
         off = piece.difference / (SCALE * WEIGHT) if self.target else float("nan")
-        self.trace.add(corner, share, off, tried, piece.strut, piece.why)
+        self.trace.add(number, share, off, tried, piece.strut, piece.why)
         return number + 1
 
     def _place(self, number: int, corner: tuple[int, ...]) -> Place | None:
@@ -164,8 +165,8 @@ class Run:
         by = int(np.prod(self.frame.counts))
         for axis, count in enumerate(self.frame.counts):
             by //= count
-            if place[axis] > 0 and self.placed[number - by] >= 0:
-                at.append(self.placed[number - by])
+            if place[axis] > 0 and self.placed[number - by] > 0:
+                at.append(self.placed[number - by] - 1)
                 away.append([self.frame.step[axis] if other == axis else 0 for other in range(3)])
         return np.array(at, np.int64), np.array(away, np.int64).reshape(-1, 3)
 
@@ -178,7 +179,7 @@ class Run:
             book = self.chooser.judge.enter(self.bodies, place.old, piece.window, place.of)
             self.frame.put_back(self.bodies.of, corner, place.of)
         self.frame.put_back(self.canvas, corner, piece.window)
-        self.placed[place.number] = piece.at
+        self.placed[place.number] = piece.at + 1
         self.log.append(_Step(place.number, piece.at, corner, place.old, of, book))
 
     def _taken_back(self) -> int:
@@ -189,7 +190,7 @@ class Run:
             self.frame.put_back(self.bodies.of, step.corner, step.of)
             self.bodies.restore(step.book)
         self.refused.setdefault(step.place, set()).add(step.at)
-        self.trace.drop()
+        self.trace.drop(step.place)
         return step.place
 
     def _book(self) -> dict[str, np.ndarray]:
@@ -199,8 +200,8 @@ class Run:
         state = checkpoint.resumed(_STAGE)
         if state is None:
             return 0
-        self.canvas[:], self.placed[:] = state.arrays["canvas"], state.arrays["placed"]
-        self.trace = Trace.from_arrays(state.arrays)
+        self.canvas, self.placed = state.arrays["canvas"], state.arrays["placed"]
+        self.trace.take_over(state.arrays)
         if self.bodies is not None:
             self.bodies.take_over(state.arrays)
         return state.number

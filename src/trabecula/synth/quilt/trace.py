@@ -2,107 +2,130 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from trabecula.engine import scratch
+from trabecula.synth.quilt.windows import Frame
+
 _WORST = 5
 
+REASONS = ("", "connectivity", "feature size")
+"""What no piece could keep; `Trace.gave_way` has the position."""
 
-@dataclass
+
 class Trace:
-    """One entry per place, in the order of places.
+    """What happened at every place.
 
     Attributes
     ----------
-    corner : list of three ints
-        First voxel of its box.
-    mismatch : list of float
+    frame : Frame
+        Where places are: entry (k, j, i) is the k-th along z, and so on.
+    mismatch : float array, one entry per place along z, y, x
         Share of the overlap's voxels that differ from the piece chosen: d_N, 0 .. 1; NaN without an overlap.
-    difference : list of float
+    difference : float array, the same
         Weighted difference of the piece's descriptors from the target, each over its range in the exemplars: d_D; NaN where
         nothing is asked for.
-    tried : list of int
-        Pieces that were laid down and judged.
-    strut : list of int
+    tried : int32 array, the same
+        Pieces that were laid down and judged; 0 where nothing was to be made.
+    strut : int32 array, the same
         Voxels of struts, that were laid where no piece could keep what is to hang together.
-    gave_way : list of str
-        "" or what no piece could keep: "connectivity" or "feature size".
+    gave_way : uint8 array, the same
+        What no piece could keep, as its position in `REASONS`.
     taken_back : int
         Pieces that were laid and taken back.
     painted : int
         Voxels of islands that were painted over in the end.
     """
 
-    corner: list[tuple[int, ...]] = field(default_factory=list)
-    mismatch: list[float] = field(default_factory=list)
-    difference: list[float] = field(default_factory=list)
-    tried: list[int] = field(default_factory=list)
-    strut: list[int] = field(default_factory=list)
-    gave_way: list[str] = field(default_factory=list)
-    taken_back: int = 0
-    painted: int = 0
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.mismatch = scratch.empty(frame.counts, np.float64)
+        self.difference = scratch.empty(frame.counts, np.float64)
+        self.tried = scratch.zeros(frame.counts, np.int32)
+        self.strut = scratch.zeros(frame.counts, np.int32)
+        self.gave_way = scratch.zeros(frame.counts, np.uint8)
+        for values in (self.mismatch, self.difference):
+            for layer in _layers(values):
+                layer[...] = np.nan
+        self.taken_back = self.painted = 0
 
-    def add(
-        self, corner: tuple[int, ...], mismatch: float, difference: float, tried: int, strut: int, gave_way: str
-    ) -> None:
-        """One more place."""
-        self.corner.append(corner)
-        self.mismatch.append(mismatch)
-        self.difference.append(difference)
-        self.tried.append(tried)
-        self.strut.append(strut)
-        self.gave_way.append(gave_way)
+    def add(self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str) -> None:
+        """What happened at a place."""
+        at = np.unravel_index(number, self.frame.counts)
+        self.mismatch[at], self.difference[at] = mismatch, difference
+        self.tried[at], self.strut[at], self.gave_way[at] = tried, strut, REASONS.index(gave_way)
 
-    def drop(self) -> None:
-        """Forget the last place: it is taken back."""
-        for entries in (self.corner, self.mismatch, self.difference, self.tried, self.strut, self.gave_way):
-            entries.pop()
+    def drop(self, number: int) -> None:
+        """Forget a place: its piece is taken back."""
+        self.add(number, math.nan, math.nan, 0, 0, "")
         self.taken_back += 1
 
     def told(self) -> dict[str, Any]:
         """Means and maxima, and where it had to give way, as plain JSON."""
-        told: dict[str, Any] = {"places": len(self.corner), "taken_back": self.taken_back, "painted": self.painted}
-        for name, values in (("mismatch", self.mismatch), ("descriptors", self.difference)):
-            known = np.array([value for value in values if value == value])
-            if len(known):
-                told[name] = {"mean": _short(known.mean()), "max": _short(known.max())}
-        told["struts"] = sum(1 for voxels in self.strut if voxels)
-        told["strut_voxels"] = sum(self.strut)
-        given = [(corner, why) for corner, why in zip(self.corner, self.gave_way, strict=True) if why]
-        told["gave_way"] = len(given)
-        if given:
-            told["gave_way_at"] = [{"voxel": list(corner), "in": why} for corner, why in given[:_WORST]]
+        told: dict[str, Any] = {
+            "places": _count(self.tried),
+            "taken_back": self.taken_back,
+            "painted": self.painted,
+            **{name: summed for name, summed in self._distances() if summed},
+            "struts": _count(self.strut),
+            "strut_voxels": sum(int(layer.sum(dtype=np.int64)) for layer in _layers(self.strut)),
+            "gave_way": _count(self.gave_way),
+        }
+        if told["gave_way"]:
+            told["gave_way_at"] = list(self._first_given())
         return told
 
+    def _distances(self) -> tuple[tuple[str, dict[str, float]], ...]:
+        return (("mismatch", _summed(self.mismatch)), ("descriptors", _summed(self.difference)))
+
+    def _first_given(self) -> Iterator[dict[str, Any]]:
+        """The first places that gave way."""
+        left = _WORST
+        for z, layer in enumerate(_layers(self.gave_way)):
+            for at in np.argwhere(layer)[:left]:
+                number = int(np.ravel_multi_index((z, *at), self.frame.counts))
+                yield {"voxel": list(self.frame.corner(number)), "in": REASONS[layer[tuple(at)]]}
+                left -= 1
+            if not left:
+                return
+
     def arrays(self) -> dict[str, np.ndarray]:
-        """The entries as arrays, for a checkpoint."""
-        return {
-            "corner": np.array(self.corner, np.int64).reshape(-1, 3),
-            "mismatch": np.array(self.mismatch),
-            "difference": np.array(self.difference),
-            "tried": np.array(self.tried, np.int64),
-            "strut": np.array(self.strut, np.int64),
-            "gave_way": np.array([_REASONS.index(why) for why in self.gave_way], np.int64),
-            "taken_back": np.array(self.taken_back),
-        }
+        """All of it, for a checkpoint."""
+        held = {name: getattr(self, name) for name in ("mismatch", "difference", "tried", "strut", "gave_way")}
+        return {**held, "taken_back": np.array(self.taken_back)}
 
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Trace:
-        """What `arrays` gave."""
-        return cls(
-            [tuple(int(side) for side in corner) for corner in arrays["corner"]],
-            [float(value) for value in arrays["mismatch"]],
-            [float(value) for value in arrays["difference"]],
-            [int(count) for count in arrays["tried"]],
-            [int(count) for count in arrays["strut"]],
-            [_REASONS[int(why)] for why in arrays["gave_way"]],
-            int(arrays["taken_back"]),
-        )
+    def take_over(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take what `arrays` gave."""
+        for name in ("mismatch", "difference", "tried", "strut", "gave_way"):
+            setattr(self, name, arrays[name])
+        self.taken_back = int(arrays["taken_back"])
 
 
-_REASONS = ["", "connectivity", "feature size"]
+def _layers(values: np.ndarray) -> Iterator[np.ndarray]:
+    """Layer by layer, so that not all is in memory at once."""
+    for layer in values:
+        yield layer
+        scratch.let_go()
+
+
+def _count(values: np.ndarray) -> int:
+    """Entries that are not 0."""
+    return sum(int(np.count_nonzero(layer)) for layer in _layers(values))
+
+
+def _summed(values: np.ndarray) -> dict[str, float]:
+    """Mean and maximum of what is known; empty where nothing is."""
+    sums, most, count = [], -math.inf, 0
+    for layer in _layers(values):
+        known = layer[~np.isnan(layer)]
+        sums.append(float(known.sum()))
+        most = max(most, float(known.max(initial=-math.inf)))
+        count += len(known)
+    return {"mean": _short(math.fsum(sums) / count), "max": _short(most)} if count else {}
 
 
 def _short(value: float) -> float:

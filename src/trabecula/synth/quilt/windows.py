@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,12 +67,14 @@ class Frame:
         _put_back(canvas, corner, self.wraps, self.margin, window)
 
 
-def anchored(shape: tuple[int, ...], to_make: np.ndarray, step: tuple[int, ...], lead: int) -> tuple[int, ...]:
-    """Starts (0 or before) of boxes that begin `lead` voxels before the first voxel to make, along every axis."""
+def anchored(
+    shape: tuple[int, ...], to_make: Sequence[np.ndarray], step: tuple[int, ...], lead: int
+) -> tuple[int, ...]:
+    """Starts (0 or before) of boxes that begin `lead` voxels before the first layer with voxels `to_make`, along every axis."""
     starts = []
-    for axis, (side, by) in enumerate(zip(shape, step, strict=True)):
-        used = np.flatnonzero(to_make.any(axis=tuple(a for a in range(to_make.ndim) if a != axis)))
-        first = 0 if side == 1 or used[0] == 0 else int(used[0]) - lead
+    for side, by, made in zip(shape, step, to_make, strict=True):
+        used = int(np.argmax(made))
+        first = 0 if side == 1 or used == 0 else used - lead
         starts.append(-(-first % by))
     return tuple(starts)
 
