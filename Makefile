@@ -6,7 +6,7 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test test-learn test-cluster check docs gallery bench wheel clean
+.PHONY: demo test test-learn test-cluster test-remote check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -19,6 +19,9 @@ test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTor
 
 test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need Dask, which `make test` skips where it is not installed
 	$(BIN)/python -m pytest tests/engine/test_cluster.py
+
+test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
+	$(BIN)/python -m pytest tests/remote tests/engine/test_locations.py
 
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
 	$(BIN)/ruff check src tests benchmarks docs
@@ -54,6 +57,10 @@ $(VENV)/learn.stamp: $(VENV)/base.stamp requirements/learn.txt
 
 $(VENV)/cluster.stamp: $(VENV)/base.stamp requirements/cluster.txt
 	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/cluster.txt
+	touch $@
+
+$(VENV)/remote.stamp: $(VENV)/base.stamp requirements/remote.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/remote.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 import big
 import big_scaling
+import big_whole
 import bubbles
 import bubbles_figures
 import bubbles_fit
@@ -94,6 +95,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_kills": big.big_kills,
     "big_workers": big.big_workers,
     "big_scaling": big_scaling.big_scaling,
+    "big_whole": big_whole.big_whole,
     "view_still": view.view_still,
     "view_page": view.view_page,
     "measures": measures,

@@ -15,11 +15,13 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import say
+from trabecula.engine.locations import Remote, is_address, located, place_of
 from trabecula.engine.slabs import Slabs
+from trabecula.engine.store import open_unfinished
 from trabecula.exemplar.samples import sample
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
-from trabecula.io.lazy import slabs_if_large
+from trabecula.io.lazy import slabs_if_large, volume_shape
 from trabecula.loading import load, load_fixed, load_like, load_mask, slabs_like_if_large, voxels_of
 from trabecula.making import generate_to, plan_to
 from trabecula.mesh.files import write_mesh
@@ -51,6 +53,7 @@ __all__ = [
     "resume",
     "slabs_if_large",
     "slabs_like_if_large",
+    "volume_shape",
     "voxels_of",
 ]
 
@@ -93,10 +96,14 @@ def _shown(image: Image | Slabs) -> Image:
 
 def _png(picture: Image) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
-        return files.write(picture, Path(folder) / "picture.png").read_bytes()
+        path = Path(folder) / "picture.png"
+        files.write(picture, path)
+        return path.read_bytes()
 
 
-def export(image: Image | Slabs | ArrayLike, path: str | os.PathLike[str], *, phase: str | int | None = None) -> Path:
+def export(
+    image: Image | Slabs | ArrayLike, path: str | os.PathLike[str], *, phase: str | int | None = None
+) -> Path | Remote:
     """Write an image for another program: the closed surface of a phase (.stl, .3mf, .ply, .obj) or the voxels.
 
     Parameters
@@ -124,9 +131,16 @@ def export(image: Image | Slabs | ArrayLike, path: str | os.PathLike[str], *, ph
     return files.write(as_image(image), path)
 
 
-def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: int = 0) -> None:
-    """Raise before any work is done where `path` has an unknown suffix, cannot be written, or has no room for `size` bytes."""
-    target, text = Path(path), os.fspath(path)
+def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: int = 0, goes_on: bool = False) -> None:
+    """Raise before any work is done where `path` has an unknown suffix, cannot be written, or has no room for `size` bytes; at
+    an address also where something is there, unless a run `goes_on` with it."""
+    target, text = place_of(path), os.fspath(path)
+    if isinstance(target, Remote):
+        files.check_stored(target)
+        target.check_writable()
+        if not goes_on or open_unfinished(target) is None:
+            target.check_free()
+        return
     suffix = suffix_of(text) or target.suffix.lower()
     if suffix or not text.endswith(("/", os.sep)):
         known = {**suffixes(), **(SURFACES if surfaces else {})}
@@ -145,7 +159,9 @@ def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: 
 
 def check_folder(path: str | os.PathLike[str], *, size: int = 0) -> None:
     """Raise where the folder of `path` is no folder, cannot be written, or has no room for `size` bytes."""
-    folder = Path(path).absolute().parent
+    if is_address(path):
+        raise InputError(f"cannot write {path}: only a .zarr is written to an address; write a file, and copy it there")
+    folder = located(path).folder
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():

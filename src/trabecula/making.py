@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
 from trabecula.core.image import outline
+from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
-from trabecula.engine.blocks import Volume, stream
+from trabecula.engine.blocks import Box, Volume, stream
+from trabecula.engine.locations import Folder, Location, Remote, is_address, located, place_of
 from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
 from trabecula.engine.trial import seconds_of, seconds_of_whole
@@ -24,7 +28,7 @@ from trabecula.io.formats import suffix_of
 from trabecula.io.units import long_name
 from trabecula.synth.base import Model
 from trabecula.synth.shipped import Shipped
-from trabecula.synth.whole import Whole
+from trabecula.synth.whole import Whole, pages_of, plan_whole
 from trabecula.synth.windows import WindowModel
 
 if TYPE_CHECKING:
@@ -40,7 +44,7 @@ class Written:
 
     Attributes
     ----------
-    path : Path
+    path : Path, or Remote at an address
     shape : tuple of int
     text : str
         What it is, in a line.
@@ -49,7 +53,7 @@ class Written:
         Of its voxels.
     """
 
-    path: Path
+    path: Path | Remote
     shape: tuple[int, ...]
     text: str
     recipe: Recipe
@@ -70,8 +74,7 @@ class Cut:
 
 def part_of(path: str | os.PathLike[str]) -> Path:
     """Where the state of an unfinished run is kept: beside its result, as rock.zarr.part of rock.zarr."""
-    target = Path(path).absolute()
-    return target.with_name(target.name + ".part")
+    return located(path).beside(".part")
 
 
 def generate_to(
@@ -90,7 +93,7 @@ def generate_to(
     ----------
     model : Model
     request : Request
-    path : path
+    path : path or address
         The suffix chooses the format. Into a Zarr store goes what does not fit into the budget as well, with the same voxels: a
         model of an unlimited material (a `WindowModel`) makes it block by block, another in scratch files.
     memory : int, optional
@@ -101,7 +104,7 @@ def generate_to(
     cluster : Cluster, optional
         Workers that make the blocks.
     scratch : path, optional
-        Folder for scratch files. Default: that of the result.
+        Folder for scratch files. Default: that of the result, of one at an address the working directory.
 
     Raises
     ------
@@ -115,15 +118,24 @@ def generate_to(
         The workers or their scheduler do not answer.
     """
     _check_in_blocks(model, path, chunks, cluster)
+    memory = _for_making(path, memory)
     with _workers(cluster, memory) as workers:
         cut = cut_for(model, request, path, memory=memory, chunks=chunks, workers=workers)
+        if cut is not None and isinstance(model, WindowModel):
+            return _in_blocks(model, request, located(path), cut, workers)
         if cut is not None:
-            place = None if scratch is None else Path(scratch)
-            return _streamed(model, request, Path(path), cut, workers, memory=memory, chunks=chunks, scratch=place)
-    with checkpoint.kept_at(part_of(path)):
+            budgets = {"memory": memory, "chunks": chunks}
+            folder = None if scratch is None else Path(scratch)
+            return _as_a_whole(model, request, located(path), cut, workers, **budgets, scratch=folder)
+    if scratch is not None:
+        say("no scratch files are needed: it is made in memory")
+    target = place_of(path)
+    if isinstance(target, Remote):
+        target.check_free()
+    with checkpoint.kept_at(None if isinstance(target, Remote) else part_of(path)):
         material = model.generate(request, memory=memory)
         files.write(material, path)
-    return Written(Path(path), material.shape, repr(material), material.recipe)
+    return Written(target, material.shape, repr(material), material.recipe)
 
 
 def cut_for(
@@ -142,7 +154,9 @@ def cut_for(
     budget = available_memory() if memory is None else memory
     store = suffix_of(os.fspath(path)) == ".zarr"
     left = _left_by(model, request, path) if store else None
-    if plan.peak <= budget and left is None and chunks is None and workers is None:
+    # At an address what could be gone on with is worth more than the little that blocks cost.
+    at_once = not (isinstance(model, WindowModel) and is_address(path))
+    if plan.peak <= budget and left is None and chunks is None and workers is None and at_once:
         return None
     if not store:
         check_budget(
@@ -151,15 +165,17 @@ def cut_for(
         return None
     chunk = chunks or (CHUNK if left is None else left.chunk)
     if not isinstance(model, WindowModel):
+        plan = plan_whole(model, request, budget, chunk)
         check_budget(
-            model.plan_spilled(request, budget), budget=budget, advice="use fewer --threads, ask for a smaller --shape"
+            plan, budget=budget, advice="use fewer --threads, smaller --chunks (64), ask for a smaller --shape"
         )
         return Cut(chunk, chunk)
     # Of what was begun no larger blocks, of which a part would be made again.
     most = chunk if chunks else model.block if left is None else left.block
     if workers is None:
         return _fitting(model, request, budget, chunk, most)
-    return _fitting(model, request, workers.memory or budget, chunk, most, at_once=workers.at_once)
+    each = budget if workers.memory is None else workers.memory - located(path).memory
+    return _fitting(model, request, each, chunk, most, at_once=workers.at_once)
 
 
 def _fitting(model: WindowModel, request: Request, budget: int, chunk: int, most: int, *, at_once: int = 1) -> Cut:
@@ -188,21 +204,36 @@ def plan_to(
 ) -> Plan:
     """Forecast of `generate_to`; with `trial` of its seconds too, from volumes or boxes that are made for about a second."""
     _check_in_blocks(model, path, chunks, None)
+    memory = _for_making(path, memory)
     cut = cut_for(model, request, path, memory=memory, chunks=chunks) if os.fspath(path) else None
     if cut is None:
         plan = model.plan(request)
     elif isinstance(model, WindowModel):
         plan = model.plan_block(request, cut.side)
     else:
-        plan = model.plan_spilled(request, available_memory() if memory is None else memory)
-    seconds = None
-    with suppress(RequestError):  # settings with which no box can be made alone, no small volume
-        if trial and isinstance(model, WindowModel):
+        plan = plan_whole(model, request, available_memory() if memory is None else memory, cut.chunk)
+    seconds = _seconds_of(model, request, cut) if trial else None
+    way = {"way to the address": located(path).memory} if is_address(path) else {}
+    return replace(plan, memory={**plan.memory, **way}, seconds=seconds)
+
+
+def _seconds_of(model: Model, request: Request, cut: Cut | None) -> float | None:
+    """Seconds that a run is expected to take, from boxes or small volumes that are made; None where nothing small can be."""
+    with suppress(RequestError):  # settings with which no box can be made alone
+        if isinstance(model, WindowModel):
             side = model.block if cut is None else cut.side
-            seconds = seconds_of(lambda box: model.values_of(request, box), request.shape, side)
-        elif trial and not request.is_tied:
-            seconds = seconds_of_whole(lambda shape: model.generate(replace(request, shape=shape)), request.shape)
-    return replace(plan, seconds=seconds)
+            return seconds_of(lambda box: model.values_of(request, box), request.shape, side)
+    with suppress(RequestError):  # no volume that small
+        if not request.is_tied:
+            return seconds_of_whole(lambda shape: model.generate(replace(request, shape=shape)), request.shape)
+    return None
+
+
+def _for_making(path: str | os.PathLike[str], memory: int | None) -> int | None:
+    """What of a budget is left when the way to an address has had its own."""
+    if not is_address(path):
+        return memory
+    return max(0, (available_memory() if memory is None else memory) - located(path).memory)
 
 
 def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | None, cluster: Cluster | None) -> None:
@@ -211,9 +242,8 @@ def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | N
         return
     option = "--chunks" if cluster is None else "workers"
     if not _goes_in_blocks(model):
-        what = "colour volumes" if model.spills else "volumes"
         raise InputError(
-            f"method {model.spec.name!r} makes {what} in memory, {option} are for what is made in blocks: leave them out"
+            f"method {model.spec.name!r} makes volumes in memory, {option} are for what is made in blocks: leave them out"
         )
     if suffix_of(os.fspath(path)) != ".zarr":
         raise InputError(f"{option} are for what is made in blocks, into a .zarr: leave them out, or write a .zarr")
@@ -222,7 +252,7 @@ def _check_in_blocks(model: Model, path: str | os.PathLike[str], chunks: int | N
 
 
 def _goes_in_blocks(model: Model) -> bool:
-    return isinstance(model, WindowModel) or (model.spills and model.facts[0].kind != "colour")
+    return isinstance(model, WindowModel) or model.spills
 
 
 @contextmanager
@@ -239,15 +269,20 @@ def _workers(cluster: Cluster | None, memory: int | None) -> Iterator[Workers | 
 
 def _left_by(model: Model, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:
     """What an interrupted run of the same request left, made in blocks."""
-    part = part_of(path)
-    left = open_unfinished(part) if part.is_dir() else None
+    left = open_unfinished(located(path).growing())
     return left if left is not None and left.identity == model.identity(request) else None
 
 
-def _streamed(
+def _in_blocks(model: WindowModel, request: Request, path: Location, cut: Cut, workers: Workers | None) -> Written:
+    """Each block alone, into a store."""
+    make = (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
+    return _streamed(model, request, path, cut, make, lambda sha256: model.recipe(request, sha256), hands=workers)
+
+
+def _as_a_whole(
     model: Model,
     request: Request,
-    path: Path,
+    path: Location,
     cut: Cut,
     workers: Workers | None,
     *,
@@ -255,39 +290,66 @@ def _streamed(
     chunks: int | None,
     scratch: Path | None,
 ) -> Written:
-    fields = model.fields(request)
-    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
-    whole = None
-    if isinstance(model, WindowModel):
-        make = (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
-    else:
-        pages = model.plan_spilled(request, available_memory() if memory is None else memory).memory["pages"]
-        if workers is not None and workers.memory is not None:
-            pages = min(pages, workers.memory * workers.at_once)
-        whole = Whole(model, request, _scratch_of(path, scratch), memory=pages, thickest=chunks, hands=workers)
-        make, workers = whole.box, None
+    """All of it in scratch files, then from these into a store."""
+    left, identity = _left_by(model, request, path), model.identity(request)
+    plan = plan_whole(model, request, available_memory() if memory is None else memory, cut.chunk)
+    pages = plan.memory["pages"]
+    if workers is not None:
+        pages = pages_of(plan, at_once=workers.at_once, each=workers.memory)
+    folder = _scratch_of(path, scratch, identity, left)
+    whole = Whole(model, request, folder, memory=pages, thickest=chunks, hands=workers)
+    grown = path.growing()
+    whole.begin(plan.scratch, state=grown.path if isinstance(grown, Folder) else None)
+    complete = left.fields["recipe"][-1].get("report", {}) if left is not None and left.complete else None
 
     def recipe(sha256: str) -> Recipe:
-        return model.recipe(request, sha256, None if whole is None or not sha256 else whole.report)
+        report = {} if not sha256 else whole.report if complete is None else complete
+        return model.recipe(request, sha256, report)
+
+    written = _streamed(model, request, path, cut, whole.box, recipe, meanwhile={_SCRATCH: os.fspath(folder)})
+    whole.remove()
+    return written
+
+
+_SCRATCH = "scratch"  # in an unfinished store: where its scratch files are
+
+
+def _scratch_of(path: Location, chosen: Path | None, identity: str, left: Unfinished | None) -> Path:
+    """Where scratch files of a result go: into the folder that was chosen, now or when it was begun, or beside it."""
+    if chosen is not None:  # where another result of the same name may have its own
+        return chosen.absolute() / f"{path.beside('').name}.{identity[:8]}.scratch"
+    recorded = None if left is None else left.fields.get(_SCRATCH)
+    return path.beside(".scratch") if recorded is None else Path(recorded)
+
+
+def _streamed(
+    model: Model,
+    request: Request,
+    path: Location,
+    cut: Cut,
+    make: Callable[[Box], np.ndarray],
+    recipe: Callable[[str], Recipe],
+    *,
+    hands: Workers | None = None,
+    meanwhile: Mapping[str, Any] | None = None,
+) -> Written:
+    """Boxes into a store, with the recipe by the digest of its voxels, and until it is finished with what is said `meanwhile`."""
+    fields = model.fields(request)
+    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
+
+    def describe(sha256: str) -> dict[str, Any]:
+        return {**plain, **({} if sha256 or meanwhile is None else meanwhile), "recipe": recipe(sha256).to_json()}
 
     volume = Volume(
         shape=request.shape,
         dtype=model.dtype,
         make=make,
-        describe=lambda sha256: {**plain, "recipe": recipe(sha256).to_json()},
+        describe=describe,
         identity=model.identity(request),
         scale=fields["spacing"],
         unit=long_name(fields["unit"]),
         labels=fields["kind"] == "labels",
+        channels=3 if fields["kind"] == "colour" else 0,
     )
-    sha256 = stream(volume, path, part=part_of(path), side=cut.side, chunk=cut.chunk, hands=workers)
-    written = Written(path, request.shape, outline(request.shape, **fields), recipe(sha256))
-    if whole is not None:
-        whole.remove()
-    return written
-
-
-def _scratch_of(path: Path, folder: Path | None) -> Path:
-    """Where scratch files of a result go."""
-    name = Path(path).absolute().name + ".scratch"
-    return Path(path).absolute().with_name(name) if folder is None else folder / name
+    sha256 = stream(volume, path, side=cut.side, chunk=cut.chunk, hands=hands)
+    return Written(place_of(path), request.shape, outline(request.shape, **fields), recipe(sha256))

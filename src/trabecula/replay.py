@@ -16,6 +16,7 @@ from trabecula.core.image import Image, declared
 from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
+from trabecula.engine.locations import is_address, located
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.place import block, place
 from trabecula.exemplar.samples import sample
@@ -57,6 +58,8 @@ class Places:
         """Where the file that a recipe calls `source` lies."""
         if self.given is not None:
             return self.given
+        if is_address(source):
+            return source
         for candidate in (source, self.folder / source, self.folder / Path(source).name):
             if Path(candidate).exists():
                 return candidate
@@ -100,7 +103,7 @@ def rerun(
     # Before any work: the last step recorded the digest that its replay would have to meet as well.
     if digest(image.values) != steps[-1].get("sha256"):
         raise NotReproducedError(f"{path} does not hold what its recipe makes: its voxels were changed since")
-    folder = Path(path).absolute().parent
+    folder = located(path).folder
     parts = {"mask": mask, "fixed": fixed, "known": known, "target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 

@@ -13,11 +13,13 @@ from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
+from trabecula.engine.locations import Folder, Location, located, place_of
 from trabecula.engine.store import open_finished, open_unfinished
 from trabecula.io import files
-from trabecula.making import Written, generate_to, part_of
+from trabecula.making import Written, generate_to
 from trabecula.replay import asked
 from trabecula.synth.base import Model
+from trabecula.synth.whole import clear_scratch
 
 if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster
@@ -40,7 +42,7 @@ def resume(
     memory, cluster :
         As of `generate_to`; they need not be those that the run began with.
     scratch : path, optional
-        As of `generate_to`: where the run began with one, what is made already lies there.
+        As of `generate_to`. Default: that with which the run began.
     **moved : path
         Where the files that the run started from lie now, if they have moved: exemplar, mask, fixed, known, target, model, as
         for `rerun`.
@@ -52,65 +54,77 @@ def resume(
     NotReproducedError
         The exemplar, a part of the request or the versions are not those of the run.
     """
-    target = Path(os.fspath(path).removesuffix(".part"))
-    if target.exists() and not part_of(target).exists():
+    target = located(os.fspath(path).removesuffix(".part"))
+    if _is_finished(target):
+        clear_scratch(
+            target.beside(".scratch")
+        )  # of a run that was killed between writing the last block and removing them
         return _finished(target)
     step = _begun(target)
-    model, request = asked(step, folder=target.absolute().parent, **moved)
+    model, request = asked(step, folder=target.folder, **moved)
     _check_same_run(model, request, target, step)
     return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
 
 
-def _begun(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """What the run that left something beside `path` was asked for: the step of its recipe.
+def _is_finished(target: Location) -> bool:
+    grown = target.growing()
+    if isinstance(grown, Folder):
+        return target.is_there() and not grown.is_there()
+    left = open_unfinished(grown)
+    return grown.is_store() and (left is None or left.complete)
+
+
+def _begun(target: Location) -> Mapping[str, Any]:
+    """What the run that left something was asked for: the step of its recipe.
 
     Raises
     ------
     FileError
         There is nothing to go on from, or it does not tell.
     """
-    part = part_of(path)
-    if part.is_dir():
-        left = open_unfinished(part)
-        steps = [] if left is None else left.fields.get("recipe", [])
-        if left is not None and steps:
-            return steps[-1]
-    elif part.exists():
-        step = checkpoint.begun(part)
-        if step is not None:
-            return step
-    else:
-        raise FileError(f"there is nothing to go on from: no run that makes {path} was interrupted (no {part.name})")
+    part = target.growing()
+    if not part.is_there():
+        raise FileError(f"there is nothing to go on from: no run that makes {target} was interrupted (no {part.name})")
+    left = open_unfinished(part)
+    steps = [] if left is None else left.fields.get("recipe", [])
+    if left is not None and steps:
+        if steps[-1]["verb"] != "generate":
+            verb = steps[-1]["verb"]
+            raise FileError(f"{part} was left by {verb}: the same command (trabecula {verb} ...) goes on with it")
+        return steps[-1]
+    step = checkpoint.begun(part.path) if isinstance(part, Folder) and part.path.is_file() else None
+    if step is not None:
+        return step
     raise FileError(f"{part} does not tell what run left it: give the whole command again, or remove it")
 
 
-def _finished(path: Path) -> Written:
-    """What lies at `path`, made by a run that has ended; of a store the voxels are not read.
+def _finished(target: Location) -> Written:
+    """What lies there, made by a run that has ended; of a store the voxels are not read.
 
     Raises
     ------
     FileError
         It was not made by `generate_to`.
     """
-    if path.is_dir():
-        opened = open_finished(path)
+    if target.is_store():
+        opened = open_finished(target)
         fields, shape = dict(opened.fields), tuple(opened.array.shape)
         recipe = Recipe.from_json(fields.get("recipe"))
     else:
-        image = files.read(path)
+        image = files.read(target)
         fields, shape, recipe = dict(describe_fields(image)), image.shape, image.recipe
     if not recipe or recipe.steps[-1]["verb"] != "generate":
-        raise FileError(f"{path} was not made by generate: there is nothing to go on with")
-    say(f"{path.name} is finished: there is nothing to go on with")
+        raise FileError(f"{target} was not made by generate: there is nothing to go on with")
+    say(f"{target.name} is finished: there is nothing to go on with")
     text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
-    return Written(path, shape, text, recipe)
+    return Written(place_of(target), shape, text, recipe)
 
 
-def _check_same_run(model: Model, request: Request, path: str | os.PathLike[str], step: Mapping[str, Any]) -> None:
-    """Raise where what was left beside `path` is not of this model and request, which were made from its step."""
-    part = part_of(path)
-    left = open_unfinished(part) if part.is_dir() else None
-    identity = checkpoint.identity_in(part) if left is None else left.identity
+def _check_same_run(model: Model, request: Request, target: Location, step: Mapping[str, Any]) -> None:
+    """Raise where what was left is not of this model and request, which were made from its step."""
+    part = target.growing()
+    left = open_unfinished(part)
+    identity = checkpoint.identity_in(Path(part)) if left is None else left.identity
     if identity == model.identity(request):
         return
     have, had = versions(), dict(step.get("versions") or {})

@@ -376,14 +376,15 @@ def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(tmp_pa
 
 
 def test_a_shape_beyond_memory_is_refused_before_anything_is_made(place, monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1 << 28)
+    for home in ("engine.plan", "making"):
+        monkeypatch.setattr(f"trabecula.{home}.available_memory", lambda: 1 << 28)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("usage", "free")(1 << 60))
     monkeypatch.setattr(
         "trabecula.synth.texture.method.TextureModel._generate", lambda *anything: pytest.fail("it started")
     )
     for out in ("new.zarr", "old.npy"):
-        line = generate("scan.npy", shape=("--shape", 2000), out=out)
-        assert "of memory, 256 MiB may be used: ask for a smaller --shape" in line
+        line = generate("scan.npy", shape=("--shape", 20000), out=out)
+        assert "of memory, 256 MiB may be used: " in line and "ask for a smaller --shape" in line
 
 
 def test_plan_tells_of_a_shape_beyond_memory_instead(place):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from commands import attempt, trabecula
+from commands import attempt, refused, trabecula
 
 
 def smooth_noise(shape):
@@ -52,3 +52,48 @@ def test_the_surface_of_what_does_not_fit_is_the_same_file(tmp_path):
     assert (tmp_path / "slabs.stl").read_bytes() == (tmp_path / "whole.stl").read_bytes()
     assert slabs.out.splitlines()[0].split(": ")[1] == whole.out.splitlines()[0].split(": ")[1]
     assert "not checked" in slabs.out and any("slab by slab" in line for line in slabs.lines)
+
+
+def test_what_does_not_fit_is_finished_in_slabs_as_the_whole(foam, tmp_path, monkeypatch):
+    words = ("finish", foam, "--connect", "--floaters", "--fill")
+    whole = trabecula(*words, "--out", tmp_path / "whole.zarr")
+    monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
+    slabs = trabecula(*words, "--out", tmp_path / "slabs.zarr")
+    assert slabs.out.splitlines()[1:] == whole.out.splitlines()[1:] and "connect.joins" in slabs.out
+    assert slabs.out.splitlines()[0].split(": ")[1] == whole.out.splitlines()[0].split(": ")[1]
+    one, other = (tb.read(tmp_path / name) for name in ("whole.zarr", "slabs.zarr"))
+    assert np.array_equal(one.values, other.values) and one.recipe.to_json() == other.recipe.to_json()
+    assert any("slab by slab" in line for line in slabs.lines)
+    assert trabecula("rerun", tmp_path / "slabs.zarr").sha256 == one.recipe.steps[-1]["sha256"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--connect", "--thicken", 3, "--out", "x.zarr"), "--thicken cannot go slab by slab"),
+        (("--smooth", 1, "--prune", "--out", "x.zarr"), "--prune, --smooth cannot go slab by slab"),
+        (("--connect", "--out", "x.npy"), "write a .zarr"),
+    ],
+)
+def test_what_cannot_be_finished_in_slabs_says_what_to_do(foam, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    line = refused("finish", foam, *words, "--memory", 0.0001)
+    assert message in line and "raise --memory" in line and "as a whole" in line
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_finish_that_was_interrupted_is_gone_on_with_by_its_own_command(foam, tmp_path, monkeypatch):
+    # As if the whole took more memory than there is; a slab of a volume that is so small does not take less.
+    monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
+
+    def stopped(*words, **more):
+        raise KeyboardInterrupt
+
+    words = ("finish", foam, "--connect", "--out", tmp_path / "x.zarr")
+    with monkeypatch.context() as patch:
+        patch.setattr("trabecula.engine.blocks.digest_of", stopped)
+        left = attempt(*words)
+    assert left.status == 130 and "goes on from x.zarr.part (by the same command)" in left.err
+    assert "the same command (trabecula finish ...)" in refused("generate", "--resume", tmp_path / "x.zarr")
+    assert "going on from x.zarr.part" in trabecula(*words).err

@@ -261,7 +261,7 @@ def test_plan_tells_and_makes_nothing(place):
     before = set(place.iterdir())
     words = ("plan", "scan.npy", "--shape", 100, "--memory", 1, *SMALL)
     plan = json.loads(trabecula(*words, "--json").out)
-    assert set(plan) == {"memory", "disk", "seconds", "peak", "learning", "available"}
+    assert set(plan) == {"memory", "disk", "scratch", "seconds", "peak", "learning", "available"}
     assert plan["peak"] == max(sum(plan["memory"].values()), plan["learning"]["peak"]) > 100**3
     assert plan["available"] > 0
     larger = json.loads(trabecula("plan", "scan.npy", "--shape", 200, *SMALL, "--json").out)

@@ -9,7 +9,7 @@ import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula import models
 from trabecula.core.recipe import digest
-from trabecula.engine import blocks
+from trabecula.engine import store
 
 REACH = ("--set", "reach=10", "--set", "corrections=2")
 
@@ -69,7 +69,7 @@ def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(
         for words in ((), ("--out", "b.zarr"), ("--out", "b.zarr", *budget))
     ]
     assert plan[0] == plan[1] > 0.25 * 2**30 > plan[2]
-    real, count = blocks.slices_of, []
+    real, count = store.slices_of, []
 
     def interrupted(box):
         count.append(box)
@@ -77,10 +77,10 @@ def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(
             raise KeyboardInterrupt
         return real(box)
 
-    monkeypatch.setattr(blocks, "slices_of", interrupted)
+    monkeypatch.setattr(store, "slices_of", interrupted)
     stopped = attempt(*asked, "--out", "big.zarr", *budget)
     assert stopped.status == 130 and "the same run goes on from big.zarr.part" in stopped.err
-    monkeypatch.setattr(blocks, "slices_of", real)
+    monkeypatch.setattr(store, "slices_of", real)
     assert "did not finish" in refused("measure", "big.zarr.part")
     done = trabecula(*asked, "--out", "big.zarr", *budget)
     assert "going on from big.zarr.part" in done.err and done.sha256 == whole.sha256

@@ -78,3 +78,50 @@ def test_a_turntable_is_a_moving_picture(place):
         assert moving.n_frames == 3 and moving.size == (48, 40)
     assert "written as .gif" in refused("render", "a.tif", "--out", "turn.png", "--turntable", 3)
     assert "2..360 frames" in refused("render", "a.tif", "--out", "turn.gif", "--turntable", 1)
+
+
+@pytest.fixture
+def large(place):
+    """A store of three levels, the finest of which takes some 2 MiB to draw."""
+    values = np.zeros((600, 20, 20), np.uint8)
+    values[:, 4:16, 4:16] = np.random.default_rng(3).random((600, 12, 12)) < 0.7
+    tb.write(tb.Image(values, "labels", 2.0, "um"), place / "large.zarr")
+    return place
+
+
+RENDER = ("render", "large.zarr", "--out", "still.png", "--size", 64, 48)
+
+
+@pytest.mark.parametrize(("memory", "level"), [(0.004, 0), (0.001, 1), (0.0002, 2)])
+def test_what_does_not_fit_is_shown_at_the_finest_level_that_does(large, memory, level):
+    told = trabecula(*RENDER, "--memory", memory)
+    shown = tb.render(tb.read("large.zarr", level=level), size=(64, 48))
+    np.testing.assert_array_equal(tb.read("still.png").values, shown.values)
+    assert any(f"its level {level} is shown" in line for line in told.lines) == (level > 0)
+    told = trabecula("view", "large.zarr", "a.tif", "--html", "page.html", "--memory", 1.75 * memory)
+    html = (large / "page.html").read_text(encoding="utf-8")
+    assert json.dumps({"shape": [600 >> level, 20 >> level, 20 >> level]})[1:-1] in html
+    assert any(f"its level {level} is shown" in line for line in told.lines) == (level > 0)
+
+
+def test_a_level_that_is_asked_for_is_shown_or_refused(large):
+    assert not trabecula(*RENDER, "--level", 1, "--memory", 0.001).lines
+    np.testing.assert_array_equal(
+        tb.read("still.png").values, tb.render(tb.read("large.zarr", level=1), size=(64, 48)).values
+    )
+    assert "show a coarser --level" in refused(*RENDER, "--level", 0, "--memory", 0.001)
+    assert "got level 7" in refused(*RENDER, "--level", 7, "--memory", 0.001)
+    assert "level 2 is the coarsest" in refused(*RENDER, "--memory", 0.00005)
+    assert "--crop" in refused("view", "large.zarr", "--html", "p.html", "--memory", 0.00004)
+
+
+def test_of_a_crop_of_what_does_not_fit_nothing_else_is_read(large, monkeypatch):
+    def whole(*words):
+        raise AssertionError("all of it was read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("trabecula.engine.store.Store.load", whole)
+        trabecula(*RENDER, "--crop", 16, "--memory", 0.0003)
+    still, image = tb.read("still.png"), tb.crop(tb.read("large.zarr"), 16)
+    np.testing.assert_array_equal(still.values, tb.render(image, size=(64, 48)).values)
+    assert still.recipe.to_json()[:-1] == image.recipe.to_json()

@@ -1,8 +1,10 @@
 """Volumes in blocks: what is finished is not made again, an unfinished store says so, and nothing is lost on the way."""
 
+import dataclasses
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import zarr
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
-from trabecula.engine import blocks, store
+from trabecula.engine import blocks, folder, store
 from trabecula.engine.blocks import Volume, boxes_of, slices_of, stream
 from trabecula.engine.levels import halved
 from trabecula.errors import FileError
@@ -181,7 +183,7 @@ def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatc
     def die(*names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(blocks, "put_in_place", die)
+    monkeypatch.setattr(folder, "put_in_place", die)
     with pytest.raises(KeyboardInterrupt):
         run(Maker())
     monkeypatch.undo()
@@ -205,7 +207,7 @@ def test_blocks_that_share_chunks_are_refused(run):
 
 
 def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(blocks, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(folder, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         run(Maker())
     monkeypatch.undo()
@@ -265,3 +267,62 @@ def test_killed_at_random_moments(run, tmp_path):
     make = Maker()
     assert run(make)[0] == digest(WHOLE) and len(make.made) <= len(boxes_of(SHAPE, 128)) - kills
     assert [entry.name for entry in path.rglob("*.partial")] == []
+
+
+def test_channels_go_along(tmp_path):
+    """A colour volume: channels last where it is made, first in the store."""
+    rng = np.random.default_rng(3)
+    values = rng.integers(0, 255, (40, 34, 50, 3)).astype(np.uint8)
+    volume = blocks.Volume(
+        shape=values.shape[:3],
+        dtype=values.dtype,
+        make=lambda box: values[blocks.slices_of(box)],
+        describe=lambda sha256: {"kind": "colour", "sha": sha256},
+        identity="one",
+        scale=(1.0, 1.0, 1.0),
+        unit=None,
+        labels=False,
+        channels=3,
+    )
+    part, path = tmp_path / "x.zarr.part", tmp_path / "x.zarr"
+    broken = dataclasses.replace(volume, make=lambda box: values[blocks.slices_of(box)] if box[0][0] < 32 else 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        stream(broken, path, part=part, side=16, chunk=16)
+    sha256 = stream(volume, path, part=part, side=16, chunk=16)
+    assert sha256 == digest(values)
+    for level in (0, 1):
+        found = store.open_finished(path, level)
+        assert np.array_equal(found.load(), np.moveaxis(values, -1, 0))
+        values = np.moveaxis(halved(np.moveaxis(values, -1, 0), labels=False, axes=3), 0, -1)
+    assert not part.exists()
+
+
+def test_a_second_run_of_the_same_store_is_refused_and_the_first_not_disturbed(tmp_path):
+    names = {"path": tmp_path / "x.zarr", "part": tmp_path / "x.zarr.part", "side": 128}
+    refused = []
+
+    def second():
+        try:
+            stream(volume(voxels), **names)
+        except FileError as error:
+            refused.append(str(error))
+
+    def make(box):
+        if not refused:
+            thread = threading.Thread(target=second)  # with nothing of the first run's about it, as another process
+            thread.start()
+            thread.join()
+        return voxels(box)
+
+    assert stream(volume(make), **names) == digest(WHOLE)
+    assert len(refused) == 1 and "x.zarr.part is being written by another run" in refused[0]
+    assert np.array_equal(tb.read(tmp_path / "x.zarr").values, WHOLE)
+    assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
+
+
+def test_a_folder_that_is_no_store_is_not_replaced(tmp_path):
+    (tmp_path / "x.zarr").mkdir()
+    (tmp_path / "x.zarr" / "thesis.txt").write_text("precious")
+    with pytest.raises(FileError, match="a folder that is no Zarr store is there"):
+        stream(volume(voxels), path=tmp_path / "x.zarr", part=tmp_path / "x.zarr.part", side=128)
+    assert [path.name for path in tmp_path.rglob("*")] == ["x.zarr", "thesis.txt"]

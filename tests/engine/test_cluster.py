@@ -186,7 +186,7 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     bone = tb.crop(tb.sample("bone"), 40)
     picture = tb.Image(bone.values[20], "labels", bone.spacing[1:], bone.unit, bone.phases)
     model = tb.method(name, **settings).fit(picture if tb.method(name).spec.exemplar == "2d" else bone)
-    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(scratch, "WORTH", 0)
     sent, real = [], Workers.spread
     monkeypatch.setattr(Workers, "spread", lambda self, work, bounds: (sent.append(work), real(self, work, bounds)))
     request = tb.Request(shape, seed=2)
@@ -196,7 +196,8 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
 
 
-def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path):
+def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "WORTH", 0)
     model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 40))
     with distributed.Client(two, set_as_default=False) as client:
         victim = next(iter(client.run(os.getpid).values()))

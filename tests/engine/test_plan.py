@@ -17,7 +17,13 @@ PLAN = Plan({"votes": 3 * GIB, "output": GIB}, disk=5)
 
 def test_the_peak_is_the_sum_and_goes_into_json():
     assert PLAN.peak == 4 * GIB and Plan().peak == 0
-    assert PLAN.to_json() == {"memory": {"votes": 3 * GIB, "output": GIB}, "disk": 5, "seconds": None, "peak": 4 * GIB}
+    assert PLAN.to_json() == {
+        "memory": {"votes": 3 * GIB, "output": GIB},
+        "disk": 5,
+        "scratch": 0,
+        "seconds": None,
+        "peak": 4 * GIB,
+    }
 
 
 def test_a_run_over_its_budget_is_refused():

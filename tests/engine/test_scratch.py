@@ -1,5 +1,8 @@
 """Arrays in scratch files: the same values, where they lie, and that they go."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 
@@ -45,14 +48,37 @@ def test_a_view_is_opened_by_its_place(spilled):
     assert (array[2] == -1).all() and (array[3] >= 0).all()
 
 
-def test_a_file_that_is_kept_stays(spilled, tmp_path):
+def test_a_file_that_is_kept_stays(spilled):
     array = scratch.empty((20, 30, 40), np.uint8)
     array[...] = 5
-    place = scratch.kept(array, tmp_path / "values.raw")
-    del array
-    assert (scratch.opened(place) == 5).all() and not list(spilled.iterdir())
-    with pytest.raises(ValueError, match="scratch file"):
-        scratch.kept(np.zeros(4), tmp_path / "x")
+    place = scratch.kept(array)
+    other = scratch.empty((20, 30, 40), np.uint8)
+    for part in (np.zeros(4), other[1], other[1:]):
+        with pytest.raises(ValueError, match="scratch file"):
+            scratch.kept(part)
+    del array, other, part
+    assert (scratch.opened(place) == 5).all() and list(spilled.iterdir()) == [place.path]
+
+
+def test_a_full_disk_leaves_no_file(spilled, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(OSError, match="No space"):
+        scratch.empty((20, 30, 40), np.uint8)
+    assert not list(spilled.iterdir())
+
+
+def test_a_disk_that_cannot_be_asked_is_looked_at(spilled, monkeypatch):
+    def unable(*_):
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    monkeypatch.setattr(os, "posix_fallocate", unable)
+    assert not scratch.zeros((20, 30, 40), np.uint8).any()
+    with pytest.raises(OSError, match="No space"):
+        scratch.empty((1 << 20, 1 << 20, 1 << 20), np.uint8)
+    assert not list(spilled.iterdir())
 
 
 @pytest.mark.parametrize("count", [1, 2])

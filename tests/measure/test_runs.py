@@ -37,7 +37,7 @@ def test_boxes_hold_their_component_and_no_empty_layer(case):
     boxes = runs.boxes()
     for number in range(1, len(sizes) + 1):
         places = np.argwhere(labels == number)
-        assert boxes[number].tolist() == [*places.min(axis=0), *(places.max(axis=0) + 1)]
+        assert boxes[number - 1].tolist() == [*places.min(axis=0), *(places.max(axis=0) + 1)]
 
 
 @given(found(), st.integers(0, 2**32))

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
+from trabecula.synth.shared.brightest import brightest
 from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
-from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram
+from trabecula.synth.shared.histogram import Histogram, match_histogram
 from trabecula.synth.shared.neighbourhoods import SCALE, covered_shape, grid_shape, principal_basis, project
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 

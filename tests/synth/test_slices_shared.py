@@ -15,7 +15,9 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
 from trabecula.synth.shared.neighbourhoods import SCALE, principal_basis, project
 from trabecula.synth.shared.statistics.correlate import correlations_of, misfit
-from trabecula.synth.shared.statistics.sliced import UNIT, sliced_round, sliced_views, slices_of
+from trabecula.synth.shared.statistics.sliced import sliced_round, sliced_views
+from trabecula.synth.shared.statistics.slices import slices_of
+from trabecula.synth.shared.votes import UNIT
 
 WIDTH = 6
 
@@ -31,6 +33,14 @@ def picture(seed, shape=(26, 30), channels=1):
 
 def candidates(field, step=2, **settings):
     return Candidates.of(Stack.of([field]), width=WIDTH, step=step, variance=1.0, most=64, flat=True, **settings)
+
+
+def corners(candidates, match):
+    """The first voxel of candidates, along z, y, x of the stack."""
+    return [
+        cell * stride
+        for cell, stride in zip(np.unravel_index(match, candidates.shape), candidates.strides, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("grain", [1, 2])
@@ -57,7 +67,7 @@ def test_the_search_finds_a_picture_in_a_stack_of_its_own_planes():
     match = random_matches(grid, key(0, "s"))
     match, distance = swept(grid, match, volume, stage=key(0, "s"), first=1, count=12, tries=8, index_penalty=0.0)
     assert not distance.any()
-    z, y, x = grid.candidates.corners(match)
+    z, y, x = corners(grid.candidates, match)
     assert not z.any()
     assert np.array_equal(y, np.broadcast_to(np.arange(11)[:, None] * 2, match.shape))
     assert np.array_equal(x, np.broadcast_to(np.arange(13) * 2, match.shape))
@@ -71,8 +81,8 @@ def test_matches_move_to_the_next_level_with_their_plane():
     moved = carried(match, old, new, (8, 9, 10), factor=2)
     assert np.array_equal(moved[0], moved[1])
     for before, after in zip(np.ravel(match), np.ravel(moved[::2, ::2, ::2][:, :3, :4]), strict=True):
-        y, x = (int(c) for c in old.corners(before)[1:])
-        assert [int(c) for c in new.corners(after)[1:]] == [min(2 * y, 20), min(2 * x, 24)]
+        y, x = (int(c) for c in corners(old, before)[1:])
+        assert [int(c) for c in corners(new, after)[1:]] == [min(2 * y, 20), min(2 * x, 24)]
 
 
 def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
@@ -98,7 +108,7 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
         exemplar = plane.grid.candidates.stack.field[:, 0].astype(float)
         up, down = np.moveaxis(above, 1 + plane.axis, 1), np.moveaxis(below, plane.axis, 0)
         seen, around = plane.grid.region.shape, plane.grid.region.wraps
-        _, ys, xs = plane.grid.candidates.corners(match)
+        _, ys, xs = corners(plane.grid.candidates, match)
         for z, sy, sx in np.ndindex(match.shape):
             for dy, dx in np.ndindex(WIDTH, WIDTH):
                 inner = all(
@@ -130,7 +140,7 @@ def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
     for plane, match in zip(frame.planes, matches, strict=True):
         numbers = np.moveaxis(np.arange(field[0].size).reshape(field[0].shape), plane.axis, 0)
         width = plane.grid.candidates.stack.field.shape[3]
-        _, ys, xs = plane.grid.candidates.corners(match)
+        _, ys, xs = corners(plane.grid.candidates, match)
         for z, sy, sx in np.ndindex(match.shape):
             for dy, dx in np.ndindex(WIDTH, WIDTH):
                 pixel = first + (int(ys[z, sy, sx]) + dy) * width + int(xs[z, sy, sx]) + dx

@@ -24,6 +24,7 @@ def test_the_search_finds_what_numpy_finds():
     wraps = (False, True, False)
     search(
         features,
+        0,
         exemplar,
         penalty,
         active,
@@ -66,7 +67,7 @@ def test_random_candidates_reach_the_best_in_the_end():
     exemplar = rng.integers(-50, 50, (64, 8)).astype(np.int16)
     features = exemplar[rng.integers(0, 64, grid)]
     match = np.empty(grid, np.int32)
-    start_matches(match, 64, key(3, "start"))
+    start_matches(match, np.arange(64), key(3, "start"), 0, 2)
     distance = np.empty_like(match)
     for sweep in range(40):
         old, match = match, np.empty_like(match)
@@ -74,6 +75,7 @@ def test_random_candidates_reach_the_best_in_the_end():
         active, wraps = np.ones(grid, bool), (False,) * 3
         search(
             features,
+            0,
             exemplar,
             penalty,
             active,

@@ -8,15 +8,14 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.synth.shared.fields import FULL, phase_fields, quantise
-from trabecula.synth.shared.statistics.correlate import (
-    _least_squares,
-    corrected,
-    correlations_of,
-    misfit,
-)
+from trabecula.synth.shared.statistics.bands import least_squares
+from trabecula.synth.shared.statistics.correlate import corrected, correlations_of, misfit
+from trabecula.synth.shared.statistics.moved import rotation
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import UNIT, rotation, sliced_round, slices_of
-from trabecula.synth.shared.statistics.sliced_kernels import transport
+from trabecula.synth.shared.statistics.sliced import sliced_round
+from trabecula.synth.shared.statistics.slices import slices_of
+from trabecula.synth.shared.statistics.transport import Transport
+from trabecula.synth.shared.votes import UNIT
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
@@ -46,9 +45,9 @@ def test_transport_brings_one_column_to_the_other(seed, copies):
     rng = np.random.default_rng(seed)
     theirs = rng.permutation(1000)[:50]
     ours = rng.permutation(1000)[: 50 * copies]
-    moves = np.empty((len(ours), 1))
-    transport(ours[:, None].astype(np.float32), theirs[:, None].astype(np.float32), 1024, moves, 0, 1)
-    reached = ours + moves[:, 0]
+    rows = ours[:, None].astype(np.float32)
+    transport = Transport.between(lambda a, b: [rows[a:b]], len(rows), theirs[:, None].astype(np.float32))
+    reached = ours + transport.moves(rows)[:, 0]
     assert np.array_equal(np.sort(reached), np.sort(np.repeat(theirs, copies)))
     assert np.array_equal(np.argsort(ours), np.lexsort((ours, reached)))
 
@@ -241,4 +240,4 @@ def test_least_squares_are_numpys():
     changes, excess, weights = rng.standard_normal((4, 12)), rng.standard_normal(12), rng.random(12)
     root = np.sqrt(weights)
     wanted = np.linalg.lstsq((changes * root).T, -excess * root, rcond=None)[0]
-    assert np.allclose(_least_squares(changes, excess, weights), wanted, rtol=0.02, atol=0.02)
+    assert np.allclose(least_squares(changes, excess, weights), wanted, rtol=0.02, atol=0.02)

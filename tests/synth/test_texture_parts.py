@@ -5,6 +5,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, RequestError
+from trabecula.synth.shared.matching import sources
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
 
@@ -115,7 +116,7 @@ def test_fixed_voxels_of_a_phase_that_the_exemplar_lacks_are_refused(model):
         model.generate(40, fixed=strange, known=known)
 
 
-def test_several_exemplars_are_one_list_of_neighbourhoods():
+def test_several_exemplars_are_one_list_of_neighbourhoods(monkeypatch):
     rng = np.random.default_rng(0)
     fields = [rng.integers(-9, 9, (1, *shape)).astype(np.int8) for shape in ((14, 12, 16), (12, 15, 13), (20, 12, 12))]
     coarse = [rng.integers(-9, 9, (1, *((s + 1) // 2 for s in field.shape[1:]))).astype(np.int8) for field in fields]
@@ -123,16 +124,45 @@ def test_several_exemplars_are_one_list_of_neighbourhoods():
     old, new = (Candidates.of(stack, width=4, step=2, variance=0.9, most=8) for stack in stacks)
     assert new.allowed.sum() == sum(np.prod([s - 3 for s in field.shape[1:]]) for field in fields)
     for number in rng.choice(new.numbers, 20):
-        z, y, x = (int(c) for c in new.corners(number))
-        volume = int(new.volumes(np.array(z)))
+        z, y, x = (int(c) for c in corners(new, number))
+        volume = int(np.searchsorted(stacks[1].starts, z, side="right")) - 1
         local = z - int(stacks[1].starts[volume])
         block = stacks[1].field[:, z : z + 4, y : y + 4, x : x + 4]
         assert np.array_equal(block, fields[volume][:, local : local + 4, y : y + 4, x : x + 4])
     match = rng.choice(old.numbers, (3, 4, 5)).astype(np.int32)
-    moved = carried(match, old, new, (7, 8, 9), factor=2)
-    assert new.allowed[moved].all()
-    place = old.volumes(old.corners(match)[0])
-    assert np.array_equal(new.volumes(new.corners(moved)[0])[::2, ::2, ::2][:3, :4, :5], place)
+    narrow = Candidates.of(stacks[0], width=5, step=1, variance=0.9, most=8)
+    monkeypatch.setattr(sources, "_MANY", 0)
+    sparse = Candidates.of(stacks[1], width=4, step=2, variance=0.9, most=8)
+    assert sparse.stride == 2
+    for factor, there in ((2, new), (1, narrow), (2, sparse)):
+        moved = carried(match, old, there, (7, 8, 9), factor=factor)
+        assert there.allowed[moved].all()
+        assert np.array_equal(moved, carried_over(match, old, there, (7, 8, 9), factor))
+
+
+def corners(candidates, match):
+    """The first voxel of each candidate in the stack."""
+    cells = np.unravel_index(match, candidates.shape)
+    return [cell * stride for cell, stride in zip(cells, candidates.strides, strict=True)]
+
+
+def carried_over(match, old, new, grid, factor):
+    """Site by site: the corner that belongs there, moved into the same volume and onto the grid of candidates."""
+    moved = np.empty(grid, int)
+    for place in np.ndindex(grid):
+        corner = np.array(place) * new.steps
+        site = np.minimum(corner // (factor * np.array(old.steps)), np.array(match.shape) - 1)
+        first = np.array(corners(old, match[tuple(site)]))
+        volume = max(n for n, start in enumerate(old.stack.starts) if start <= first[0])
+        first[0] -= old.stack.starts[volume]
+        wanted = factor * (first - site * old.steps) + corner
+        wanted = np.clip(wanted, 0, new.stack.sides[volume] - new.basis.box)
+        cell = wanted // new.strides
+        cell[0] = (wanted[0] + new.stack.starts[volume]) // new.strides[0]
+        # A stride that does not divide a volume's start: the cell before it belongs to the volume below.
+        cell[0] = max(cell[0], -(-new.stack.starts[volume] // new.strides[0]))
+        moved[place] = np.ravel_multi_index(tuple(cell), new.shape)
+    return moved
 
 
 def test_two_exemplars_both_lend_their_structures():

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+
+Step = tuple[str, dict[str, Any]]
+"""Name of an operation and its settings."""
+
+_OPTION = {"prune": "--prune", "smooth": "--smooth", "thicken": "--thicken"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,14 +30,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--fill", action="store_true", help="fill pores that no way leads out of")
     parser.add_argument("--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault")
     parser.add_argument("--phase", help="phase that is finished (default: every phase but void)")
+    group = parser.add_argument_group("large volumes")
+    group.add_argument(
+        "--memory",
+        type=shared.gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available); of a .zarr that needs more --connect, --floaters and --fill "
+        "go slab by slab, into a .zarr",
+    )
+    group.add_argument(
+        "--scratch", metavar="DIR", help="folder for what lies on disk meanwhile (default: that of --out)"
+    )
+    group.add_argument(
+        "--level", type=int, default=0, metavar="N", help="coarser level of a .zarr to finish (default 0)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Do the operations asked for, each on the result of the one before."""
     from trabecula.core.errors import InputError
-    from trabecula.finish import OPERATIONS
     from trabecula.flow import check_target
-    from trabecula.io.files import read, write
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
@@ -40,15 +57,9 @@ def run(options: argparse.Namespace) -> int:
     if not steps:
         words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
         raise InputError(f"nothing to do: give --connect, or another of {words}")
-    check_target(options.out)
-    part = read(options.file)
-    for name, settings in steps:
-        if name == "prune" and options.like is not None:
-            settings = {**settings, "exemplar": _exemplar(options.like, part)}
-        part = OPERATIONS[name](part, phase=options.phase, **settings)
-    write(part, options.out)
-    print(f"{options.out}: {part!r}")
-    done = part.recipe.steps[-len(steps) :]
+    check_target(options.out, goes_on=True)
+    text, done = _in_slabs(steps, options) if _is_too_large(steps, options) else _in_core(steps, options)
+    print(f"{options.out}: {text}")
     if len(done) == 1:
         terminal.show_mapping(done[0]["report"])
     else:
@@ -58,7 +69,64 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _steps(options: argparse.Namespace) -> Iterator[tuple[str, dict[str, Any]]]:
+def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
+    """Read, finish and write the whole; the result in a line, and the steps of its recipe."""
+    from trabecula.finish import OPERATIONS
+    from trabecula.io.files import read, write
+
+    part = read(options.file, level=options.level)
+    for name, settings in steps:
+        if name == "prune" and options.like is not None:
+            settings = {**settings, "exemplar": _exemplar(options.like, part)}
+        part = OPERATIONS[name](part, phase=options.phase, **settings)
+    write(part, options.out)
+    return repr(part), part.recipe.steps[-len(steps) :]
+
+
+def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
+    """Whether a store does not fit into memory as a whole.
+
+    Raises
+    ------
+    MemoryBudgetError
+        It does not, and one of the steps needs it so, or what is written.
+    """
+    from trabecula.core.errors import MemoryBudgetError
+    from trabecula.engine.plan import available_memory, format_bytes
+    from trabecula.finish.slabs import IN_PLACE, in_core_bytes
+    from trabecula.flow import volume_shape
+
+    shape = volume_shape(options.file, level=options.level)
+    names = [name for name, _ in steps]
+    budget = available_memory() if options.memory is None else options.memory
+    if shape is None or in_core_bytes(shape, names) <= budget:
+        return False
+    whole = [_OPTION[name] for name in names if name not in IN_PLACE]
+    why = f"{options.file} needs {format_bytes(in_core_bytes(shape, names))} as a whole, {format_bytes(budget)} may be used"
+    if whole:
+        raise MemoryBudgetError(
+            f"{why}, and {', '.join(whole)} cannot go slab by slab as --connect, --floaters and --fill can: leave it out, "
+            "finish a coarser level (--level 1), or raise --memory"
+        )
+    if not options.out.lower().endswith(".zarr"):
+        raise MemoryBudgetError(f"{why}: write a .zarr, into which it goes slab by slab, or raise --memory")
+    return True
+
+
+def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
+    """Finish a store into a store; the result in a line, and the steps of its recipe."""
+    from trabecula.core.progress import say
+    from trabecula.finish.slabs import finish_slabs
+    from trabecula.io.lazy import open_slabs
+
+    say(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
+    volume = open_slabs(options.file, level=options.level)
+    chosen = [(name, {"phase": options.phase, **settings}) for name, settings in steps]
+    recipe = finish_slabs(volume, options.out, chosen, memory=options.memory, folder=options.scratch)
+    return repr(volume), recipe.steps[-len(steps) :]
+
+
+def _steps(options: argparse.Namespace) -> Iterator[Step]:
     """The operations asked for, in their order: whole struts, one piece, its surface, its strength, what that left loose
     or closed."""
     if options.prune:

@@ -16,7 +16,11 @@ from trabecula.cli import terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to make, from what, and where to put it."""
     add_request(parser)
-    parser.add_argument("--out", metavar="FILE", help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti), or s3://BUCKET/NAME.zarr",
+    )
     group = parser.add_argument_group("going on with a run, and workers")
     group.add_argument(
         "--resume",
@@ -171,14 +175,14 @@ def _made(options: argparse.Namespace) -> Any:
         raise InputError("the place of the result is not given: add --out FILE")
     if options.exemplar:
         raise InputError("--exemplar is for --resume and rerun: name the exemplar without an option")
-    check_target(options.out)
+    check_target(options.out, goes_on=True)
     cluster = _cluster(options)
     job = prepare(options)
     model = job.fitted(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
     size = plan_to(model, job.request, options.out, **cut).disk if cluster is None else model.plan(job.request).disk
-    check_target(options.out, size=size)
+    check_target(options.out, size=size, goes_on=True)
     return generate_to(model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch)
 
 

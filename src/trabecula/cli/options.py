@@ -23,9 +23,9 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         "--level",
         dest="halvings",
         type=int,
-        default=0,
         metavar="N",
-        help="of a .zarr with coarser levels: 0 the finest (default), each further one of half the voxels along an axis",
+        help="of a .zarr with coarser levels: 0 the finest (default; of what is shown the finest that fits), each further one of "
+        "half the voxels along an axis",
     )
 
 

@@ -37,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
     rows += [("making: " + name, format_bytes(size)) for name, size in making.memory.items()]
     rows += [("peak memory", format_bytes(peak)), ("available", format_bytes(available_memory()))]
     rows += [("disk", format_bytes(making.disk))]
+    rows += [("scratch files", format_bytes(making.scratch))] if making.scratch else []
     rows += [("time", _time(making.seconds))]
     terminal.show_rows(rows)
     return 0
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
 def _time(seconds: float | None) -> str:
     """Seconds as a person reads them."""
     if seconds is None:
-        return "not forecast: nothing that is made alone can be tried"
+        return "not forecast: no small part of it can be tried"
     if seconds < 90:
         return f"about {seconds:.0f} s" if seconds >= 3 else f"about {seconds:.1f} s"
     return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"

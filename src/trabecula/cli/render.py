@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from math import prod
 from typing import Any
 
 from trabecula.cli import options as shared
+from trabecula.cli import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,12 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--camera", nargs=2, default=["32", "26"], metavar=("AZ", "EL"), help="degrees around and above"
     )
     parser.add_argument("--turntable", metavar="N", help="a moving picture of N stills all round (.gif)")
+    shown.add_memory(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
     from trabecula.flow import check_folder, check_target
+    from trabecula.view.scene import forecast
     from trabecula.view.still import render, turntable
 
     frames = None if options.turntable is None else shared.integer(options.turntable, name="--turntable")
@@ -40,10 +44,13 @@ def run(options: argparse.Namespace) -> int:
         check_folder(options.out)
     size = shared.integers(options.size, name="--size")
     azimuth, elevation = shared.numbers(options.camera, name="--camera")
-    image = shared.load_exemplar(options.file, options)
+    picture = (size[0], size[1])
+    image = shown.load_shown(
+        options.file, options, need=lambda shape, itemsize: forecast(shape, picture).peak + itemsize * prod(shape)
+    )
     wanted: dict[str, Any] = {
         "look": options.look,
-        "size": (size[0], size[1]),
+        "size": picture,
         "cut": options.cut[0] if len(options.cut) == 1 else options.cut,
         "camera": (azimuth, elevation),
     }

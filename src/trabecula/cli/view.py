@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trabecula.cli import options as shared
+from trabecula.cli import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the address, open no browser")
+    shown.add_memory(parser)
     shared.add_reading(parser)
 
 
@@ -34,6 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.cli import terminal
     from trabecula.flow import check_page
     from trabecula.view.page import server, view
+    from trabecula.view.page.fitting import forecast
 
     if options.html:
         check_page(options.html)
@@ -41,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     certificate = _certificate(options.certificate) if options.certificate else None
     # Greys are shown as they are, unless a threshold is asked for.
     options.threshold = options.threshold or "none"
-    images = [shared.load_exemplar(file, options) for file in options.files]
+    images = [shown.load_shown(file, options, need=lambda *volume: forecast(*volume).peak) for file in options.files]
     names = [Path(file).name for file in options.files]
     page = view(*images, names=names, look=options.look, certificate=certificate)
     if options.html:

@@ -50,7 +50,9 @@ def unpacked(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
                 continue
             with file.open(name) as member:
                 np.lib.format.read_magic(member)
-                shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+                shape, turned, dtype = np.lib.format.read_array_header_1_0(member)
+                if turned:
+                    raise ValueError(f"{name} lies column by column")
                 array = scratch.empty(shape, dtype)
                 for part in _parts(array):
                     read = member.read(part.nbytes)

@@ -17,7 +17,7 @@ import os
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from glob import escape
@@ -33,6 +33,7 @@ from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
 from trabecula.engine.arrays import packed, unpacked
 from trabecula.engine.files import replacing
+from trabecula.engine.lock import locked
 
 EVERY = 15.0
 """Seconds between two states, at least."""
@@ -81,6 +82,11 @@ def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
     The file is removed when the block ends without an error, so write the result inside it. A file of that name that another
     run left is replaced once there is a state to keep; one that is no state at all is left as it is.
 
+    Raises
+    ------
+    FileError
+        Another process keeps its state there.
+
     Examples
     --------
     >>> from trabecula.engine.checkpoint import kept_at
@@ -90,12 +96,22 @@ def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
     if path is None:
         yield
         return
-    keeper = _Keeper(Path(path).absolute())
+    # Where its folder is still to be made nobody has left or keeps anything.
+    with (
+        locked(Path(path)) if Path(path).absolute().parent.is_dir() else nullcontext(),
+        _keeping(Path(path).absolute()),
+    ):
+        yield
+
+
+@contextmanager
+def _keeping(path: Path) -> Iterator[None]:
+    keeper = _Keeper(path)
     token = _keeper.set(keeper)
     try:
         yield
     except KeyboardInterrupt:
-        if keeper.ours:
+        if keeper.ours and keeper.path.suffix == ".part":  # else it is for whoever named the place to say
             result = keeper.path.name.removesuffix(".part")
             say(f"interrupted: the same run goes on from {keeper.path.name} (generate --resume {result})")
         raise

@@ -1,4 +1,4 @@
-"""Blocks made by the workers of a Dask cluster: processes of this machine, or a cluster that the user has.
+"""Blocks made, and slabs worked on, by the workers of a Dask cluster: processes of this machine, or a cluster that the user has.
 
 Only work leaves this process: what makes the blocks is sent once, the blocks go from the workers straight into the store,
 which they reach by the same path. A block that was lost with its worker is made again by another; one that is in the store
@@ -13,7 +13,6 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
@@ -26,6 +25,7 @@ from trabecula.core.recipe import versions
 from trabecula.engine import store
 from trabecula.engine.blocks import Volume, do
 from trabecula.engine.cuts import Box, Task
+from trabecula.engine.locations import Location
 from trabecula.engine.pickling import Places
 from trabecula.engine.tiles import one_blas_thread, thread_count, threads
 
@@ -89,40 +89,36 @@ class Workers:
         self.memory = min(limits + given) - _WORKER if limits or given else None
 
     def make(
-        self, volume: Volume, part: Path, tasks: Sequence[Task], sources: Sequence[Sequence[int]]
+        self, volume: Volume, part: Location, tasks: Sequence[Task], sources: Sequence[Sequence[int]]
     ) -> Iterator[None]:
         """Do the tasks, each after those whose places in the list are its sources; yield once after each."""
-        from distributed import as_completed
-
         job = _Job(str(part), volume.identity, volume.labels, self._each, versions())
         # By a task and not by scatter: what a lost worker alone held is then sent again.
         make = self._client.submit(_kept, volume.make, pure=False)
         futures: list[Any] = []
         for task, before in zip(tasks, sources, strict=True):
             futures.append(self._client.submit(_done, task, job, make, [futures[n] for n in before], pure=False))
+        yield from self._ended(futures)
+
+    def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
+        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files go by their places."""
+        futures: list[Any] = []
+        packed = self._client.submit(_kept, self._places.packed(work), pure=False)
+        for start, stop in bounds:
+            futures.append(self._client.submit(_worked, packed, start, stop, self._each, versions(), pure=False))
+        for _ in self._ended(futures):
+            pass
+
+    def _ended(self, futures: list[Any]) -> Iterator[None]:
+        """Yield as they end, and cancel what is left where one fails."""
+        from distributed import as_completed
+
         waiting = as_completed(futures, loop=self._client.loop)
-        del futures  # so that nobody asks for what is done, and in the store, a second time
+        futures.clear()  # so that nobody asks for what is done, and in a file, a second time
         try:
             for future in waiting:
                 _check(future)
                 yield
-        except BaseException:
-            self._client.cancel([future for future in getattr(waiting, "futures", ())])
-            raise
-
-    def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
-        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files go by their places."""
-        from distributed import as_completed
-
-        futures = []
-        packed = self._client.submit(_kept, self._places.packed(work), pure=False)
-        for start, stop in bounds:
-            futures.append(self._client.submit(_worked, packed, start, stop, self._each, versions(), pure=False))
-        waiting = as_completed(futures, loop=self._client.loop)
-        del futures
-        try:
-            for future in waiting:
-                _check(future)
         except BaseException:
             self._client.cancel([future for future in getattr(waiting, "futures", ())])
             raise
@@ -148,8 +144,8 @@ def _worked(packed: bytes, start: int, stop: int, each: int | None, wanted: dict
         work = pickle.loads(packed)
     except FileNotFoundError as error:
         raise ClusterError(
-            f"the worker on {platform.node()} does not see {error.filename}: choose a --scratch that all workers reach by the "
-            "same path"
+            f"the worker on {platform.node()} does not see {error.filename}: choose a --scratch that all workers reach by "
+            "the same path, where each sees at once what another writes (a parallel file system; NFS is not enough)"
         ) from error
     with threads(thread_count() if each is None else each), one_blas_thread():
         work(start, stop)
@@ -168,13 +164,13 @@ def _check_versions(wanted: dict[str, str]) -> None:
 def _done(task: Task, job: _Job, make: Callable[[Box], np.ndarray], before: Sequence[None]) -> None:
     """In a worker: make a box and write it."""
     _check_versions(job.versions)
-    opened = store.open_unfinished(Path(job.part))
+    opened = store.open_unfinished(job.part)
     if opened is None or opened.identity != job.identity:
         raise ClusterError(
             f"the worker on {platform.node()} does not see {job.part}, or cannot write there: choose an --out that all workers "
             "reach by the same path"
         )
-    if all(file.exists() for file in opened.files(task.level, task.box)):
+    if not opened.missing(task.level, task.box):
         return
     with threads(thread_count() if job.threads is None else job.threads):
         do(task, opened, make, labels=job.labels)

@@ -15,10 +15,11 @@ GIB = 1 << 30
 
 @dataclass(frozen=True)
 class Plan:
-    """Forecast of a run: bytes by what they are for, and seconds."""
+    """Forecast of a run: bytes by what they are for, of the result and of scratch files while it is made, and seconds."""
 
     memory: dict[str, int] = field(default_factory=dict)
     disk: int = 0
+    scratch: int = 0
     seconds: float | None = None
 
     @property

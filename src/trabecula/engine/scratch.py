@@ -7,9 +7,11 @@ hands its pages back; they stay in the system's cache as long as there is room, 
 
 from __future__ import annotations
 
+import errno
 import math
 import mmap
 import os
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -37,6 +39,10 @@ class Place:
     offset: int = 0
 
 
+WORTH = 1 << 24
+"""Bytes of all arrays from which on work is worth sending."""
+
+
 class Hands(Protocol):
     """Other processes that work on slabs."""
 
@@ -52,7 +58,7 @@ class _Scratch:
     memory: int
     thickest: int | None
     hands: Hands | None
-    files: WeakKeyDictionary[mmap.mmap, Path] = field(default_factory=WeakKeyDictionary)
+    files: WeakKeyDictionary[mmap.mmap, tuple[Path, Any]] = field(default_factory=WeakKeyDictionary)
     lock: Any = field(default_factory=Lock)
 
     def live(self) -> list[mmap.mmap]:
@@ -96,20 +102,38 @@ def empty(shape: Sequence[int] | int, dtype: Any, *, least: int | None = None) -
     scratch = _scratch.get()
     shape = (shape,) if isinstance(shape, int) else tuple(int(side) for side in shape)
     size = np.dtype(dtype).itemsize * math.prod(shape)
-    if scratch is None or size < (LEAST if least is None else least) or size == 0:
+    # What others write is not seen in an array in memory.
+    fewest = LEAST if scratch is None or scratch.hands is None else 1
+    if scratch is None or size < (fewest if least is None else least) or size == 0:
         return np.empty(shape, dtype)
     path = scratch.folder / f"{uuid4().hex}.raw"
-    with path.open("xb+") as file:
-        # Blocks that the disk does not have are an error here, and a killed process where they are first touched.
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(file.fileno(), 0, size)
-        else:
-            file.truncate(size)
-        memory = mmap.mmap(file.fileno(), size)
-    finalize(memory, _remove, path)
+    memory = _mapped(path, size)
     with scratch.lock:
-        scratch.files[memory] = path
+        scratch.files[memory] = path, finalize(memory, _remove, path)
     return np.ndarray(shape, dtype, memory)
+
+
+def _mapped(path: Path, size: int) -> mmap.mmap:
+    """A new file of zeros in memory; nothing is left of one for which there is no room."""
+    try:
+        with path.open("xb+") as file:
+            _allocate(path, file.fileno(), size)
+            return mmap.mmap(file.fileno(), size)
+    except BaseException:
+        _remove(path)
+        raise
+
+
+def _allocate(path: Path, descriptor: int, size: int) -> None:
+    """Blocks that the disk does not have are an error here; where they are first touched the process would be killed."""
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+    except (AttributeError, OSError) as error:  # not on macOS and Windows, nor on every file system
+        if isinstance(error, OSError) and error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
+            raise
+        if shutil.disk_usage(path.parent).free < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from None
+        os.ftruncate(descriptor, size)
 
 
 def zeros(shape: Sequence[int] | int, dtype: Any) -> np.ndarray:
@@ -131,15 +155,21 @@ def place_of(array: np.ndarray) -> Place | None:
     return Place(path, array.dtype.str, array.shape, array.strides, offset)
 
 
-def kept(array: np.ndarray, path: Path) -> Place:
-    """Give the file of a whole array, made by `empty`, a name of its own; it stays when the array goes."""
-    found = _file_of(array)
-    if found is None:
-        raise ValueError("only an array that lies in a scratch file has a file")
-    memory, own = found
+def kept(array: np.ndarray) -> Place:
+    """Let the file of an array that `empty` gave stay when the array goes.
+
+    Raises
+    ------
+    ValueError
+        One in memory, or a part of another.
+    """
+    scratch, found, place = _scratch.get(), _file_of(array), place_of(array)
+    if scratch is None or found is None or place is None or len(found[0]) != array.nbytes:
+        raise ValueError("only a whole array that lies in a scratch file can be kept")
+    memory, _ = found
     memory.flush()
-    own.replace(path)
-    return Place(path, array.dtype.str, array.shape, array.strides)
+    scratch.files[memory][1].detach()
+    return place
 
 
 def opened(place: Place) -> np.ndarray:
@@ -162,7 +192,7 @@ def thickness(length: int, threads: int) -> int:
 def spread(work: Callable[[int, int], object], length: int) -> bool:
     """Let others work on slabs that cover `0..length`, where there are any; whether they did."""
     scratch = _scratch.get()
-    if scratch is None or scratch.hands is None:
+    if scratch is None or scratch.hands is None or sum(map(len, scratch.live())) < WORTH:
         return False
     thick = thickness(length, scratch.hands.at_once)
     scratch.hands.spread(work, [(first, min(first + thick, length)) for first in range(0, length, thick)])
@@ -184,8 +214,8 @@ def _file_of(array: np.ndarray) -> tuple[mmap.mmap, Path] | None:
         base = base.base
     if scratch is None or not isinstance(base, mmap.mmap):
         return None
-    path = scratch.files.get(base)
-    return None if path is None else (base, path)
+    found = scratch.files.get(base)
+    return None if found is None else (base, found[0])
 
 
 def _remove(path: Path) -> None:

@@ -4,8 +4,8 @@ A store is a Zarr v3 group with the voxels as array "0" and coarser levels of th
 described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute "trabecula". Its `complete` is
 false until the last chunk is written, so a run that died leaves a store that says so.
 
-A file of an array holds a cube of `CHUNK` voxels and is the unit of writing (Zarr's shard); the cubes of half its edge in
-it are the unit of reading (Zarr's chunk).
+A file (or object: see engine.locations) of an array holds a cube of `CHUNK` voxels and is the unit of writing (Zarr's shard); the
+cubes of half its edge in it are the unit of reading (Zarr's chunk).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine import ome
-from trabecula.engine.cuts import Box, cells_of
-from trabecula.engine.files import replacing
+from trabecula.engine.cuts import Box, cells_of, slices_of
 from trabecula.engine.levels import halved, shapes_of
+from trabecula.engine.locations import AnyPath, Location, located
 
 KEY = "trabecula"
 CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like
@@ -34,7 +34,7 @@ _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain littl
 class Store:
     """A store, opened; nothing of its voxels is in memory yet. `fields` is empty and `scale` may be where it is not ours."""
 
-    path: Path
+    place: Location
     array: Any
     fields: dict[str, Any]
     scale: tuple[float, ...]
@@ -49,10 +49,15 @@ class Store:
             Chunks are missing; zarr itself would give zeros for them.
         """
         if self.fields:  # elsewhere a missing chunk means its fill value
-            files = _files(self.path, self.array)
-            missing = sum(not file.exists() for file in files)
+            files = _files(self.array)
+            missing = self.place.missing(files)
             if missing:
-                raise ValueError(f"{missing} of its {len(files)} chunks are missing")
+                raise ValueError(f"{len(missing)} of its {len(files)} chunks are missing")
+
+    def read(self, index: Any) -> np.ndarray:
+        """Some of the voxels, as an index of the array says."""
+        with self.place.reached():
+            return np.asarray(self.array[index])
 
     def load(self) -> np.ndarray:
         """All voxels of the level that was opened.
@@ -63,17 +68,17 @@ class Store:
             As `check_whole`.
         """
         self.check_whole()
-        return np.asarray(self.array[...])
+        return self.read(...)
 
 
 def save(
-    path: Path, values: np.ndarray, *, scale: Sequence[float], unit: str | None, fields: Mapping[str, Any]
+    path: AnyPath, values: np.ndarray, *, scale: Sequence[float], unit: str | None, fields: Mapping[str, Any]
 ) -> None:
     """Write voxels as a store that appears whole or not at all, with its coarser levels.
 
     Parameters
     ----------
-    path : Path
+    path : path or address
     values : (Z, Y, X) or (Y, X) array; channels first where there are any
     scale : sequence of float
         Edge of a voxel along every spatial axis.
@@ -87,11 +92,10 @@ def save(
     FileError
         A folder that is no Zarr store is in the way, or the place cannot be written.
     """
-    if path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
-        raise FileError(f"cannot write {path}: a folder that is no Zarr store is there; choose another name")
-    with replacing(path) as temporary:
+    place = located(path)
+    with place.appearing() as temporary:
         group, arrays = create(
-            temporary, values.shape, values.dtype, scale=scale, unit=unit, fields=fields, name=path.stem
+            temporary, values.shape, values.dtype, scale=scale, unit=unit, fields=fields, name=place.stem
         )
         for level, array in enumerate(arrays):
             if level:
@@ -159,7 +163,7 @@ class Unfinished:
 
     Attributes
     ----------
-    path : Path
+    place : Location
     group : its Zarr group
     arrays : of its levels, the finest first
     identity : str
@@ -170,7 +174,7 @@ class Unfinished:
         Edge of those that were made at once when it was begun.
     """
 
-    path: Path
+    place: Location
     group: Any
     arrays: tuple[Any, ...]
     identity: str
@@ -182,14 +186,50 @@ class Unfinished:
         """What it says of itself; the digest of its voxels is empty until it is complete."""
         return dict(self.group.attrs[KEY])
 
-    def files(self, level: int, box: Box) -> list[Path]:
-        """The files that hold a box of a level."""
-        return [_file(self.path, level, place, self.chunk) for place in cells_of(box, self.chunk)]
+    @property
+    def complete(self) -> bool:
+        """Whether it was finished after all."""
+        return self.group.attrs[KEY].get("complete") is True
+
+    @property
+    def channels(self) -> int:
+        """Numbers of a voxel, along a first axis of the arrays; 0 where it is one number, without that axis."""
+        finest = self.arrays[0]
+        return finest.shape[0] if finest.metadata.dimension_names[0] == "c" else 0
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Voxels of every level along its axes of space."""
+        return [tuple(array.shape[1:] if self.channels else array.shape) for array in self.arrays]
+
+    def files(self, level: int, box: Box) -> list[str]:
+        """The names of the files that hold a box of a level."""
+        first = (0,) if self.channels else ()  # all channels are in one file
+        return [_file(level, (*first, *cell), self.chunk) for cell in cells_of(box, self.chunk)]
+
+    def missing(self, level: int, box: Box) -> list[str]:
+        """Those of them that are not there."""
+        return self.place.missing(self.files(level, box))
+
+    def read(self, level: int, box: Box) -> np.ndarray:
+        """A box of a level, channels first where there are any."""
+        with self.place.reached(self._hint):
+            return np.asarray(self.arrays[level][..., *slices_of(box)])
+
+    def write(self, level: int, box: Box, values: np.ndarray) -> None:
+        """Put the voxels of a box of a level in place, channels first where there are any."""
+        with self.place.reached(self._hint):
+            self.arrays[level][..., *slices_of(box)] = values
+
+    @property
+    def _hint(self) -> str:
+        return f"; what is finished stays, and the same run goes on from it (generate --resume {self.place.name})"
 
     def finish(self, fields: Mapping[str, Any]) -> None:
         """Mark the store as complete, with the fields that nobody knew before the last chunk."""
         # The identity stays, for a run that is killed before the store has its own name.
-        self.group.attrs[KEY] = {**fields, **_asked(self.identity, self.chunk, self.block), "complete": True}
+        with self.place.reached(self._hint):
+            self.group.attrs[KEY] = {**fields, **_asked(self.identity, self.chunk, self.block), "complete": True}
 
 
 def _asked(identity: str, chunk: int, block: int) -> dict[str, Any]:
@@ -197,7 +237,7 @@ def _asked(identity: str, chunk: int, block: int) -> dict[str, Any]:
 
 
 def create_unfinished(
-    path: Path,
+    path: AnyPath,
     shape: Sequence[int],
     dtype: np.dtype,
     *,
@@ -211,7 +251,7 @@ def create_unfinished(
 ) -> Unfinished:
     """An empty store that says what will be in it, and `identity` of it, until it is finished."""
     more = {**fields, **_asked(identity, chunk, block)}
-    with replacing(path) as temporary:
+    with located(path).appearing() as temporary:
         create(temporary, shape, dtype, scale=scale, unit=unit, fields=more, name=name, chunk=chunk)
     made = open_unfinished(path)
     if made is None:
@@ -219,23 +259,32 @@ def create_unfinished(
     return made
 
 
-def open_unfinished(path: Path) -> Unfinished | None:
-    """What `create_unfinished` left, whether or not it was finished; None where something else is there."""
+def open_unfinished(path: AnyPath) -> Unfinished | None:
+    """What `create_unfinished` left, whether or not it was finished; None where something else is there, or nothing.
+
+    Raises
+    ------
+    FileError
+        An address that cannot be reached.
+    """
     import zarr
 
+    place = located(path)
+    if not place.is_store():
+        return None
     try:
-        group: Any = zarr.open_group(str(path), mode="r+")
+        group: Any = zarr.open_group(place.zarr(), mode="r+")
         ours = group.attrs[KEY]
         levels = len(group.attrs["ome"]["multiscales"][0]["datasets"])
         # Which chunks are written is no part of what a store says of itself, and open_array overlooks its config.
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
             arrays = tuple(group[str(level)] for level in range(levels))
-        return Unfinished(path, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
+        return Unfinished(place, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
     except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
         return None
 
 
-def open_finished(path: Path, level: int = 0) -> Store:
+def open_finished(path: AnyPath, level: int = 0) -> Store:
     """Open a level of a store: of one that this package finished, or of anybody's with one array or a multiscale image in it.
 
     Raises
@@ -245,47 +294,55 @@ def open_finished(path: Path, level: int = 0) -> Store:
     InputError
         It has no such level.
     """
+    place = located(path)
+    with place.reached():
+        return _opened(place, level)
+
+
+def _opened(place: Location, level: int) -> Store:
     import zarr
 
-    node: Any = zarr.open(str(path), mode="r")
+    node: Any = zarr.open(place.zarr(), mode="r")
     fields = node.attrs.get(KEY)
     if isinstance(fields, Mapping) and fields.get("complete") is not True:
-        name = str(path).removesuffix(".part")
+        name = str(place).removesuffix(".part")
         raise FileError(
-            f"cannot read {path} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
+            f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
         )
     ours = {name: value for name, value in fields.items() if name != "complete"} if isinstance(fields, Mapping) else {}
     found = node.attrs.get("ome", node.attrs)
     if "multiscales" in found:
         datasets = found["multiscales"][0]["datasets"]
-        _check_level(path, level, len(datasets))
+        _check_level(place, level, len(datasets))
         scale, unit = ome.calibration(found, level)
-        return Store(path, node[datasets[level]["path"]], ours, scale, unit)
-    _check_level(path, level, 1)
-    return Store(path, node if isinstance(node, zarr.Array) else _only_array(path, node), {}, (), None)
+        return Store(place, node[datasets[level]["path"]], ours, scale, unit)
+    _check_level(place, level, 1)
+    return Store(place, node if isinstance(node, zarr.Array) else _only_array(place, node), {}, (), None)
 
 
-def _check_level(path: Path, level: int, count: int) -> None:
+def _check_level(place: Location, level: int, count: int) -> None:
     if not 0 <= level < count:
         have = "one level, 0" if count == 1 else f"levels 0 (the finest) to {count - 1}"
-        raise InputError(f"{path} has {have}: got level {level}")
+        raise InputError(f"{place} has {have}: got level {level}")
 
 
-def _only_array(path: Path, group: Any) -> Any:
+def _only_array(place: Location, group: Any) -> Any:
     """The array of somebody else's group."""
     arrays = [name for name, _ in group.arrays()]
     if len(arrays) != 1:
         names = ", ".join(sorted(arrays)) or "none"
-        raise FileError(f"cannot read {path} as Zarr: one array is needed, it holds {names}; give the array's own path")
+        raise FileError(
+            f"cannot read {place} as Zarr: one array is needed, it holds {names}; give the array's own path"
+        )
     return group[arrays[0]]
 
 
-def _files(path: Path, array: Any) -> list[Path]:
-    """Every file of an array of ours."""
+def _files(array: Any) -> list[str]:
+    """The name of every file of an array of ours."""
     edges = array.shards or array.chunks
     box = tuple((0, -(-side // edge)) for side, edge in zip(array.shape, edges, strict=True))
-    return [_file(path, array.basename, place, 1) for place in cells_of(box, 1)]
+    return [_file(array.basename, cell, 1) for cell in cells_of(box, 1)]
 
 
-def _file(path: Path, level: int | str, voxel: Sequence[int], edge: int) -> Path:
-    return path.joinpath(str(level), "c", *(str(place // edge) for place in voxel))
+def _file(level: int | str, voxel: Sequence[int], edge: int) -> str:
+    return "/".join((str(level), "c", *(str(place // edge) for place in voxel)))

@@ -67,7 +67,7 @@ def for_slabs(work: Callable[[int, int], object], length: int, *, least: int = 8
     in scratch files on what may be resident of them; the result of a kernel that honours the first sentence does not.
 
     With `anywhere` it may run in another process, and more than once: it can be pickled, writes nothing but its slab of arrays
-    that `scratch` gave, and reads none of what it writes.
+    that `scratch` gave, and reads none of what it writes. Large arrays in memory that it reads never change: they are sent once.
     """
     if anywhere and scratch.spread(work, length):
         return

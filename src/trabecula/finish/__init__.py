@@ -8,6 +8,7 @@ from trabecula.finish.connect import connect
 from trabecula.finish.floaters import remove_floaters
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
+from trabecula.finish.slabs import finish_slabs
 from trabecula.finish.smooth import smooth
 from trabecula.finish.thicken import thicken
 from trabecula.finish.trapped import fill_trapped, trapped
@@ -27,6 +28,7 @@ __all__ = [
     "PrintCheck",
     "connect",
     "fill_trapped",
+    "finish_slabs",
     "print_check",
     "prune",
     "remove_floaters",

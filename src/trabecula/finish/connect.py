@@ -7,22 +7,27 @@
 4. What is still loose becomes background.
 
 A part is searched from in its own box, so the cost is that of the loose parts and not of the image. Components are kept as
-runs along x: besides the image and the result no array of the image's size is needed.
+runs along x: besides the image and the result no array of the image's size is needed. The result may lie in a scratch file, and
+then nothing of the image's size has to be in memory (see `finish.slabs`).
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index, with_values
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
-from trabecula.engine.cuts import slices_of
+from trabecula.finish.joins import shortest_join
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import Runs, runs_of
 
-_BODY, _LOOSE, _OPEN, _CLOSED = 1, 2, 3, 4
+_SOME = 32
+"""Parts that are joined before pages of scratch files are handed back."""
 
 
 def connect(
@@ -64,30 +69,50 @@ def connect(
         removed pore would be filled with.
     """
     image = as_image(image)
-    member = members(image, phase)
-    _check_settings(reach, brush, min_size)
-    neighbours, background = as_connectivity(connectivity, image.ndim), _background(image, phase)
     values = np.array(image.values, order="C")  # a copy: the caller's array stays as it is
-    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
+    settings: dict[str, Any] = {
+        "phase": phase,
+        "reach": reach,
+        "brush": brush,
+        "min_size": min_size,
+        "connectivity": connectivity,
+    }
+    report = connect_in_place(values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings)
+    recipe = image.recipe.then("finish", values, operation="connect", settings=settings, report=report)
+    return with_values(image, values, recipe=recipe)
+
+
+def connect_in_place(
+    values: np.ndarray,
+    image: Image,
+    *,
+    phase: str | int | None,
+    reach: int,
+    brush: int,
+    min_size: int,
+    connectivity: int | None,
+) -> dict[str, int]:
+    """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
+    member, background = members(image, phase), background_of(image, phase)
+    _check_settings(reach, brush, min_size)
+    neighbours = as_connectivity(connectivity, image.ndim)
     joins = added = 0
     while True:
-        runs = runs_of(lifted, member, neighbours)
+        runs = runs_of(values, member, neighbours)
         if not len(runs.sizes):
             raise InputError(
                 f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
             )
         body = int(np.argmax(runs.sizes)) + 1
-        done, filled = _join_parts(lifted, runs, body, background, (reach, brush, min_size))
+        done, filled = _join_parts(values, runs, body, background, (reach, brush, min_size))
         if not done:
             break
         joins, added = joins + done, added + filled
+        del runs  # before the next
     loose = np.arange(1, len(runs.sizes) + 1) != body
     runs.write(values, loose, background)
-    report = {"joins": joins, "added": added, "removed_parts": len(runs.sizes) - 1}
-    report["removed"] = int(runs.sizes[loose].sum())
-    settings = {"phase": phase, "reach": reach, "brush": brush, "min_size": min_size, "connectivity": connectivity}
-    recipe = image.recipe.then("finish", values, operation="connect", settings=settings, report=report)
-    return with_values(image, values, recipe=recipe)
+    removed = int(runs.sizes.sum() - runs.sizes[body - 1])
+    return {"joins": joins, "added": added, "removed_parts": len(runs.sizes) - 1, "removed": removed}
 
 
 def _check_settings(reach: int, brush: int, min_size: int) -> None:
@@ -96,7 +121,7 @@ def _check_settings(reach: int, brush: int, min_size: int) -> None:
             raise InputError(f"{name} {value!r} must be a whole number of voxels, at least {least}")
 
 
-def _background(image: Image, phase: str | int | None) -> int:
+def background_of(image: Image, phase: str | int | None) -> int:
     """The label of what joins run through, and of what is left where a part is removed."""
     void = phase_index(image, None, default="void")
     if phase is None or phase_index(image, phase, default="solid") != void:
@@ -114,81 +139,20 @@ def _join_parts(
 ) -> tuple[int, int]:
     """Join every part within reach of the body, writing into `values`; joins, and voxels filled."""
     reach, brush, min_size = settings
-    parts = [part for part in np.flatnonzero(runs.sizes >= min_size) + 1 if part != body]
-    if not parts or reach == 0:
+    chosen = runs.sizes >= min_size
+    chosen[body - 1] = False
+    if not chosen.any() or reach == 0:
         return 0, 0
-    worth = np.zeros(len(runs.sizes) + 1, np.bool_)
-    worth[parts] = True
-    boxes = runs.boxes()
+    worth = np.concatenate([[False], chosen])
     joins = filled = 0
-    for part in parts:
-        low = np.maximum(boxes[part, :3] - reach - 1, 0)
-        high = np.minimum(boxes[part, 3:] + reach + 1, values.shape)
-        box = tuple(zip(low.tolist(), high.tolist(), strict=True))
-        state = _states(runs.labels(box), values[slices_of(box)], part, body, background, worth)
-        path = _shortest_path(state, reach)
+    for number, (part, bounds) in enumerate(zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)):
+        path = shortest_join(values, runs, bounds, part, body, background, worth, reach)
         if len(path):
             joins += 1
-            filled += _fill(values, path + low, background, brush)
+            filled += _fill(values, path, background, brush)
+        if number % _SOME == 0:
+            scratch.let_go()
     return joins, filled
-
-
-def _states(
-    labels: np.ndarray, values: np.ndarray, part: int, body: int, background: int, worth: np.ndarray
-) -> np.ndarray:
-    """What a voxel is to the search. Specks are open, as they will be removed; other parts and phases are closed."""
-    state = np.where(worth[labels] | (values != background), np.uint8(_CLOSED), np.uint8(_OPEN))
-    state[(labels > 0) & ~worth[labels]] = _OPEN
-    state[labels == part] = _LOOSE
-    state[labels == body] = _BODY
-    return state
-
-
-@kernel
-def _shortest_path(state, reach):
-    """Open voxels (n, 3) that lead from the loose part to the body, breadth first; before them the voxel they start
-    from.
-
-    Empty where more than `reach` would be needed.
-    """
-    depth, height, width = state.shape
-    step = np.array([height * width, -height * width, width, -width, 1, -1])
-    flat = state.copy().ravel()
-    queue = np.empty(len(flat), np.int64)
-    origin = np.empty(len(flat), np.int64)  # place in the queue from which a voxel was reached
-    count = 0
-    for at in range(len(flat)):
-        if flat[at] == _LOOSE:
-            queue[count] = at
-            origin[count] = -1
-            count += 1
-    head, end, length = 0, count, 0
-    while head < count:
-        if head == end:
-            length, end = length + 1, count
-            if length > reach:
-                break
-        at = queue[head]
-        z, y, x = at // (height * width), at // width % height, at % width
-        there = (z + 1 < depth, z > 0, y + 1 < height, y > 0, x + 1 < width, x > 0)
-        for side in range(6):
-            if not there[side]:
-                continue
-            other = at + step[side]
-            if flat[other] == _BODY and length > 0:
-                path = np.empty((length + 1, 3), np.int64)
-                k = head
-                for row in range(length, -1, -1):
-                    path[row] = queue[k] // (height * width), queue[k] // width % height, queue[k] % width
-                    k = origin[k]
-                return path
-            if flat[other] == _OPEN:
-                flat[other] = _CLOSED
-                queue[count] = other
-                origin[count] = head
-                count += 1
-        head += 1
-    return np.empty((0, 3), np.int64)
 
 
 @kernel

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, with_values
-from trabecula.finish.connect import _background
+from trabecula.finish.connect import background_of
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import runs_of
 
@@ -50,13 +52,26 @@ def remove_floaters(
     ([[1, 1, 0, 0], [1, 0, 0, 0]], 1)
     """
     image = as_image(image)
-    member = members(image, phase)
+    values = np.array(image.values, order="C")
+    settings: dict[str, Any] = {"smaller_than": smaller_than, "phase": phase, "connectivity": connectivity}
+    report = remove_floaters_in_place(values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings)
+    recipe = image.recipe.then("finish", values, operation="remove_floaters", settings=settings, report=report)
+    return with_values(image, values, recipe=recipe)
+
+
+def remove_floaters_in_place(
+    values: np.ndarray,
+    image: Image,
+    *,
+    smaller_than: int | None,
+    phase: str | int | None,
+    connectivity: int | None,
+) -> dict[str, int]:
+    """As `remove_floaters`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
     if smaller_than is not None:
         smaller_than = int(as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True))
-    background = _background(image, phase)
-    values = np.array(image.values, order="C")
-    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
-    runs = runs_of(lifted, member, as_connectivity(connectivity, image.ndim))
+    member, background = members(image, phase), background_of(image, phase)
+    runs = runs_of(values, member, as_connectivity(connectivity, image.ndim))
     sizes = runs.sizes
     if not len(sizes):
         raise InputError(
@@ -65,8 +80,5 @@ def remove_floaters(
     goes = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than
     goes[np.argmax(sizes)] = False
     runs.write(values, goes, background)
-    report = {"removed_parts": np.count_nonzero(goes), "removed": int(sizes[goes].sum())}
-    report["left"] = len(sizes) - report["removed_parts"]
-    settings = {"smaller_than": smaller_than, "phase": phase, "connectivity": connectivity}
-    recipe = image.recipe.then("finish", values, operation="remove_floaters", settings=settings, report=report)
-    return with_values(image, values, recipe=recipe)
+    removed = int(np.count_nonzero(goes))
+    return {"removed_parts": removed, "removed": int(sizes[goes].sum()), "left": len(sizes) - removed}

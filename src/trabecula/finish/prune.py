@@ -23,7 +23,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
 from trabecula.core.recipe import Recipe
 from trabecula.finish.branches import Anatomy, FreeEnd, anatomy, cell_perimeters
-from trabecula.finish.connect import _background
+from trabecula.finish.connect import background_of
 from trabecula.finish.growing import Struts, grow, struts_of
 from trabecula.measure.phases import indicator
 
@@ -99,7 +99,7 @@ def prune(
     theta = as_number(theta, name="theta", low=0, high=10)
     if not inside.any():
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to prune")
-    background = _background(image, phase)
+    background = background_of(image, phase)
     source = None if exemplar is None else _source(exemplar, image)
     # Lengths from here on in the smallest edge: the same voxels then whatever the unit.
     scale = min(image.spacing)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
-from trabecula.finish.connect import _background
+from trabecula.finish.connect import background_of
 from trabecula.finish.labels import repainted
 from trabecula.measure.phases import indicator
 from trabecula.measure.smooth import gaussian
@@ -51,7 +51,7 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     sigma = as_number(sigma, name="sigma", low=0, high=extent)
     if sigma == 0:
         raise InputError("sigma 0 smooths nothing: give a length above 0, in the image's unit")
-    background = _background(image, phase)
+    background = background_of(image, phase)
     if not inside.any():
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to smooth")
     level = gaussian(inside, [sigma / edge for edge in image.spacing])

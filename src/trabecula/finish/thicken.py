@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
-from trabecula.finish.connect import _background
+from trabecula.finish.connect import background_of
 from trabecula.finish.labels import repainted
 from trabecula.finish.struts import balls, thin_cores
 from trabecula.measure.phases import indicator
@@ -60,7 +60,7 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     thickness = as_number(thickness, name="thickness", low=0, high=extent)
     if thickness == 0:
         raise InputError("thickness 0 thickens nothing: give a length above 0, in the image's unit")
-    background = _background(image, phase)
+    background = background_of(image, phase)
     if not inside.any():
         raise InputError(
             f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to thicken"

@@ -7,11 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.image import Image, with_values
-from trabecula.finish.connect import _background
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image, with_values
+from trabecula.engine.tiles import in_order
+from trabecula.finish.connect import background_of
 from trabecula.finish.labels import repainted
 from trabecula.measure.labelling import label_components
-from trabecula.measure.phases import indicator
+from trabecula.measure.phases import as_connectivity, indicator, members
+from trabecula.measure.runs import runs_of
 
 
 class _Pores(NamedTuple):
@@ -86,19 +89,61 @@ def fill_trapped(image: Image | ArrayLike, *, phase: str | int | None = None, co
     InputError
         As `trapped`.
     """
-    pores = _pores(image, phase, connectivity)
-    image, sizes, closed = pores.image, pores.sizes, pores.closed
-    after = pores.inside | np.concatenate([[False], closed])[pores.labels]
-    values = repainted(image, pores.inside, after, _background(image, phase))
-    report = {"filled_pores": np.count_nonzero(closed), "filled": int(sizes[closed].sum())}
-    settings = {"phase": phase, "connectivity": connectivity}
+    image = as_image(image)
+    values = np.array(image.values, order="C")
+    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
+    settings: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
+    if len(_present(lifted, image, phase)) <= 1:
+        report = fill_trapped_in_place(lifted, image, **settings)
+    else:
+        pores = _pores(image, phase, connectivity)
+        after = pores.inside | np.concatenate([[False], pores.closed])[pores.labels]
+        values = repainted(image, pores.inside, after, background_of(image, phase))
+        report = {"filled_pores": np.count_nonzero(pores.closed), "filled": int(pores.sizes[pores.closed].sum())}
     recipe = image.recipe.then("finish", values, operation="fill_trapped", settings=settings, report=report)
     return with_values(image, values, recipe=recipe)
 
 
+def fill_trapped_in_place(
+    values: np.ndarray, image: Image, *, phase: str | int | None, connectivity: int | None
+) -> dict[str, int]:
+    """As `fill_trapped`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report.
+
+    Raises
+    ------
+    InputError
+        The phase has several labels here, of which the nearest would have to be found.
+    """
+    labels = _present(values, image, phase)
+    if len(labels) > 1:
+        names = ", ".join(image.phases[label] for label in labels)
+        raise InputError(
+            f"pores among {names} take the nearest of them, which needs the whole volume in memory: name one --phase, or "
+            "raise --memory"
+        )
+    void = np.arange(256) == background_of(image, phase)
+    runs = runs_of(values, void, as_connectivity(connectivity, image.ndim))
+    closed = ~runs.at_faces(tuple(range(3 - image.ndim, 3)))
+    if len(labels):
+        runs.write(values, closed, int(labels[0]))
+    return {"filled_pores": int(np.count_nonzero(closed)), "filled": int(runs.sizes[closed].sum())}
+
+
+def _present(values: np.ndarray, image: Image, phase: str | int | None) -> np.ndarray:
+    """The labels of a phase that occur in an array (Z, Y, X)."""
+    counts = np.zeros(256, np.int64)
+
+    def count(first: int, last: int) -> None:
+        for plane in values[first:last]:
+            counts[:] += np.bincount(plane.ravel(), minlength=256)
+
+    in_order(count, len(values))
+    return np.flatnonzero((counts > 0) & members(image, phase))
+
+
 def _pores(image: Image | ArrayLike, phase: str | int | None, connectivity: int | None) -> _Pores:
     image, inside = indicator(image, phase)
-    void = image.values == _background(image, phase)
+    void = image.values == background_of(image, phase)
     labels, sizes = label_components(void, connectivity=connectivity)
     closed = np.ones(len(sizes) + 1, bool)
     for axis in range(labels.ndim):

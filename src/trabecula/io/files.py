@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.locations import Remote, place_of
 from trabecula.io.formats import SLICES, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret
@@ -33,8 +34,9 @@ def read(
 
     Parameters
     ----------
-    path : path
-        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of slices.
+    path : path or address
+        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of slices; of a Zarr store also an
+        address that fsspec knows, such as s3://bucket/rock.zarr (needs the extra remote).
     kind : {"labels", "grey", "colour"}, optional
     spacing : float or sequence of float, optional
         Edge of a voxel, one number or one per axis (z, y, x).
@@ -69,7 +71,7 @@ def read(
     ...     tb.read(path, spacing=0.5, unit="micron")
     <Image 4x4 labels, voxel 0.5x0.5 um, phases void/solid>
     """
-    place = Path(path)
+    place = place_of(path)
     check_there(place)
     form = _format_to_read(place)
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
@@ -82,7 +84,9 @@ def read(
     return interpret(content, source=os.fspath(path), options={**options, "level": level})
 
 
-def _format_to_read(path: Path) -> Format:
+def _format_to_read(path: Path | Remote) -> Format:
+    if isinstance(path, Remote):
+        return format_of("x.zarr")
     if not path.is_dir():
         form = format_of(path)
         if form.folder:
@@ -96,19 +100,20 @@ def _format_to_read(path: Path) -> Format:
     return form
 
 
-def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path:
+def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remote:
     """Write an Image with its spacing, unit, phases and recipe; the file appears whole or not at all.
 
     Parameters
     ----------
     image : Image or array
         Plain arrays of bool or of labels 0..n-1 as they are; others need a kind first.
-    path : path
-        The suffix chooses the format; a path that ends in "/" is a folder of PNG slices.
+    path : path or address
+        The suffix chooses the format; a path that ends in "/" is a folder of PNG slices. At an address (as for `read`) what is
+        there is not replaced.
 
     Returns
     -------
-    Path
+    Path, or Remote at an address
         What was written (the header, where voxels lie beside it).
 
     Raises
@@ -121,7 +126,9 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path:
         Voxels that the format cannot hold.
     """
     image = as_image(image)
-    text, place = os.fspath(path), Path(path)
+    text, place = os.fspath(path), place_of(path)
+    if isinstance(place, Remote):
+        return check_stored(place).function("write")(image, place)
     form = SLICES if text.endswith(("/", os.sep)) and suffix_of(text) is None else format_of(text)
     if form.folder and place.exists() and not place.is_dir():
         raise FileError(
@@ -130,3 +137,18 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path:
     if not form.folder and place.is_dir():
         raise FileError(f"cannot write {place}: a folder of that name is there; choose another name")
     return form.function("write")(image, place)
+
+
+def check_stored(address: Remote) -> Format:
+    """The format that is written to an address.
+
+    Raises
+    ------
+    InputError
+        The suffix is not that of a Zarr store.
+    """
+    if suffix_of(address) != ".zarr":
+        raise InputError(
+            f"cannot write {address}: only a .zarr is written to an address; write a file, and copy it there"
+        )
+    return format_of(address)

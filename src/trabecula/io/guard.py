@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
+from trabecula.engine.locations import Remote
 from trabecula.engine.plan import available_memory, format_bytes
 
 # What the libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and the XML
@@ -39,7 +40,7 @@ _DAMAGE: tuple[type[Exception], ...] = (
 
 
 @contextmanager
-def damaged(path: Path, form: str, *, also: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def damaged(path: Path | Remote, form: str, *, also: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """Turn whatever a library raises while it reads `path` into one line.
 
     Parameters
@@ -70,8 +71,14 @@ def _reason(error: Exception) -> str:
     return line if len(line) <= 160 else f"{line[:157]}..."
 
 
-def check_there(path: Path) -> None:
-    """Raise where nothing is at `path` (naming what is near), or an empty file."""
+def check_there(path: Path | Remote) -> None:
+    """Raise where nothing is at `path` (naming what is near), an empty file, or at an address no store."""
+    if isinstance(path, Remote):
+        if not path.is_store():
+            raise FileError(
+                f"there is no Zarr store at {path}, and nothing else is read from an address: check the name"
+            )
+        return
     if not path.exists():
         if path.with_name(path.name + ".part").exists():
             raise FileError(
@@ -94,7 +101,7 @@ DEFLATE = 1032
 """No deflate stream (zlib, gzip, PNG) unpacks to more than this times its length."""
 
 
-def check_claim(path: Path, shape: Sequence[int], dtype: np.dtype, *, stored: int | None = None) -> None:
+def check_claim(path: Path | Remote, shape: Sequence[int], dtype: np.dtype, *, stored: int | None = None) -> None:
     """Raise, before anything is allocated, where a header claims more than can be.
 
     Parameters

@@ -16,6 +16,7 @@ from trabecula.core.progress import say, track
 from trabecula.core.recipe import Recipe, digest_of
 from trabecula.engine import store
 from trabecula.engine.cuts import Box, slices_of
+from trabecula.engine.locations import Remote, located, place_of
 from trabecula.engine.plan import available_memory, format_bytes
 from trabecula.engine.slabs import Slabs
 from trabecula.io.guard import check_there, damaged
@@ -36,7 +37,7 @@ def open_slabs(
 
     Parameters
     ----------
-    path : path
+    path : path or address
         A Zarr store. One of another program is read once, to find its levels.
     kind, spacing, unit, phases, level
         As in `read`.
@@ -62,9 +63,9 @@ def open_slabs(
     """
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases, "level": level or None}
     options = {name: value for name, value in given.items() if value is not None}
-    place = Path(path)
+    place = place_of(path)
     check_there(place)
-    if not is_store(place):
+    if not located(place).is_store():
         raise InputError(f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr first")
     with damaged(place, "Zarr"):
         voxels = _open(place, level)
@@ -93,11 +94,11 @@ def open_slabs(
 
 def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, int, int] | None:
     """Voxels along z, y, x of what lies in a Zarr store; `None` where the path is none, or holds no single volume."""
-    place = Path(path)
-    if not is_store(place):
+    place = place_of(path)
+    if not located(place).is_store():
         return None
     with damaged(place, "Zarr"):
-        return _spatial(store.open_finished(place, level))
+        return spatial_shape(store.open_finished(place, level))
 
 
 def slabs_if_large(
@@ -131,23 +132,18 @@ def slabs_if_large(
     return open_slabs(name, **reading)
 
 
-def is_store(path: Path) -> bool:
-    """Whether a folder is a Zarr store."""
-    return any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray"))
-
-
 @dataclass(frozen=True)
 class _Voxels:
     """The voxels of a store along z, y, x, whatever axes of length one it has before these."""
 
-    path: Path
+    path: Path | Remote
     opened: store.Store
     shape: tuple[int, int, int]
 
     def read(self, box: Box) -> np.ndarray:
         array = self.opened.array
         with damaged(self.path, "Zarr"):
-            values = np.asarray(array[(0,) * (array.ndim - 3) + slices_of(box)])
+            values = self.opened.read((0,) * (array.ndim - 3) + slices_of(box))
         return values.view(np.uint8) if values.dtype == bool else values
 
     def levels(self) -> np.ndarray | None:
@@ -175,16 +171,16 @@ class _Voxels:
         return int(self.opened.array.chunks[-3])
 
 
-def _open(path: Path, level: int) -> _Voxels:
+def _open(path: Path | Remote, level: int) -> _Voxels:
     opened = store.open_finished(path, level)
     opened.check_whole()
-    shape = _spatial(opened)
+    shape = spatial_shape(opened)
     if shape is None:
         raise InputError(f"{path} is no single volume, its shape is {opened.array.shape}: give 3 axes (z, y, x)")
     return _Voxels(path, opened, shape)
 
 
-def _spatial(opened: store.Store) -> tuple[int, int, int] | None:
+def spatial_shape(opened: store.Store) -> tuple[int, int, int] | None:
     """The sides along z, y, x; None where there are others that are longer than one voxel."""
     *extra, depth, height, width = (1, 1, 1, *(int(side) for side in opened.array.shape))
     if opened.array.ndim < 3 or len(opened.scale) not in (0, 3) or any(side != 1 for side in extra):

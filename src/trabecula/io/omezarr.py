@@ -9,12 +9,13 @@ import numpy as np
 from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
+from trabecula.engine.locations import Remote
 from trabecula.io.guard import check_claim, damaged
 from trabecula.io.metadata import Content, checked
 from trabecula.io.units import long_name
 
 
-def write(image: Image, path: Path) -> Path:
+def write(image: Image, path: Path | Remote) -> Path | Remote:
     """Write a Zarr store (see `trabecula.io.files.write`)."""
     store.save(
         path,
@@ -27,7 +28,7 @@ def write(image: Image, path: Path) -> Path:
     return path
 
 
-def read(path: Path, level: int = 0) -> Content:
+def read(path: Path | Remote, level: int = 0) -> Content:
     """Read a level of a Zarr store (see `trabecula.io.files.read`)."""
     with damaged(path, "Zarr"):
         opened = store.open_finished(path, level)
@@ -41,7 +42,7 @@ def read(path: Path, level: int = 0) -> Content:
         return Content(values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields)
 
 
-def _spatial(path: Path, values: np.ndarray, axes: int) -> np.ndarray:
+def _spatial(path: Path | Remote, values: np.ndarray, axes: int) -> np.ndarray:
     """The voxels without OME's leading axes of time and channel, which must be of length one."""
     extra = values.ndim - axes if axes else max(0, values.ndim - 3)
     if any(side != 1 for side in values.shape[:extra]):

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_spacing
 from trabecula.core.errors import InputError
+from trabecula.engine import scratch
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.tiles import for_slabs
 from trabecula.measure.phases import as_inside, as_periodic
@@ -59,15 +60,19 @@ def distance_transform(
     scale = min(edges[3 - np.ndim(inside) :])
     weights = [(edge / scale) ** 2 for edge in edges]
     depth, height, _ = solid.shape
-    square = np.empty(solid.shape, np.float32)
+    square = scratch.empty(solid.shape, np.float32)
     for_slabs(lambda a, b: _along_x(solid, square, weights[2], wraps[2], a, b), depth)
     if height > 1:
         for_slabs(lambda a, b: _along_lines(square, weights[1], wraps[1], a, b), depth)
     if depth > 1:
         for_slabs(lambda a, b: _along_lines(square.transpose(1, 0, 2), weights[0], wraps[0], a, b), height)
-    np.sqrt(square, out=square)
-    if scale != 1.0:
-        square *= np.float32(scale)
+
+    def root(start: int, stop: int) -> None:
+        np.sqrt(square[start:stop], out=square[start:stop])
+        if scale != 1.0:
+            square[start:stop] *= np.float32(scale)
+
+    for_slabs(root, depth)
     return square.reshape(np.shape(inside))
 
 

@@ -2,16 +2,23 @@
 
 Runs are joined by union-find, root = the run that comes first, so that components are numbered by their first voxel in
 raster order. What needs labels as an array paints those of a box.
+
+All passes go by slabs along z, and the arrays may lie in scratch files (`engine.scratch`): then neither the voxels nor their
+runs have to fit into memory.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
 from trabecula.engine.cuts import Box
+from trabecula.engine.tiles import for_slabs, in_order
 from trabecula.measure.union import join, root_of
 
 # Rows before the present one that can hold neighbours, as (dz, dy, how far x may differ).
@@ -21,6 +28,10 @@ _ROWS = {
     26: [(0, -1, 1), (-1, 0, 1), (-1, -1, 1), (-1, 1, 1)],
 }
 _ROWS[4], _ROWS[8] = _ROWS[6], _ROWS[26]
+
+
+_MANY = 1 << 20
+"""Voxels from which on threads are started: that takes longer than to visit fewer."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +64,30 @@ class Runs:
         _paint(self.first, self.begin, self.end, self.label, self.shape[1], low, labels)
         return labels
 
-    def boxes(self) -> np.ndarray:
-        """(n + 1, 6): first voxel and one past the last along z, y, x of every label; label 0 has none."""
-        boxes = np.zeros((len(self.sizes) + 1, 6), np.int64)
+    def boxes(self, chosen: np.ndarray | None = None) -> np.ndarray:
+        """(m, 6): first voxel and one past the last along z, y, x of the components k for which `chosen[k - 1]` holds, or of
+        all, in their order."""
+        chosen = np.ones(len(self.sizes), np.bool_) if chosen is None else chosen
+        place = np.cumsum(chosen, dtype=np.int32)
+        boxes = np.zeros((int(place[-1]) if len(place) else 0, 6), np.int64)
         boxes[:, :3] = max(self.shape)
-        _bound(self.first, self.begin, self.end, self.label, self.shape[1], boxes)
+        parts = (self.first, self.begin, self.end, self.label, self.shape[1], chosen, place, boxes)
+        in_order(lambda start, stop: _bound(*parts, start, stop), self.shape[0])
         return boxes
+
+    def at_faces(self, axes: tuple[int, ...] = (0, 1, 2)) -> np.ndarray:
+        """(n,) bool: whether component k + 1 reaches a face of the array across one of the axes."""
+        found = np.zeros(len(self.sizes), np.bool_)
+        across = np.isin(np.arange(3), axes)
+        parts = (self.first, self.begin, self.end, self.label, np.array(self.shape), across, found)
+        in_order(lambda start, stop: _mark(*parts, start, stop), self.shape[0])
+        return found
 
     def write(self, values: np.ndarray, chosen: np.ndarray, value: int) -> None:
         """Write `value` into the voxels of the components k for which `chosen[k - 1]` holds: into `values` itself."""
-        _write(self.first, self.begin, self.end, self.label, chosen, values.reshape(self.shape), value)
+        lifted = values.reshape(self.shape)
+        parts = (self.first, self.begin, self.end, self.label, chosen, lifted, value)
+        _spread(lambda start, stop: _write(*parts, start, stop), self.shape)
 
 
 def runs_of(values: np.ndarray, member: np.ndarray, connectivity: int) -> Runs:
@@ -77,12 +102,38 @@ def runs_of(values: np.ndarray, member: np.ndarray, connectivity: int) -> Runs:
         Neighbours of a voxel.
     """
     depth, height, width = values.shape
-    first = _count_runs(values, member)
-    begin, end = _find_runs(values, member, first)
-    parent = np.arange(len(begin), dtype=np.int32 if len(begin) < 2**31 else np.int64)
-    _join(begin, end, first, np.array(_ROWS[connectivity], np.int64), height, parent)
-    label, sizes = _number(begin, end, parent)
+    first = np.zeros(depth * height + 1, np.int64)
+    _spread(lambda start, stop: _count_runs(values, member, first, start, stop), values.shape)
+    np.cumsum(first, out=first)
+    count = int(first[-1])
+    begin, end = scratch.empty(count, np.int32), scratch.empty(count, np.int32)
+    _spread(lambda start, stop: _find_runs(values, member, first, begin, end, start, stop), values.shape)
+    label, components = _labels(begin, end, first, np.array(_ROWS[connectivity], np.int64), height)
+    bounds = first[::height]
+    sizes = scratch.zeros(components, np.int64)
+    in_order(lambda start, stop: _add_sizes(begin, end, label, sizes, bounds[start], bounds[stop]), depth)
     return Runs((depth, height, width), first, begin, end, label, sizes)
+
+
+def _spread(work: Callable[[int, int], object], shape: tuple[int, ...]) -> None:
+    """Slabs in threads, where they pay."""
+    (for_slabs if prod(shape) >= _MANY else in_order)(work, shape[0])
+
+
+def _labels(
+    begin: np.ndarray, end: np.ndarray, first: np.ndarray, rows: np.ndarray, height: int
+) -> tuple[np.ndarray, int]:
+    """The component of every run, and how many there are. Not in threads: runs are joined and numbered in their order."""
+    bounds, count = first[::height], len(begin)
+    parent = scratch.empty(count, np.int32 if count < 2**31 else np.int64)
+    in_order(lambda start, stop: _join(begin, end, first, rows, height, parent, start, stop), len(bounds) - 1)
+    label, found = scratch.empty(count, np.int32), [0]
+
+    def number(start: int, stop: int) -> None:
+        found[0] = _number(parent, label, bounds[start], bounds[stop], found[0])
+
+    in_order(number, len(bounds) - 1)
+    return label, found[0]
 
 
 RUN_BYTES = 24
@@ -96,15 +147,17 @@ def merged_pieces(sizes: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.
     """Labels 1 .. n joined by pairs of them: the new label of each, numbered by the first of its labels, and new sizes."""
     # A label is a run of its own size here, and its root again the one that comes first.
     parent = _join_pairs(len(sizes), pairs - 1)
-    ends = np.cumsum(sizes)
-    return _number(ends - sizes, ends, parent)
+    ends, label = np.cumsum(sizes), np.empty(len(parent), np.int32)
+    merged = np.zeros(_number(parent, label, 0, len(parent), 0), np.int64)
+    _add_sizes(ends - sizes, ends, label, merged, 0, len(parent))
+    return label, merged
 
 
 @kernel
-def _count_runs(values, member):
-    depth, height, width = values.shape
-    first = np.zeros(depth * height + 1, np.int64)
-    for z in range(depth):
+def _count_runs(values, member, first, start, stop):
+    """Runs of every row, one place further on."""
+    height, width = values.shape[1:]
+    for z in range(start, stop):
         for y in range(height):
             count = 0
             before = False
@@ -112,17 +165,14 @@ def _count_runs(values, member):
                 now = member[values[z, y, x]]
                 count += now and not before
                 before = now
-            first[z * height + y + 1] = first[z * height + y] + count
-    return first
+            first[z * height + y + 1] = count
 
 
 @kernel
-def _find_runs(values, member, first):
-    depth, height, width = values.shape
-    begin = np.empty(first[-1], np.int32)
-    end = np.empty(first[-1], np.int32)
-    k = 0
-    for z in range(depth):
+def _find_runs(values, member, first, begin, end, start, stop):
+    height, width = values.shape[1:]
+    k = first[start * height]
+    for z in range(start, stop):
         for y in range(height):
             before = False
             for x in range(width):
@@ -136,13 +186,14 @@ def _find_runs(values, member, first):
             if before:
                 end[k] = width
                 k += 1
-    return begin, end
 
 
 @kernel
-def _join(begin, end, first, rows, height, parent):
+def _join(begin, end, first, rows, height, parent, start, stop):
     """Union of the runs that touch a run in one of the `rows` before theirs; the root is the smallest run."""
-    for row in range(len(first) - 1):
+    for k in range(first[start * height], first[stop * height]):
+        parent[k] = k
+    for row in range(start * height, stop * height):
         z, y = row // height, row % height
         for n in range(len(rows)):
             dz, dy, slack = rows[n]
@@ -172,21 +223,22 @@ def _join_pairs(count, pairs):
 
 
 @kernel
-def _number(begin, end, parent):
-    """Label of every run and size of every label. A root comes before all runs of its tree."""
-    label = np.empty(len(parent), np.int32)
-    count = 0
-    for k in range(len(parent)):
+def _number(parent, label, start, stop, count):
+    """Labels of the runs from `start` on, of which `count` are taken; how many then are. A root comes before its tree."""
+    for k in range(start, stop):
         root = root_of(parent, k)
         if root == k:
             count += 1
             label[k] = count
         else:
             label[k] = label[root]
-    sizes = np.zeros(count, np.int64)
-    for k in range(len(parent)):
+    return count
+
+
+@kernel
+def _add_sizes(begin, end, label, sizes, start, stop):
+    for k in range(start, stop):
         sizes[label[k] - 1] += end[k] - begin[k]
-    return label, sizes
 
 
 @kernel
@@ -204,20 +256,34 @@ def _paint(first, begin, end, label, height, low, labels):
 
 
 @kernel
-def _bound(first, begin, end, label, height, boxes):
-    for row in range(len(first) - 1):
+def _bound(first, begin, end, label, height, chosen, place, boxes, start, stop):
+    for row in range(start * height, stop * height):
         z, y = row // height, row % height
         for k in range(first[row], first[row + 1]):
-            box = boxes[label[k]]
+            if not chosen[label[k] - 1]:
+                continue
+            box = boxes[place[label[k] - 1] - 1]
             box[0], box[3] = min(box[0], z), max(box[3], z + 1)
             box[1], box[4] = min(box[1], y), max(box[4], y + 1)
             box[2], box[5] = min(box[2], begin[k]), max(box[5], end[k])
 
 
 @kernel
-def _write(first, begin, end, label, chosen, values, value):
+def _mark(first, begin, end, label, shape, across, found, start, stop):
+    """Which components have a run at a face across an axis that counts."""
+    depth, height, width = shape
+    for row in range(start * height, stop * height):
+        z, y = row // height, row % height
+        outer = (across[0] and (z == 0 or z == depth - 1)) or (across[1] and (y == 0 or y == height - 1))
+        for k in range(first[row], first[row + 1]):
+            if outer or (across[2] and (begin[k] == 0 or end[k] == width)):
+                found[label[k] - 1] = True
+
+
+@kernel
+def _write(first, begin, end, label, chosen, values, value, start, stop):
     height = values.shape[1]
-    for row in range(len(first) - 1):
+    for row in range(start * height, stop * height):
         for k in range(first[row], first[row + 1]):
             if chosen[label[k] - 1]:
                 values[row // height, row % height, begin[k] : end[k]] = value

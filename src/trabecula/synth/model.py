@@ -145,7 +145,8 @@ class Model(ABC):
         whole, fixed = self.plan(request), dict(self._plan_spilled(request))
         kept = sum(fixed.values())
         files = max(0, whole.peak - kept)
-        return Plan({**fixed, "pages": max(0, min(memory - kept, files))}, disk=whole.disk * 8 // 7 + files)
+        pages = max(0, min(memory - kept, files))
+        return Plan({**fixed, "pages": pages}, disk=whole.disk * 8 // 7, scratch=files + whole.disk)
 
     def _plan_spilled(self, request: Request) -> Mapping[str, int]:
         """Bytes needed in memory where arrays lie in scratch files: "interpreter and kernels", "exemplar", and "slab", what the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,12 +102,15 @@ def scene_of(
     chosen, words = look_named(look), cuts.as_words(cut)
     width, height = _as_size(size)
     angles = as_angles(camera)
-    check_budget(
-        Plan({"fields": 8 * drawable.values.size, "picture": 24 * width * height}), advice="render a crop"
-    )  # fmt: skip
+    check_budget(forecast(drawable.shape, (width, height)), advice="render a crop, or a coarser level of a .zarr")
     made = cuts.make(words, drawable.shape[::-1], np.array(drawable.spacing[::-1]), cuts.direction(*angles))
     volume = prepare(drawable.values, drawn_phases(drawable, phase))
     return Scene(drawable, volume, made, chosen, (width, height)), angles
+
+
+def forecast(shape: Sequence[int], size: tuple[int, int]) -> Plan:
+    """What a still of `size` pixels of a volume in memory takes."""
+    return Plan({"fields": 8 * prod(shape), "picture": 24 * prod(size)})
 
 
 def _as_drawable(image: Image | ArrayLike, threshold: float | None) -> Image:

@@ -11,8 +11,8 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
-from trabecula.measure.distance import distance_transform
 from trabecula.measure.smooth import gaussian
+from trabecula.synth.shared.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
 from trabecula.synth.shared.fields import (
     FULL,
     labels_of,
@@ -25,11 +25,8 @@ from trabecula.synth.shared.fields import (
 )
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.joints import mixed_share, surroundings
+from trabecula.synth.shared.slabs import both, by_pieces, counted, inverse, tallied
 
-Bounds = tuple[np.ndarray, np.ndarray]
-"""The least and the most, (C, Z, Y, X) float32, that the field may be."""
-
-_ANY = 1e4  # farther than any distance
 _BLUR = 1.0  # voxels
 _BESIDE = 8  # voxels around what is made that say how dense it should be
 
@@ -102,20 +99,13 @@ class Labels(Content):
         plane of a slice that is where they lie."""
         if request.fixed is None or request.known is None:
             return None
-        fixed, known = request.fixed, request.known
-        unit = mean_edge(fixed.spacing) if self.unit is None else self.unit
-        spacing = tuple(edge / unit for edge in fixed.spacing)
-        unknown = distance_transform(known, spacing=spacing)
-        low, high = [], []
-        for label in self.present[1:] if len(self.present) == 2 else self.present:
-            inside = fixed.values == label
-            within, without = (_depth(side, known, spacing) for side in (inside, ~inside))
-            own = np.where(inside, within, without)
-            far = np.maximum(own - 0.5, 0.1)
-            near = np.maximum(0.5 * far, 0.1) if thin else np.maximum(np.minimum(own, unknown) - 0.5, 0.1)
-            low.append(np.where(known, np.where(inside, near, -far), -_ANY))
-            high.append(np.where(known, np.where(inside, far, -near), _ANY))
-        return np.stack(low).astype(np.float32), np.stack(high).astype(np.float32)
+        unit = mean_edge(request.fixed.spacing) if self.unit is None else self.unit
+        spacing = tuple(edge / unit for edge in request.fixed.spacing)
+        return distance_bounds(request.fixed.values, request.known, self._channels(), spacing, thin=thin)
+
+    def _channels(self) -> tuple[int, ...]:
+        """The labels that the field's channels stand for."""
+        return self.present[1:] if len(self.present) == 2 else self.present
 
     def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
         """A target porosity makes values inside every phase as much more or less frequent."""
@@ -142,10 +132,10 @@ class Labels(Content):
             return self._left(asked, request, free)
         if free is None or request.fixed is None or request.known is None:
             return self.fractions
-        near = surroundings(free, request.known, _BESIDE)
-        held = request.fixed.values[near]
-        own = np.array([np.mean(held == label) if held.size else 0.0 for label in self.present])
-        return mixed_share(held.size, int(np.count_nonzero(free)), own, self.fractions)
+        counts = _counts(request.fixed.values, surroundings(free, request.known, _BESIDE))
+        held = int(counts.sum())
+        own = counts[list(self.present)] / max(1, held)
+        return mixed_share(held, counted(free), own, self.fractions)
 
     def _asked(self, request: Request) -> np.ndarray | None:
         """The fractions that a target porosity asks for: the other phases keep their proportions."""
@@ -164,9 +154,8 @@ class Labels(Content):
         """The fractions of what is made, so that with what is known they are those asked for, as far as they can be."""
         if free is None or request.fixed is None or request.known is None:
             return asked
-        held = request.fixed.values[request.known if request.mask is None else request.known & request.mask]
-        own = np.array([np.count_nonzero(held == label) for label in self.present])
-        left = np.maximum(asked * (held.size + np.count_nonzero(free)) - own, 0)
+        counts = _counts(request.fixed.values, request.known, request.mask)
+        left = np.maximum(asked * (int(counts.sum()) + counted(free)) - counts[list(self.present)], 0)
         return np.asarray(left / max(left.sum(), 1e-30))
 
 
@@ -176,20 +165,13 @@ class Indicators(Labels):
     distances = False
 
     def fields(self, image: Image) -> np.ndarray:
-        channels = self.present[1:] if len(self.present) == 2 else self.present
-        sharp = [np.where(image.values == label, np.float32(FULL), np.float32(-FULL)) for label in channels]
+        sharp = [np.where(image.values == label, np.float32(FULL), np.float32(-FULL)) for label in self._channels()]
         return _deep(np.stack([gaussian(channel, _BLUR) for channel in sharp]))
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
-        # How far the blur of a known voxel is known depends on its neighbours; its side of the middle does not.
-        low, high = [], []
-        for label in self.present[1:] if len(self.present) == 2 else self.present:
-            inside = request.fixed.values == label
-            low.append(np.where(request.known, np.where(inside, 1.0, -_ANY), -_ANY))
-            high.append(np.where(request.known, np.where(inside, _ANY, -1.0), _ANY))
-        return np.stack(low).astype(np.float32), np.stack(high).astype(np.float32)
+        return sign_bounds(request.fixed.values, request.known, self._channels())
 
 
 class Values(Content):
@@ -209,13 +191,15 @@ class Values(Content):
         self.dtype = exemplars[0].values.dtype
 
     def fields(self, image: Image) -> np.ndarray:
-        return _deep(value_fields(image, low=self.low, high=self.high))
+        return _deep(self._fields(image.values))
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
-        fields = self.fields(request.fixed)
-        return np.where(request.known, fields, -_ANY), np.where(request.known, fields, _ANY)
+        return value_bounds(self._fields, request.fixed.values, request.known)
+
+    def _fields(self, values: np.ndarray) -> np.ndarray:
+        return value_fields(values, colour=self.kind == "colour", low=self.low, high=self.high)
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
         if self.histograms is not None:
@@ -231,21 +215,31 @@ def _deep(fields: np.ndarray) -> np.ndarray:
 
 def free_of(request: Request) -> np.ndarray | None:
     """The voxels that are to be made; None where all are."""
-    if request.known is None:
-        return request.mask
-    return ~request.known if request.mask is None else request.mask & ~request.known
+    return request.mask if request.known is None else both(request.mask, inverse(request.known))
 
 
 def completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
     """Values, written into: `empty` outside the mask, and what is known as it is."""
-    if request.mask is not None:
-        values[~request.mask] = empty
-    if request.fixed is not None and request.known is not None:
-        values[request.known] = request.fixed.values[request.known]
+    mask, fixed, known = request.mask, request.fixed, request.known
+
+    def work(start: int, stop: int) -> None:
+        part = values[start:stop]
+        if mask is not None:
+            part[~mask[start:stop]] = empty
+        if fixed is not None and known is not None:
+            there = known[start:stop]
+            part[there] = fixed.values[start:stop][there]
+
+    if mask is not None or known is not None:
+        by_pieces(work, values.shape[:3])
     return values
 
 
-def _depth(inside: np.ndarray, known: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
-    """Distance of every voxel of `inside` to the nearest known voxel outside."""
-    may_be = inside | ~known
-    return np.full(inside.shape, _ANY) if may_be.all() else distance_transform(may_be, spacing=spacing)
+def _counts(labels: np.ndarray, inside: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """How many voxels `inside`, and inside a mask, have each label, (256,)."""
+
+    def tally(start: int, stop: int) -> np.ndarray:
+        at = inside[start:stop] if mask is None else inside[start:stop] & mask[start:stop]
+        return np.bincount(labels[start:stop][at], minlength=256)
+
+    return tallied(tally, labels.shape)

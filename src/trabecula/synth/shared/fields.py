@@ -11,13 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.histogram import Histogram, brightest, match_histogram, mixed_with_neighbours
+from trabecula.synth.shared.auction import shared_out
+from trabecula.synth.shared.brightest import brightest
+from trabecula.synth.shared.histogram import Histogram, look_up, match_histogram, matching_table
+from trabecula.synth.shared.slabs import by_pieces, counted, made_by_slabs
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
-
-_AUCTIONS = 20  # rounds at most; a handful settle it
 
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
@@ -58,14 +61,21 @@ def _distance_of(inside: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
     return signed_distance(inside, spacing=spacing)
 
 
-def quantise(field: np.ndarray, *, clip: float) -> np.ndarray:
-    """A field in int8, where +-127 means `clip` and beyond."""
-    return np.rint(np.clip(field * np.float32(FULL / clip), -FULL, FULL)).astype(np.int8)
+def quantise(field: np.ndarray, *, clip: float, unit: float = 1.0) -> np.ndarray:
+    """A field (..., Z, Y, X) in int8, where +-127 means `clip` of these units and beyond."""
+    if field.ndim < 3:
+        return _bytes(field, clip, unit)
+    return made_by_slabs(lambda a, b: _bytes(field[..., a:b, :, :], clip, unit), field.shape, np.int8)
 
 
-def value_fields(image: Image, *, low: float, high: float) -> np.ndarray:
-    """Grey or colour as (C, Z, Y, X) or (C, Y, X) float32, -127 at `low` and 127 at `high`."""
-    channels = np.moveaxis(image.values, -1, 0) if image.kind == "colour" else image.values[None]
+def _bytes(field: np.ndarray, clip: float, unit: float) -> np.ndarray:
+    scaled = (field if unit == 1 else field / np.float32(unit)) * np.float32(FULL / clip)
+    return np.rint(np.clip(scaled, -FULL, FULL)).astype(np.int8)
+
+
+def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -> np.ndarray:
+    """Grey values, or colours (..., 3), as (C, ...) float32, -127 at `low` and 127 at `high`."""
+    channels = np.moveaxis(values, -1, 0) if colour else values[None]
     return (channels.astype(np.float32) - np.float32(low)) * np.float32(2 * FULL / (high - low)) - np.float32(FULL)
 
 
@@ -79,48 +89,61 @@ def labels_of(
     that the fractions come out, but for ties: zeros alone need not agree where three phases meet.
     Where `inside` (Z, Y, X) bool is given, fractions are those of the voxels inside.
     """
+    labels = np.asarray(present, np.uint8)
     if fractions is None:
-        chosen = (fields[0] > 0).astype(np.intp) if len(present) == 2 else fields.argmax(0)
-        return np.asarray(present, np.uint8)[chosen]
-    size = fields[0].size if inside is None else int(np.count_nonzero(inside))
+        return made_by_slabs(lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8)
+    size = fields[0].size if inside is None else counted(inside)
     if len(present) == 2:
         upper = brightest(fields[0], round(size * float(fractions[1])), inside)
-        return np.where(upper, np.uint8(present[1]), np.uint8(present[0]))
-    return np.asarray(present, np.uint8)[_shared_out(fields, np.rint(size * fractions).astype(np.int64), inside)]
+        return _in_place(upper.view(np.uint8), labels)
+    return _in_place(shared_out(fields, np.rint(size * fractions).astype(np.int64), inside), labels)
 
 
-def _shared_out(fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
-    """The largest field of every voxel (uint8), each with the shift that wins it `counts` voxels, one field after the other
-    until no count is off by more than ties (the auction for a transport problem with few goods)."""
-    counted = slice(None) if inside is None else inside
-    fields = np.stack([mixed_with_neighbours(field) for field in fields]).astype(np.int32)
-    shift = np.zeros(len(fields), np.int32)
-    kept, least = np.zeros(fields.shape[1:], np.uint8), np.inf
-    for _ in range(_AUCTIONS):
-        for phase in range(len(fields)):
-            rivals = [field + s for q, (field, s) in enumerate(zip(fields, shift, strict=True)) if q != phase]
-            margin = np.max(rivals, axis=0)
-            margin -= fields[phase]
-            bids = margin[counted].ravel()  # what the phase has to be lifted by to win a voxel
-            wins = min(max(int(counts[phase]), 1), bids.size) - 1
-            shift[phase] = np.partition(bids, wins)[wins] if bids.size else 0
-        winner = np.argmax([field + s for field, s in zip(fields, shift, strict=True)], axis=0).astype(np.uint8)
-        excess = np.abs(np.bincount(winner[counted].ravel(), minlength=len(fields)) - counts).max()
-        if excess >= least:
-            break
-        kept, least = winner, excess
-    return kept
+def _largest(fields: np.ndarray) -> np.ndarray:
+    """The phase that each voxel of (C, Z, Y, X) belongs to."""
+    return (fields[0] > 0).astype(np.intp) if len(fields) == 1 else fields.argmax(0)
+
+
+def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """The labels of phases (Z, Y, X) uint8 that are counted from 0, written over them."""
+
+    def work(start: int, stop: int) -> None:
+        phases[start:stop] = labels[phases[start:stop]]
+
+    if not np.array_equal(labels, np.arange(len(labels))):
+        by_pieces(work, phases.shape)
+    return phases
 
 
 def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None) -> np.ndarray:
     """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms of the channels."""
-    channels = [match_histogram(field, target, inside) for field, target in zip(fields, targets, strict=True)]
-    return channels[0] if len(channels) == 1 else np.stack(channels, axis=-1)
+    if len(fields) == 1:
+        return match_histogram(fields[0], targets[0], inside)
+    tables = [matching_table(field, target, inside) for field, target in zip(fields, targets, strict=True)]
+    values = scratch.empty((*fields.shape[1:], len(fields)), tables[0].dtype)
+
+    def work(start: int, stop: int) -> None:
+        plane = np.empty((1, *values.shape[1:3]), values.dtype)
+        for z in range(start, stop):
+            for c, table in enumerate(tables):
+                look_up(fields[c], table, plane, z, z, z + 1)
+                values[z, ..., c] = plane[0]
+
+    for_slabs(work, len(values))
+    return values
 
 
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
     """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields` backwards."""
-    grey = (fields.astype(np.float32) / 256 + FULL) * np.float32((high - low) / (2 * FULL)) + np.float32(low)
-    grey = grey.clip(low, high)
-    values = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
-    return values[0] if len(values) == 1 else np.moveaxis(values, 0, -1).copy()
+    shape = fields.shape[1:] if len(fields) == 1 else (*fields.shape[1:], len(fields))
+    values = scratch.empty(shape, dtype)
+
+    def work(start: int, stop: int) -> None:
+        part = fields[:, start:stop]
+        grey = (part.astype(np.float32) / 256 + FULL) * np.float32((high - low) / (2 * FULL)) + np.float32(low)
+        np.clip(grey, low, high, out=grey)
+        found = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
+        values[start:stop] = found[0] if len(found) == 1 else np.moveaxis(found, 0, -1)
+
+    by_pieces(work, values.shape[:3])
+    return values

@@ -2,19 +2,19 @@
 
 Votes agree so often that many voxels hold exactly the same value; a rank within such a tie would be chance, and mapping the
 whole tie to one value moves the volume fraction by percents. So voxels are ranked by their value with a small share of
-their six neighbours' mixed in.
+their six neighbours' mixed in. Those ranks are not kept: taking them again costs less than memory for them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from threading import Lock
 
 import numpy as np
 
+from trabecula.engine import scratch
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, sum_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
 _BINS = 1 << 16
@@ -60,7 +60,9 @@ class Histogram:
         return self.values[np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)]
 
 
-def match_histogram(field: np.ndarray, target: Histogram, inside: np.ndarray | None = None) -> np.ndarray:
+def match_histogram(
+    field: np.ndarray, target: Histogram, inside: np.ndarray | None = None, *, out: np.ndarray | None = None
+) -> np.ndarray:
     """Map (Z, Y, X) int16 so that its histogram is the target's; order is kept up to ties.
 
     Parameters
@@ -69,94 +71,91 @@ def match_histogram(field: np.ndarray, target: Histogram, inside: np.ndarray | N
     target : Histogram
     inside : (Z, Y, X) bool, optional
         Only these voxels count; the others are mapped alike.
+    out : (Z, Y, X) of the target's type, optional
+        Where the result goes; it may not be the field.
 
     Returns
     -------
     (Z, Y, X) of the target's type
     """
-    ranks, total = _ranked(field, inside)
-    table = target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
-    matched = np.empty(field.shape, table.dtype)
+    table = matching_table(field, target, inside)
+    matched = scratch.empty(field.shape, table.dtype) if out is None else out
 
     def work(start: int, stop: int) -> None:
-        _look_up(table, ranks, matched, start, stop)
+        look_up(field, table, matched, 0, start, stop)
 
     for_slabs(work, len(field))
     return matched
 
 
-def brightest(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
-    """The `count` brightest voxels of (Z, Y, X) int16 (of those `inside`) as a mask, to the voxel.
-
-    Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by raster order.
-    """
-    ranks, total = _ranked(field, inside)
-    above = np.cumsum(total[::-1])[::-1]  # voxels in this bin and all brighter ones
-    straddling = int(np.searchsorted(-above, -count, side="right")) - 1
-    chosen = ranks > straddling
-    if straddling < 0:
-        chosen[:] = True
-    if inside is not None:
-        chosen &= inside
-    if straddling < 0:
-        return chosen
-    tied = np.flatnonzero((ranks == straddling) if inside is None else (ranks == straddling) & inside)
-    places = np.unravel_index(tied, field.shape)
-    around = np.zeros(len(tied), np.int32)
-    for offset in np.ndindex(3, 3, 3):
-        near = [np.clip(p + o - 1, 0, side - 1) for p, o, side in zip(places, offset, field.shape, strict=True)]
-        around += field[tuple(near)]
-    missing = count - int(np.count_nonzero(chosen))
-    chosen.ravel()[tied[np.argsort(-around, kind="stable")[:missing]]] = True
-    return chosen
+def matching_table(field: np.ndarray, target: Histogram, inside: np.ndarray | None = None) -> np.ndarray:
+    """What every rank of a field is mapped to (`look_up`), so that its histogram is the target's."""
+    total = rank_counts(field, inside)
+    return target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
 
 
-def mixed_with_neighbours(field: np.ndarray) -> np.ndarray:
-    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours': nearly free of ties."""
-    return _ranked(field, None)[0]
-
-
-def _ranked(field: np.ndarray, inside: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Every voxel's mixed value as a bin number (uint16), and how many of the voxels inside each bin holds."""
-    ranks = np.empty(field.shape, np.uint16)
+def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
+    """How many voxels (of those inside) have each rank, (65536,) int64."""
     where = np.empty((0, 0, 0), bool) if inside is None else inside
-    total, lock = np.zeros(_BINS, np.int64), Lock()
+
+    def tally(start: int, stop: int) -> np.ndarray:
+        counts = np.zeros(_BINS, np.int64)
+        _count_ranks(field, where, counts, start, stop)
+        return counts
+
+    return np.asarray(sum_slabs(tally, len(field)))
+
+
+def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
+    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours': nearly free of ties."""
+    ranks = scratch.empty(field.shape, np.uint16) if out is None else out
+    same = np.arange(_BINS, dtype=np.uint16)
 
     def work(start: int, stop: int) -> None:
-        counts = np.zeros(_BINS, np.int64)
-        _rank_values(field, where, ranks, counts, start, stop)
-        with lock:
-            total[:] += counts
+        look_up(field, same, ranks, 0, start, stop)
 
     for_slabs(work, len(field))
-    return ranks, total
+    return ranks
 
 
 @inline
-def _at(field, z, y, x):
+def row_of_ranks(field, z, y, row):
+    """The ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768, where beyond a face its voxel lies again."""
     Z, Y, X = field.shape
-    return np.int32(field[min(max(z, 0), Z - 1), min(max(y, 0), Y - 1), min(max(x, 0), X - 1)])
+    own, above, below = field[z, y], field[max(z - 1, 0), y], field[min(z + 1, Z - 1), y]
+    before, after = field[z, max(y - 1, 0)], field[z, min(y + 1, Y - 1)]
+    for x in range(X):
+        around = np.int32(above[x]) + np.int32(below[x]) + np.int32(before[x]) + np.int32(after[x])
+        row[x] = around + _OWN * np.int32(own[x]) + (_OWN + 6) * 32768
+    for x in range(X - 1):
+        row[x] += own[x + 1]
+    for x in range(1, X):
+        row[x] += own[x - 1]
+    row[0] += own[0]
+    row[X - 1] += own[X - 1]
+    for x in range(X):
+        row[x] = np.uint32(row[x]) // np.uint32(_OWN + 6)
 
 
 @kernel
-def _look_up(table, ranks, matched, start, stop):
-    """In a kernel, since NumPy would widen every index to 8 bytes and let no other thread work meanwhile."""
-    for z in range(start, stop):
-        for y in range(ranks.shape[1]):
-            for x in range(ranks.shape[2]):
-                matched[z, y, x] = table[ranks[z, y, x]]
-
-
-@kernel
-def _rank_values(field, inside, ranks, counts, start, stop):
-    """An empty `inside` means everywhere."""
+def look_up(field, table, matched, first, start, stop):
+    """The table's entry for the rank of every voxel of planes start..stop; `matched` begins with plane `first`."""
+    row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
         for y in range(field.shape[1]):
-            for x in range(field.shape[2]):
-                around = _at(field, z - 1, y, x) + _at(field, z + 1, y, x) + _at(field, z, y - 1, x)
-                around += _at(field, z, y + 1, x) + _at(field, z, y, x - 1) + _at(field, z, y, x + 1)
-                mixed = (np.int32(field[z, y, x]) * _OWN + around) // (_OWN + 6)
-                rank = np.uint16(mixed + 32768)
-                ranks[z, y, x] = rank
+            row_of_ranks(field, z, y, row)
+            to = matched[z - first, y]
+            for x in range(len(row)):
+                to[x] = table[row[x]]
+
+
+@kernel
+def _count_ranks(field, inside, counts, start, stop):
+    """An empty `inside` means everywhere."""
+    row = np.empty(field.shape[2], np.int32)
+    for z in range(start, stop):
+        for y in range(field.shape[1]):
+            row_of_ranks(field, z, y, row)
+            for x in range(len(row)):
                 if inside.size == 0 or inside[z, y, x]:
-                    counts[rank] += 1
+                    counts[row[x]] += 1

@@ -13,10 +13,12 @@ from functools import partial
 
 import numpy as np
 
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
 from trabecula.engine.tiles import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs, tallied
 
 _STEPS = 20  # relaxations of the membrane: it reaches about half as many voxels
 _PARTS = 1 << 20  # resolution of a mixed histogram
@@ -24,13 +26,15 @@ _PARTS = 1 << 20  # resolution of a mixed histogram
 
 def known_of(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The voxels whose value is given, at least its sign."""
-    return np.asarray(~free & ((low[0] > -127) | (high[0] < 127)))
+    return made_by_slabs(lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool)
 
 
 def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
     """The known voxels no farther than `width` voxels from one that is to be made."""
-    near = known & (distance_transform(~free) <= width) if free.any() else np.zeros_like(known)
-    return np.asarray(near)
+    if not counted(free):
+        return scratch.zeros(known.shape, bool)
+    distance = distance_transform(inverse(free))
+    return made_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
 
 
 def mixed_share(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
@@ -44,29 +48,55 @@ def mixed_histograms(
     """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C, Z, Y, X) int8."""
     mixed = []
     for target, least, most in zip(targets, low, high, strict=True):
-        middle = (least[near].astype(np.int64) + most[near]) // 2
-        exemplar, own = np.zeros(256), np.bincount(middle + 128, minlength=256) / max(1, len(middle))
+        held = tallied(partial(_middles, least, most, near), near.shape)
+        size = int(held.sum())
+        exemplar, own = np.zeros(256), held / max(1, size)
         exemplar[target.values.astype(np.int64) + 128] = np.diff(target.up_to, prepend=0) / target.up_to[-1]
-        parts = np.rint(mixed_share(len(middle), made, own, exemplar) * _PARTS).astype(np.int64)
+        parts = np.rint(mixed_share(size, made, own, exemplar) * _PARTS).astype(np.int64)
         present = np.flatnonzero(parts)
         mixed.append(Histogram((present - 128).astype(np.int8), np.cumsum(parts[present])))
     return tuple(mixed)
 
 
+def _middles(low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """How often each value occurs among the middles of what voxels `near` may be, from -128 on."""
+    at = near[start:stop]
+    middle = (low[start:stop][at].astype(np.int64) + high[start:stop][at]) // 2
+    return np.bincount(middle + 128, minlength=256)
+
+
 def joined(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into what is free."""
-    result = votes.copy()
+    result = scratch.empty(votes.shape, np.int16)
     known = known_of(free, low, high)
-    for channel, least, most in zip(result, low, high, strict=True):
-        given = np.clip(channel, least.astype(np.int16) * 256, most.astype(np.int16) * 256)
-        offset = np.where(known, given.astype(np.float32) - channel, np.float32(0))
+    offset, other = scratch.empty(free.shape, np.float32), scratch.empty(free.shape, np.float32)
+    for channel, least, most, to in zip(votes, low, high, result, strict=True):
+        by_pieces(partial(_miss, channel, least, most, known, offset), free.shape)
         for _ in range(_STEPS):
-            new = np.empty_like(offset)
-            for_slabs(partial(_relax, offset, known, free, new), len(free))
-            offset = new
-        moved = channel + np.where(free, np.rint(offset), np.float32(0))
-        channel[:] = np.clip(moved, -32512, 32512)
+            for_slabs(partial(_relax, offset, known, free, other), len(free))
+            offset, other = other, offset
+        by_pieces(partial(_move, channel, free, offset, to), free.shape)
     return result
+
+
+def _miss(
+    votes: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    known: np.ndarray,
+    offset: np.ndarray,
+    start: int,
+    stop: int,
+) -> None:
+    """How far known voxels are from what they may be."""
+    part = votes[start:stop]
+    given = np.clip(part, low[start:stop].astype(np.int16) * 256, high[start:stop].astype(np.int16) * 256)
+    offset[start:stop] = np.where(known[start:stop], given.astype(np.float32) - part, np.float32(0))
+
+
+def _move(votes: np.ndarray, free: np.ndarray, offset: np.ndarray, result: np.ndarray, start: int, stop: int) -> None:
+    moved = votes[start:stop] + np.where(free[start:stop], np.rint(offset[start:stop]), np.float32(0))
+    result[start:stop] = np.clip(moved, -32512, 32512)
 
 
 @kernel

@@ -16,11 +16,13 @@ import numpy as np
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, sum_slabs
 from trabecula.synth.shared.nearest_kernels import LEAF, search_leaves
 
 _QUERIES = 64  # queries of one matrix product: their products with all centres stay in the cache
 _MOST = 1000
+_SAMPLES = 4096  # vectors that are looked at together; so many say which axis is the widest
+_AT_ONCE = 128  # leaves whose centres are worked out at once
 
 
 @dataclass(frozen=True)
@@ -70,17 +72,25 @@ def candidates(features: np.ndarray, *, k: int = 10, allowed: np.ndarray | None 
     for row, leaf in zip(index, leaves, strict=True):
         row[: len(leaf)] = leaf
     tiles = np.zeros((count, -(-depth // 4) * 4, LEAF), np.int16)
-    tiles[:, :depth] = features[np.where(index < 0, index[:, :1], index)].transpose(0, 2, 1)
-    middle = np.rint(features[chosen].mean(0)).astype(np.float32)
+    pieces = (chosen[first : first + _SAMPLES] for first in range(0, len(chosen), _SAMPLES))
+    sums = sum(features[piece].sum(0, dtype=np.int64) for piece in pieces)
+    middle = np.rint(sums / len(chosen)).astype(np.float32)
     centres, radius = np.empty((depth + 1, count), np.float32), np.empty(count, np.float32)
-    for first in range(0, count, 1024):
-        part = slice(first, first + 1024)
+    for first in range(0, count, _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        filled = np.where(index[part] < 0, index[part, :1], index[part])
+        tiles[part, :depth] = features[filled].transpose(0, 2, 1)
         points = tiles[part, :depth] - middle[:, None]
         centre = points.mean(2, keepdims=True)
         centres[:depth, part] = centre[:, :, 0].T
         centres[depth, part] = -0.5 * (centre[:, :, 0].astype(np.float64) ** 2).sum(1)
         radius[part] = np.sqrt(((points - centre.astype(np.float64)) ** 2).sum(1).max(1)) * (1 + 1e-6)
     return Candidates(tiles, index, centres, radius, middle, k)
+
+
+def search_bytes(count: int, k: int) -> int:
+    """Memory that a search among `count` candidates takes per thread."""
+    return _QUERIES * (5 * count // LEAF + 64 * k)
 
 
 def k_nearest(queries: np.ndarray, among: Candidates) -> tuple[np.ndarray, np.ndarray]:
@@ -111,34 +121,65 @@ def k_nearest(queries: np.ndarray, among: Candidates) -> tuple[np.ndarray, np.nd
     >>> index.tolist(), distance.tolist()
     ([[1, 3, 2]], [[1, 1, 13]])
     """
-    queries = _table(queries, "queries")
-    if queries.shape[1] != len(among.middle):
-        raise InputError(
-            f"queries have {queries.shape[1]} components, the candidates {len(among.middle)}: use one basis"
-        )
+    queries = _fitting(queries, among)
     index = np.empty((len(queries), among.k), np.int32)
     distance = np.empty((len(queries), among.k), np.int64)
 
     def work(start: int, stop: int) -> None:
         for first in range(start, stop, _QUERIES):
             part = slice(first, min(first + _QUERIES, stop))
-            moved = queries[part] - among.middle
-            scores = np.column_stack([moved, np.ones(len(moved), np.float32)]) @ among.centres
-            search_leaves(
-                queries[part], moved, scores, among.tiles, among.index, among.radius, index[part], distance[part]
-            )
+            _search(queries[part], among, index[part], distance[part])
 
     for_slabs(work, len(queries), least=_QUERIES)
     return index, distance
 
 
-def index_histogram(match: np.ndarray, count: int) -> np.ndarray:
+def best_among(queries: np.ndarray, among: Candidates, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the k nearest candidates of every query the best by the modified distance, in the caller's thread.
+
+    Parameters
+    ----------
+    queries : (Q, D) int16
+    among : Candidates
+    factors : (N,) float64
+        From `usage_factors`.
+
+    Returns
+    -------
+    match : (Q,) int32
+    distance : (Q,) int64
+        Unmodified, squared.
+    """
+    queries = _fitting(queries, among)
+    match, apart = np.empty(len(queries), np.int32), np.empty(len(queries), np.int64)
+    index, distance = np.empty((_QUERIES, among.k), np.int32), np.empty((_QUERIES, among.k), np.int64)
+    for first in range(0, len(queries), _QUERIES):
+        part = slice(first, min(first + _QUERIES, len(queries)))
+        near, far = index[: part.stop - first], distance[: part.stop - first]
+        _search(queries[part], among, near, far)
+        match[part], apart[part] = _best(near, far, factors)
+    return match, apart
+
+
+def _search(queries: np.ndarray, among: Candidates, index: np.ndarray, distance: np.ndarray) -> None:
+    moved = queries - among.middle
+    scores = np.column_stack([moved, np.ones(len(moved), np.float32)]) @ among.centres
+    search_leaves(queries, moved, scores, among.tiles, among.index, among.radius, index, distance)
+
+
+def index_histogram(match: np.ndarray, count: int, active: np.ndarray | None = None) -> np.ndarray:
     """H of section 4.2: the share (float64, sum 1) of neighbourhoods that chose each of `count` candidates.
 
-    Places below 0 (no neighbourhood there) are left out.
+    Places below 0 (no neighbourhood there), and where `active` is False, are left out.
     """
-    chosen = match[match >= 0]
-    return np.bincount(chosen, minlength=count) / max(chosen.size, 1)
+
+    def counted(start: int, stop: int) -> np.ndarray:
+        part = match[start:stop]
+        there = part >= 0 if active is None else (part >= 0) & active[start:stop]
+        return np.bincount(part[there], minlength=count)
+
+    counts = sum_slabs(counted, len(match))
+    return np.asarray(counts / max(int(counts.sum()), 1))
 
 
 def reranked(
@@ -172,9 +213,27 @@ def reranked(
     Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, section 4.2; Chen and Wang (2010),
     doi:10.1007/s00371-009-0408-3.
     """
+    return _best(index, distance, usage_factors(histogram, weight=weight, theta=theta))
+
+
+def usage_factors(histogram: np.ndarray, *, weight: float = 1.0, theta: float | None = None) -> np.ndarray:
+    """w_d of every candidate, as `reranked` tells."""
     excess = np.maximum(histogram - (1 / len(histogram) if theta is None else theta), 0)
-    best = np.argmin(distance * (1 + weight * excess[index]), axis=1)[:, None]
+    return np.asarray(1 + weight * excess)
+
+
+def _best(index: np.ndarray, distance: np.ndarray, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    best = np.argmin(distance * factors[index], axis=1)[:, None]
     return np.take_along_axis(index, best, 1)[:, 0], np.take_along_axis(distance, best, 1)[:, 0]
+
+
+def _fitting(queries: np.ndarray, among: Candidates) -> np.ndarray:
+    queries = _table(queries, "queries")
+    if queries.shape[1] != len(among.middle):
+        raise InputError(
+            f"queries have {queries.shape[1]} components, the candidates {len(among.middle)}: use one basis"
+        )
+    return queries
 
 
 def _table(features: np.ndarray, name: str) -> np.ndarray:
@@ -211,8 +270,8 @@ def _leaves(features: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
         if len(group) <= LEAF:
             leaves.append(group)
             continue
-        part = features[group].astype(np.float32)
-        along = part[:, part.var(0).argmax()]
+        sample = features[group[:: -(-len(group) // _SAMPLES)]]
+        along = features[group, sample.astype(np.float32).var(0).argmax()]
         half = -(-(len(group) // 2) // LEAF) * LEAF
         order = np.argpartition(along, half)
         stack += [group[order[half:]], group[order[:half]]]

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
 from trabecula.engine.tiles import for_slabs, one_blas_thread
 from trabecula.synth.shared.eigen import leading_vectors
@@ -22,6 +23,7 @@ SCALE = 8
 
 _EXACT = 2**24 / 127 * 0.98  # over the largest value and the norm of its row
 _SAMPLES = 8192
+_AT_ONCE = 1 << 23  # bytes of features that are made together, more where a plane has more
 _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
 
 
@@ -139,26 +141,56 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
-    length, count = basis.vectors.shape
-    box, grains, steps = basis.box, box_of(basis.grain, flat=basis.flat), steps_of(step, flat=basis.flat)
-    grid = tuple((side - reach) // t + 1 for side, reach, t in zip(field.shape[1:], box, steps, strict=True))
-    features = np.empty((*grid, count), np.int16)
-    # The sum over a block of n equal values has n times their value, but only sqrt(n) times their norm.
-    factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
-    blocks = block_sums(field, grains)
+    steps = steps_of(step, flat=basis.flat)
+    grid = tuple((side - reach) // t + 1 for side, reach, t in zip(field.shape[1:], basis.box, steps, strict=True))
+    features = scratch.empty((*grid, basis.vectors.shape[1]), np.int16)
 
     def work(start: int, stop: int) -> None:
-        rows = np.empty((min(_ROWS, grid[1] * grid[2]), length), np.float32)
-        for z in range(start, stop):
-            sites = np.arange(grid[1] * grid[2]) if active is None else np.flatnonzero(active[z])
-            plane = features[z].reshape(-1, count)
-            for first in range(0, len(sites), _ROWS):
-                chosen = sites[first : first + _ROWS]
-                gather(blocks, chosen, grid[2], z * steps[0], step, box, grains, rows)
-                store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
+        thick = planes_together(features.shape[-1], grid)
+        for first in range(start, stop, thick):
+            last = min(first + thick, stop)
+            planes = field[:, first * steps[0] : (last - 1) * steps[0] + basis.box[0]]
+            there = None if active is None else active[first:last]
+            project_planes(planes, basis, features[first:last], step=step, active=there)
 
     for_slabs(work, grid[0], least=2)
     return features
+
+
+def planes_together(depth: int, grid: Sequence[int]) -> int:
+    """So many planes of a grid of neighbourhoods with `depth` components have features that stay in the cache."""
+    return max(1, _AT_ONCE // (2 * depth * grid[1] * grid[2]))
+
+
+def project_planes(
+    field: np.ndarray, basis: Basis, features: np.ndarray, *, step: int, active: np.ndarray | None = None
+) -> None:
+    """`project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins with their first plane."""
+    length, count = basis.vectors.shape
+    box, grains, steps = basis.box, box_of(basis.grain, flat=basis.flat), steps_of(step, flat=basis.flat)
+    # The sum over a block of n equal values has n times their value, but only sqrt(n) times their norm.
+    factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
+    blocks = np.ascontiguousarray(block_sums(field, grains))
+    if basis.grain > 1 and step % basis.grain == 0:
+        # Of the sums only those of blocks side by side are asked for.
+        blocks = np.ascontiguousarray(blocks[:, :: grains[0], :: grains[1], :: grains[2]])
+        box, steps = divided(box, grains), divided(steps, grains)
+        grains, step = (1, 1, 1), step // basis.grain
+    across = features.shape[2]
+    rows = np.empty((min(_ROWS, features.shape[1] * across), length), np.float32)
+    for z in range(len(features)):
+        sites = np.arange(features.shape[1] * across) if active is None else np.flatnonzero(active[z])
+        plane = features[z].reshape(-1, count)
+        for first in range(0, len(sites), _ROWS):
+            chosen = sites[first : first + _ROWS]
+            gather(blocks, chosen, across, z * steps[0], step, box, grains, rows)
+            store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
+
+
+def divided(sides: Triple, by: Triple) -> Triple:
+    """Sides in units of blocks."""
+    z, y, x = (side // b for side, b in zip(sides, by, strict=True))
+    return z, y, x
 
 
 @kernel

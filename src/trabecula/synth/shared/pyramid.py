@@ -6,36 +6,107 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trabecula.engine import scratch
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.tiles import for_slabs
+from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.slabs import by_pieces, made_by_slabs
+
 
 def halve(field: np.ndarray) -> np.ndarray:
-    """Mean over 2 x 2 x 2 cells of (C, Z, Y, X); an odd side is continued by its last cell."""
-    pads = [(0, 0)] + [(0, side % 2) for side in field.shape[1:]]
-    padded = np.pad(field, pads, mode="edge") if any(p[1] for p in pads) else field
-    for axis in (1, 2, 3):
-        even = [slice(None)] * 4
-        odd = [slice(None)] * 4
-        even[axis], odd[axis] = slice(0, None, 2), slice(1, None, 2)
-        padded = (padded[tuple(even)] + padded[tuple(odd)]) * np.float32(0.5)
-    return padded
+    """Mean over 2 x 2 x 2 cells of (C, Z, Y, X) float32; an odd side is continued by its last cell."""
+    count, *sides = field.shape
+    shape = (count, *(-(-side // 2) for side in sides))
+
+    def mean(start: int, stop: int) -> np.ndarray:
+        part = field[:, 2 * start : 2 * stop]
+        pads = [(0, 0)] + [(0, side % 2) for side in part.shape[1:]]
+        part = np.pad(part, pads, mode="edge") if any(pad for _, pad in pads) else part
+        for axis in (1, 2, 3):
+            even = [slice(None)] * 4
+            odd = [slice(None)] * 4
+            even[axis], odd[axis] = slice(0, None, 2), slice(1, None, 2)
+            part = (part[tuple(even)] + part[tuple(odd)]) * np.float32(0.5)
+        return part
+
+    return made_by_slabs(mean, shape, np.result_type(field.dtype, np.float32))
 
 
-def double(field: np.ndarray, wraps: Sequence[bool] = (False, False, False)) -> np.ndarray:
+def double(
+    field: np.ndarray,
+    wraps: Sequence[bool] = (False, False, False),
+    *,
+    shape: Sequence[int] | None = None,
+    factor: int = 1,
+) -> np.ndarray:
     """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along every axis.
 
-    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
+    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end. With a `shape` the result is
+    cropped, or continued by its last cells, to that; with a `factor` it is multiplied by it, and clipped to -127 .. 127.
     """
-    fine = field.astype(np.int16)
-    for axis, wrap in zip((1, 2, 3), wraps, strict=True):
-        cells = np.arange(-1, fine.shape[axis] + 1)
-        cells = cells % fine.shape[axis] if wrap else cells.clip(0, fine.shape[axis] - 1)
-        before, after = fine.take(cells[:-2], axis), fine.take(cells[2:], axis)
-        pair = np.stack([3 * fine + before, 3 * fine + after], axis + 1)
-        fine = pair.reshape(*fine.shape[:axis], 2 * fine.shape[axis], *fine.shape[axis + 1 :])
-    return ((fine + 32) >> 6).astype(np.int8)
+    sides = tuple(2 * side for side in field.shape[1:]) if shape is None else tuple(shape)
+    fine = scratch.empty((len(field), *sides), np.int8)
+    around = (bool(wraps[0]), bool(wraps[1]), bool(wraps[2]))
+
+    def work(start: int, stop: int) -> None:
+        _double(field, around, factor, fine, start, stop)
+
+    for_slabs(work, sides[0])
+    return fine
 
 
 def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`."""
-    pads = [(0, 0)] + [(0, max(0, want - have)) for want, have in zip(shape, field.shape[1:], strict=True)]
-    grown = np.pad(field, pads, mode="edge") if any(p[1] for p in pads) else field
-    return np.ascontiguousarray(grown[:, : shape[0], : shape[1], : shape[2]])
+    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`; itself where there is nothing to do."""
+    if field.shape[1:] == tuple(shape):
+        return np.ascontiguousarray(field)
+    _, Z, Y, X = field.shape
+    y, x = min(Y, shape[1]), min(X, shape[2])
+    fitted = scratch.empty((len(field), *shape), field.dtype)
+
+    def work(start: int, stop: int) -> None:
+        part = fitted[:, start:stop]
+        part[:, :, :y, :x] = field[:, np.minimum(np.arange(start, stop), Z - 1), :y, :x]
+        part[:, :, y:, :x] = part[:, :, y - 1 : y, :x]
+        part[:, :, :, x:] = part[:, :, :, x - 1 : x]
+
+    by_pieces(work, shape)
+    return fitted
+
+
+@inline
+def _pair(k, side, wrap):
+    """The coarse cells that fine cell k lies between: the one that it lies in, and the other."""
+    k = min(k, 2 * side - 1)
+    near = k // 2
+    far = near + (1 if k % 2 else -1)
+    return near, (far % side if wrap else min(max(far, 0), side - 1))
+
+
+@inline
+def _rounded(sixty_fourths, factor):
+    value = ((sixty_fourths + 32) >> 6) * factor
+    return np.int8(min(max(value, -FULL), FULL) if factor > 1 else value)
+
+
+@kernel
+def _double(field, wraps, factor, fine, start, stop):
+    """Fine planes start..stop. Weights along y and z are summed up first, on coarse lines."""
+    C, Z, Y, X = field.shape
+    line = np.empty(X, np.int32)
+    for c in range(C):
+        for z in range(start, stop):
+            z0, z1 = _pair(z, Z, wraps[0])
+            for y in range(fine.shape[2]):
+                y0, y1 = _pair(y, Y, wraps[1])
+                a, b, d, e = field[c, z0, y0], field[c, z0, y1], field[c, z1, y0], field[c, z1, y1]
+                for x in range(X):
+                    line[x] = 3 * (3 * np.int32(a[x]) + np.int32(b[x])) + 3 * np.int32(d[x]) + np.int32(e[x])
+                to = fine[c, z, y]
+                for x in range(min(X, (len(to) + 1) // 2)):
+                    before = line[x - 1] if x > 0 else line[X - 1 if wraps[2] else 0]
+                    after = line[x + 1] if x < X - 1 else line[0 if wraps[2] else X - 1]
+                    to[2 * x] = _rounded(3 * line[x] + before, factor)
+                    if 2 * x + 1 < len(to):
+                        to[2 * x + 1] = _rounded(3 * line[x] + after, factor)
+                for x in range(2 * X, len(to)):
+                    to[x] = to[2 * X - 1]

@@ -16,9 +16,10 @@ from trabecula.synth.shared.fields import FULL, mean_edge, quantise
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import oriented, symmetries
-from trabecula.synth.shared.statistics.correlate import Correlations, correlations_of, soft_indicator
+from trabecula.synth.shared.statistics.correlate import Correlations, correlations_of
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import Slices, slices_of
+from trabecula.synth.shared.statistics.slices import Slices, slices_of
+from trabecula.synth.shared.statistics.soft import soft_indicator
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import FAR
 

@@ -7,9 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from trabecula.core.request import Request
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.content import Bounds
 from trabecula.synth.shared.fields import quantise
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.slabs import inverse
 
 
 def torus(request: Request, top: int, least: int) -> list[Region]:
@@ -35,20 +38,37 @@ def around_known(
     holds the bounds themselves rather than such a mean.
     """
     assert request.known is not None  # checked by the request
-    low, high = bounds
-    depth = np.where(request.known, np.where(low > 0, high, low), np.float32(0))
     regions = []
     for index in range(top + 1):
         if index == 0 and exact:
             least, most = (quantise(bound, clip=clip_of(0)) for bound in bounds)
-            free = ~request.known
+            regions.append(Region(request.shape, request.periodic, inverse(request.known), least, most))
         else:
-            counts = _blocks(request.known[None].astype(np.float32), 2**index)
-            free = counts[0] == 0
-            mean = quantise(_blocks(depth, 2**index) / np.maximum(counts, 1), clip=clip_of(index))
-            least, most = np.where(free, np.int8(-127), mean), np.where(free, np.int8(127), mean)
-        regions.append(Region(free.shape, request.periodic, free, least, most))
+            regions.append(_coarse(request.known, bounds, 2**index, clip_of(index), request.periodic))
     return regions
+
+
+def _coarse(known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]) -> Region:
+    """The region of voxels `side` times as long."""
+    low, high = bounds
+    shape = tuple(-(-count // side) for count in known.shape)
+    free = scratch.empty(shape, bool)
+    least, most = (scratch.empty((len(low), *shape), np.int8) for _ in range(2))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            planes = slice(z * side, (z + 1) * side)
+            here, below, above = known[planes], low[:, planes], high[:, planes]
+            depth = np.where(here, np.where(below > 0, above, below), np.float32(0))
+            counts = _blocks(here[None].astype(np.float32), side)
+            sums = _blocks(depth, side)[:, 0] / np.maximum(counts[:, 0], 1)
+            mean = np.stack([quantise(channel, clip=clip) for channel in sums])
+            free[z] = counts[0, 0] == 0
+            least[:, z] = np.where(free[z], np.int8(-127), mean)
+            most[:, z] = np.where(free[z], np.int8(127), mean)
+
+    for_slabs(work, shape[0])
+    return Region(shape, wraps, free, least, most)
 
 
 def _blocks(values: np.ndarray, side: int) -> np.ndarray:

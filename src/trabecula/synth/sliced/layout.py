@@ -6,17 +6,22 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import key
+from trabecula.engine.checkpoint import offer, resumed
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import targets_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import rematched
 from trabecula.synth.shared.statistics.correlate import corrected
-from trabecula.synth.shared.statistics.sliced import UNIT, sliced_views
+from trabecula.synth.shared.statistics.sliced import sliced_views
+from trabecula.synth.shared.votes import noise, votes_of
 from trabecula.synth.sliced.aims import Layout, leaning
 from trabecula.synth.sliced.config import SlicedConfig
 
 STEP_EVERY = 3
 """Sliced rounds between steps on the two-point function."""
+
+STAGE = "layout"
+"""Of a run that can be interrupted: what is kept is the field."""
 
 
 def laid_out(
@@ -41,23 +46,34 @@ def laid_out(
     channels, stage = len(layout.histograms), key(seed, "sliced/layout")
     targets = targets_of(region, histograms, width=config.layout_width)
     correlations = leaning(layout.correlations, layout.histograms, targets, softness=layout.correlations.softness)
-    raw = np.random.Philox(key=int(key(seed, "sliced/noise"))).random_raw(channels * int(np.prod(region.shape)))
-    votes = ((raw >> np.uint64(50)).astype(np.int16) - np.int16(8192)).reshape(channels, *region.shape)
-    field = rematched(region, votes, targets)
-    for number in track(range(config.layout_rounds), "laying out"):
-        votes = sliced_views(
-            field.astype(np.int16) * np.int16(UNIT),
-            layout.views,
-            key=stage,
-            number=number,
-            step=1,
-            strength=config.strength,
-            periodic=region.wraps,
-            free=region.free,
-        )
+    state = resumed(STAGE)
+    if state is None:
+        begin = 0
+        votes = noise((channels, *region.shape), int(key(seed, "sliced/noise")))
         field = rematched(region, votes, targets)
+        del votes
+    else:
+        begin, field = state.number, state.arrays["field"]
+    for number in track(range(begin, config.layout_rounds), "laying out", total=config.layout_rounds - begin):
+        # Votes are nobody's but the call's: they go as soon as the field is there.
+        field = rematched(
+            region,
+            sliced_views(
+                votes_of(field),
+                layout.views,
+                key=stage,
+                number=number,
+                step=1,
+                strength=config.strength,
+                periodic=region.wraps,
+                free=region.free,
+            ),
+            targets,
+        )
         if (number + 1) % STEP_EVERY == 0:
             for _ in range(config.layout_steps):
                 votes = corrected(field, correlations, periodic=region.wraps, free=region.free)
                 field = rematched(region, votes, targets)
+                del votes
+        offer(STAGE, number + 1, field=field)
     return field

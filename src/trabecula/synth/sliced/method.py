@@ -8,6 +8,9 @@ the picture. Steps on the two-point function go along with both.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from math import prod
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,29 +19,31 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.engine.checkpoint import resumed
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import thread_count
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import mean_edge
 from trabecula.synth.shared.matching.planes import Frame
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import refined
-from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes, principal_basis
+from trabecula.synth.shared.neighbourhoods import basis_bytes, principal_basis
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.solid import channels_of
-from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.solid_fit import PROCESS, channels_of
+from trabecula.synth.shared.solid_forecast import Run
+from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.statistics.correlate import step_bytes, step_slab_bytes
+from trabecula.synth.shared.statistics.moved import round_bytes
 from trabecula.synth.sliced import SPEC
 from trabecula.synth.sliced.aims import Layout, Level, Pictures, leaning, thinned
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.domain import around_known, torus
 from trabecula.synth.sliced.layout import laid_out
-from trabecula.synth.sliced.passes import passed
+from trabecula.synth.sliced.passes import begun, passed
 from trabecula.synth.sliced.specks import without_specks
 
-_PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
 _SAME = 1e-6
 _AXES = "zyx"
@@ -71,13 +76,14 @@ class Sliced(PictureMethod):
         basis = basis_bytes(
             channels * self._width() ** 2, turns * sum(int(np.prod(image.shape)) for image in exemplars)
         )
-        return Plan({"interpreter and kernels": _PROCESS, "features": features, "basis": basis})
+        return Plan({"interpreter and kernels": PROCESS, "features": features, "basis": basis})
 
 
 class SlicedModel(PictureModel):
     """What the pictures say at every resolution."""
 
     spec = SPEC
+    spills: ClassVar[bool] = True
     config: SlicedConfig
 
     def __init__(self, config: SlicedConfig, exemplars: Sequence[Image], views: tuple[View, ...]) -> None:
@@ -108,41 +114,63 @@ class SlicedModel(PictureModel):
         return max(_LEAST, self.config.neighbourhood, self.config.layout_width)
 
     def _generate(self, request: Request) -> np.ndarray:
-        config, regions = self.config, self._regions(request)
+        regions = self._regions(request)
         top = len(regions) - 1
-        layout = self.layouts[top]
-        field = laid_out(layout, regions[top], self.content.aims(layout.histograms, request), request.seed, config)
-        votes = field.astype(np.int16) * np.int16(256)
-        for index in reversed(range(top + 1)):
-            if index < top:
-                field = refined(field, regions[index].wraps, distances=True)
-            elif top and request.fixed is None:
-                continue  # the layout is made of coarse neighbourhoods already
-            field, votes = self._passed(field, regions[index], index, request)
-        inside = (slice(None), *(slice(side) for side in request.shape))
-        votes = np.ascontiguousarray(votes[inside])
-        del field
-        values = self.content.delivered(votes, request)
-        if config.specks:
-            votes = without_specks(votes, values, self.content.present, config.specks)  # type: ignore[attr-defined]
-            values = self.content.delivered(votes, request)
-        return values
+        state, begin, done = self._resumed(top)
+        if state is None:
+            field = self._laid_out(regions[top], top, request)
+            # The layout is made of coarse neighbourhoods already, but not beside known voxels.
+            begin -= bool(top and request.fixed is None)
+        del regions[begin + 1 :]
+        while regions:
+            index = len(regions) - 1
+            frame = self._frame(regions.pop(), index, request)
+            if state is None:
+                state = begun(frame, _fitted(field, frame.region, finer=index < top), _key(request, index))
+            self._pass(frame, state, index, request, done)
+            field, votes, state, done = state.field, state.votes, None, 0
+        del field, frame
+        return self._delivered(fit_to(votes, request.shape), request)
 
-    def _passed(self, field: np.ndarray, region: Region, index: int, request: Request) -> tuple[np.ndarray, np.ndarray]:
+    def _resumed(self, top: int) -> tuple[State | None, int, int]:
+        """The state that an interrupted run left, its level and its rounds done; none, and the coarsest level."""
+        for index in range(top + 1):
+            left = resumed(_stage(index))
+            if left is not None:
+                return State.of(left.arrays), index, left.number
+        return None, top, 0
+
+    def _laid_out(self, region: Region, top: int, request: Request) -> np.ndarray:
+        layout = self.layouts[top]
+        return laid_out(layout, region, self.content.aims(layout.histograms, request), request.seed, self.config)
+
+    def _frame(self, region: Region, index: int, request: Request) -> Frame:
+        level = self.levels[index]
+        return Frame.over(region, level.views, self.content.aims(level.histograms, request))
+
+    def _pass(self, frame: Frame, state: State, index: int, request: Request, done: int) -> None:
         """Search and vote on one level."""
         config, level = self.config, self.levels[index]
-        frame = Frame.over(region, level.views, self.content.aims(level.histograms, request))
-        field = frame.region.bounded(fit_to(field, frame.region.shape))
-        return passed(
+        passed(
             frame,
-            field,
+            state,
             leaning(level.correlations, level.histograms, frame.targets, softness=1.0),
             config,
-            stage=key(request.seed, f"sliced/{index}"),
+            stage=_key(request, index),
+            done=done,
             rounds=config.rounds[min(index, len(config.rounds) - 1)],
             steps=config.corrections[min(index, len(config.corrections) - 1)],
-            said=f"level {index}",
+            said=_stage(index),
         )
+
+    def _delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        """The result's values from votes of its shape, without specks."""
+        values = self.content.delivered(votes, request)
+        if not self.config.specks:
+            return values
+        votes = without_specks(votes, values, self.content.present, self.config.specks)  # type: ignore[attr-defined]
+        del values
+        return self.content.delivered(votes, request)
 
     def _top(self, request: Request) -> int:
         """The level that is laid out."""
@@ -169,50 +197,68 @@ class SlicedModel(PictureModel):
             top -= 1
 
     def _plan(self, request: Request) -> Plan:
-        candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
-        slices = {id(s): s for layout in self.layouts for _, s in layout.views}.values()
-        finest = max((c for _, c in self.levels[0].views), key=lambda c: c.features.shape[1])
-        top = self._top(request)
-        region = (
-            torus(request, top, self._least)[0] if request.fixed is None else Region(request.shape, request.periodic)
-        )
-        width, step = finest.basis.width, finest.step
-        shape = region.covered(box=(width,) * 3, steps=(step,) * 3).shape
-        voxels = int(np.prod(shape, dtype=np.int64))
-        sites = max(
-            int(np.prod(region.seen(axis).grid(box=c.basis.box, steps=c.steps), dtype=np.int64))
-            for axis, c in self.levels[0].views
-        )
-        scratch = max(
-            block_bytes(c.basis, region.seen(axis).grid(box=c.basis.box, steps=c.steps))
-            for axis, c in self.levels[0].views
-        )
-        channels, views = len(finest.stack.field), len(self.views)
-        known = voxels * (6 + 24 * channels) * (request.fixed is not None)
-        target = self.levels[0].correlations
-        pairs = Pairs(shape, target.r_max, region.wraps, target.edges)
-        offsets = int(np.prod([len(along) for along in pairs.offsets]))
-        widest = max(s.features.shape[1] for _, s in self.layouts[top].views)
-        # Of several threads a quarter of the neighbourhoods is put back at any time, of one all.
-        rebuilt = 16 * channels * self.config.layout_width**2 / (4 if thread_count() > 1 else 1)
-        moments = [
-            voxels * (14 * channels + 10) + sites * (2 * finest.features.shape[1] + 12 * views + 12),
-            16 * int(np.prod(pairs.sides, dtype=np.int64))
-            + 24 * offsets
-            + 10 * voxels * (1 + channels)
-            + 4 * sites * views,
-            round((90 + 19 * widest + rebuilt) * voxels / 8**top),
-        ]
+        run = self._forecast(request)
         return Plan(
             memory={
-                "interpreter and kernels": _PROCESS,
-                "exemplar": sum(c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes for c in candidates)
-                + sum(s.features.nbytes for s in slices),
-                "output": max(moments) + known,
-                "scratch": thread_count() * scratch + 16 * len(finest.features),
+                "interpreter and kernels": PROCESS,
+                "exemplar": self._kept(),
+                "output": max(run.output, self._layout_bytes(request)),
+                "scratch": run.scratch,
             },
-            disk=int(np.prod(request.shape, dtype=np.int64)),
+            disk=prod(request.shape),
         )
+
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        run, region = self._forecast(request), self._region(request, 0)
+        moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
+        moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]
+        return {"interpreter and kernels": PROCESS, "exemplar": self._kept(), "slab": max(moments)}
+
+    def _kept(self) -> int:
+        """Bytes of the pictures' fields and neighbourhoods."""
+        candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
+        slices = {id(s): s for layout in self.layouts for _, s in layout.views}.values()
+        held = sum(c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes for c in candidates)
+        return held + sum(s.features.nbytes for s in slices)
+
+    def _region(self, request: Request, index: int) -> Region:
+        """Where a level is made, without what is known there."""
+        if request.fixed is None:
+            return torus(request, self._top(request), self._least)[index]
+        return Region(tuple(-(-side // 2**index) for side in request.shape), request.periodic)
+
+    def _forecast(self, request: Request) -> Run:
+        """Of search and vote on the finest level."""
+        region, target = self._region(request, 0), self.levels[0].correlations
+        run = Run(request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True)
+        channels = len(self.levels[0].histograms)
+        return replace(run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape))
+
+    def _layout_bytes(self, request: Request) -> int:
+        """Of sliced rounds: sums in two orders, and components; or of steps between them."""
+        top = self._top(request)
+        region, layout = self._region(request, top), self.layouts[top]
+        channels, voxels = len(layout.histograms), prod(region.shape)
+        components = max(slices.basis.vectors.shape[1] for _, slices in layout.views)
+        known = (3 + 4 * channels) * voxels * (request.fixed is not None)
+        rounds = voxels * (14 * channels + 9 + 2 * components) + max(round_bytes(slices) for _, slices in layout.views)
+        return known + max(rounds, 5 * channels * voxels + step_bytes(region.shape, layout.correlations, region.wraps))
+
+
+def _fitted(field: np.ndarray, region: Region, *, finer: bool) -> np.ndarray:
+    """A field (C, Z, Y, X) int8 on a region, which is `finer` by two or the same."""
+    if finer:
+        return region.bounded(refined(field, region.wraps, distances=True, shape=region.shape))
+    return region.bounded(fit_to(field, region.shape))
+
+
+def _stage(index: int) -> str:
+    """Of the rounds of a level, among those of a run."""
+    return f"level {index}"
+
+
+def _key(request: Request, index: int) -> np.uint64:
+    return key(request.seed, f"sliced/{index}")
 
 
 def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:

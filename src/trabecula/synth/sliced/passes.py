@@ -8,64 +8,60 @@ from trabecula.core.progress import track
 from trabecula.synth.shared.matching.grid import random_matches, swept
 from trabecula.synth.shared.matching.planes import Frame, voted_planes
 from trabecula.synth.shared.matching.rounds import joined_votes, rematched, robust_weights
+from trabecula.synth.shared.solid_state import State
 from trabecula.synth.shared.statistics.correlate import Correlations
+from trabecula.synth.shared.votes import votes_of
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import stepped
 
 _FIRST = 4  # times as many sweeps in the first round, which starts from random matches
 
 
+def begun(frame: Frame, field: np.ndarray, stage: np.uint64) -> State:
+    """What rounds start from on a field (C, Z, Y, X) int8: random matches."""
+    matches = [random_matches(plane.grid, stage + np.uint64(place)) for place, plane in enumerate(frame.planes)]
+    return State(matches, votes_of(field), field)
+
+
 def passed(
     frame: Frame,
-    field: np.ndarray,
+    state: State,
     target: Correlations,
     config: SlicedConfig,
     *,
     stage: np.uint64,
+    done: int,
     rounds: int,
     steps: int,
     said: str,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rounds on a field (C, Z, Y, X) int8: the field after them, and the votes (int16) that it came from."""
+) -> None:
+    """Rounds from round `done` on: after each the state is offered to who keeps such."""
     region = frame.region
-    matches = [random_matches(plane.grid, stage + np.uint64(place)) for place, plane in enumerate(frame.planes)]
-    votes = field.astype(np.int16) * np.int16(256)
-    first = 1
-    for number in track(range(rounds), said):
-        count = config.sweeps * (_FIRST if number == 0 else 1)
-        weights = _searched(frame, matches, field, config, stage=stage, first=first, count=count)
-        first += count
-        votes = joined_votes(region, voted_planes(frame, matches, weights))
+    for number in track(range(done, rounds), said):
+        weights = _searched(frame, state, config, stage, number)
+        state.votes = joined_votes(region, voted_planes(frame, state.matches, weights))
         del weights
-        field = rematched(region, votes, frame.targets)
+        state.field = rematched(region, state.votes, frame.targets)
         for _ in range(steps):
-            votes = stepped(field, target, region)
-            field = rematched(region, votes, frame.targets)
-    return field, votes
+            state.votes = stepped(state.field, target, region)
+            state.field = rematched(region, state.votes, frame.targets)
+        state.offer(said, number + 1)
 
 
-def _searched(
-    frame: Frame,
-    matches: list[np.ndarray],
-    field: np.ndarray,
-    config: SlicedConfig,
-    *,
-    stage: np.uint64,
-    first: int,
-    count: int,
-) -> list[np.ndarray]:
+def _searched(frame: Frame, state: State, config: SlicedConfig, stage: np.uint64, number: int) -> list[np.ndarray]:
     """New matches in place of the old, one a view; returns what they weigh in the vote."""
     weights = []
     for place, plane in enumerate(frame.planes):
-        matches[place], distance = swept(
+        state.matches[place], distance = swept(
             plane.grid,
-            matches[place],
-            plane.turned(field),
+            state.matches[place],
+            plane.turned(state.field),
             stage=stage + np.uint64(place),
-            first=first,
-            count=count,
+            first=1 if number == 0 else 1 + config.sweeps * (_FIRST + number - 1),
+            count=config.sweeps * (_FIRST if number == 0 else 1),
             tries=config.tries,
             index_penalty=0.0,
         )
         weights.append(robust_weights(plane.grid, distance, config.robustness))
+        del distance
     return weights

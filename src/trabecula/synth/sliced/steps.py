@@ -7,19 +7,23 @@ interface, whichever way it rises; the target is the two-point function of the p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import Correlations, corrected
-from trabecula.synth.shared.statistics.sliced import UNIT
+from trabecula.synth.shared.statistics.correlate import Correlations, corrected, step_slab_bytes
+from trabecula.synth.shared.votes import UNIT
 
 FAR = 4.0
 """Voxels at which distances saturate here."""
 
 _FLAT = np.float32(1.0)  # least slope, int8 steps a voxel
+_FEW, _MANY = 8, 1 << 19  # planes of which slopes are made at once, unless these are more voxels than so many
 
 
 def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
@@ -37,33 +41,93 @@ def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarr
     (C, Z, Y, X) int16
         In 1 / UNIT of an int8 step of the field, to be matched to its histogram.
     """
-    slopes = np.stack([slope(channel, region.wraps) for channel in field])
-    distance = np.clip(field / slopes, -FAR, FAR) * np.float32(FULL / FAR)
-    distance = np.rint(distance, out=distance).astype(np.int8)
-    moved = corrected(distance, target, periodic=region.wraps, free=region.free)
-    moves = (moved - distance.astype(np.int16) * np.int16(UNIT)) * (slopes * np.float32(FAR / FULL))
+    distance = scratch.empty(field.shape, np.int8, least=0)  # another process may write it
+    for channel, far in zip(field, distance, strict=True):
+        _by_few(partial(_divided, channel, region.wraps, far), channel.shape, anywhere=True)
+    votes = corrected(distance, target, periodic=region.wraps, free=region.free)
+    for channel, far, moved in zip(field, distance, votes, strict=True):
+        _by_few(partial(_multiplied, channel, region.wraps, far, moved), channel.shape)
+    return votes
+
+
+def slab_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool]) -> int:
+    """What `stepped` takes in memory where arrays lie in scratch files."""
+    planes = thread_count() * 48 * (_few(shape) + 2) * shape[1] * shape[2]
+    return max(planes, step_slab_bytes(shape, target, periodic))
+
+
+def _few(shape: Sequence[int]) -> int:
+    """Planes that are worked on at once: what they take meanwhile is many times what they are."""
+    return max(1, min(_FEW, _MANY // (shape[1] * shape[2])))
+
+
+def _by_few(work: Callable[[int, int], None], shape: Sequence[int], *, anywhere: bool = False) -> None:
+    """Call work(start, stop) on all planes, a few at a time."""
+    most = _few(shape)
+
+    def few(start: int, stop: int) -> None:
+        for first in range(start, stop, most):
+            work(first, min(first + most, stop))
+
+    for_slabs(few, shape[0], anywhere=anywhere)
+
+
+def _divided(channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int) -> None:
+    """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike: `FULL` is `FAR` voxels."""
+    ratio = channel[start:stop] / slope(channel, wraps, start, stop)
+    np.clip(ratio, -FAR, FAR, out=ratio)
+    ratio *= np.float32(FULL / FAR)
+    far[start:stop] = np.rint(ratio, out=ratio)
+
+
+def _multiplied(
+    channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, votes: np.ndarray, start: int, stop: int
+) -> None:
+    """What planes start..stop of `far` (Z, Y, X) int8 moved to, `votes` (Z, Y, X) int16, as votes for the channel."""
     limit = FULL * UNIT
-    return np.clip(field.astype(np.float32) * UNIT + np.rint(moves), -limit, limit).astype(np.int16)
+    part = slice(start, stop)
+    moves = (votes[part] - far[part] * np.int16(UNIT)) * (slope(channel, wraps, start, stop) * np.float32(FAR / FULL))
+    np.rint(moves, out=moves)
+    moves += channel[part] * np.float32(UNIT)
+    votes[part] = np.clip(moves, -limit, limit, out=moves)
 
 
-def slope(channel: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
-    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, float32, averaged over neighbours; never 0."""
-    square = np.zeros(channel.shape, np.float32)
-    for axis, wrap in enumerate(wraps):
-        before, after = _neighbours(channel, axis, wrap)
-        rise = (after.astype(np.float32) - before) * np.float32(0.5)
-        square += rise * rise
-    mean = np.sqrt(square, out=square)
-    for axis, wrap in enumerate(wraps):
-        before, after = _neighbours(mean, axis, wrap)
-        mean = (before + after + 2 * mean) * np.float32(0.25)
-    return np.maximum(mean, _FLAT)
+def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> np.ndarray:
+    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over neighbours and never 0: planes start..stop,
+    float32."""
+    planes = _around(np.arange(start - 1, stop + 1), len(channel), wraps[0])  # a neighbour more on either side
+    square = np.zeros((len(planes), *channel.shape[1:]), np.float32)
+    before, after = (channel[_around(planes + by, len(channel), wraps[0])] for by in (-1, 1))
+    _add_square(square, before, after)
+    for axis in (1, 2):
+        _add_square(square, *_neighbours(channel[planes], axis, wraps[axis]))
+    wide = np.sqrt(square, out=square)
+    mean = _averaged(wide[1:-1], wide[:-2], wide[2:])
+    for axis in (1, 2):
+        mean = _averaged(mean, *_neighbours(mean, axis, wraps[axis]))
+    return np.maximum(mean, _FLAT, out=mean)
+
+
+def _add_square(square: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
+    rise = after.astype(np.float32)
+    rise -= before
+    rise *= np.float32(0.5)
+    rise *= rise
+    square += rise
+
+
+def _averaged(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """A quarter, a half, a quarter."""
+    return (before + after + 2 * values) * np.float32(0.25)
 
 
 def _neighbours(values: np.ndarray, axis: int, wrap: bool) -> tuple[np.ndarray, np.ndarray]:
     """The values before and after every voxel along an axis."""
-    cells = np.arange(values.shape[axis])
-    before, after = cells - 1, cells + 1
-    if wrap:
-        return values.take(before % len(cells), axis), values.take(after % len(cells), axis)
-    return values.take(before.clip(0), axis), values.take(after.clip(None, len(cells) - 1), axis)
+    cells, side = np.arange(values.shape[axis]), values.shape[axis]
+    before, after = (_around(cells + by, side, wrap) for by in (-1, 1))
+    return values.take(before, axis), values.take(after, axis)
+
+
+def _around(cells: np.ndarray, side: int, wrap: bool) -> np.ndarray:
+    """Cells beyond an end are the last one there, or those at the other end."""
+    return cells % side if wrap else cells.clip(0, side - 1)

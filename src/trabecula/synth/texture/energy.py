@@ -20,11 +20,14 @@ Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, sections 4.1 an
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from trabecula.core.errors import InputError
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
 from trabecula.engine.tiles import for_slabs
 
@@ -108,6 +111,7 @@ def mismatch(
     step: int,
     width: int,
     gradient: bool = True,
+    active: np.ndarray | None = None,
 ) -> np.ndarray:
     """Per site d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent voxels, in whole neighbourhoods.
 
@@ -120,6 +124,8 @@ def mismatch(
         As for `add_votes`; 0 is returned where it is below 0.
     gradient : bool
         False leaves the second at 0, in a third of the time.
+    active : (sz, sy, sx) bool, optional
+        Sites that count; 0 is returned for the others.
 
     Returns
     -------
@@ -136,14 +142,14 @@ def mismatch(
         raise InputError(
             f"the field is {field.dtype} of shape {field.shape}: int8 or int16 of {(len(exemplar), *covered)} is needed"
         )
-    state = field.astype(np.float32) if field.dtype == np.int8 else field.astype(np.float32) / np.float32(256)
-    example = exemplar.astype(np.float32)
-    result = np.zeros((2, *match.shape))
-    for_slabs(
-        lambda a, b: _mismatch(state, example, match, shape, stride, step, width, gradient, result, a, b),
-        len(match),
-        least=1,
-    )
+    parts = 1 if field.dtype == np.int8 else 256
+    where = np.empty((0, 0, 0), bool) if active is None else active
+    result = scratch.zeros((2, *match.shape), np.float64)
+
+    def work(start: int, stop: int) -> None:
+        _mismatch(field, parts, exemplar, match, where, shape, stride, step, width, gradient, result, start, stop)
+
+    for_slabs(work, len(match), least=1)
     return result
 
 
@@ -187,6 +193,7 @@ def energy(
     robustness: float,
     reference: float,
     floor: float = 0.0,
+    unit: float = 1.0,
 ) -> Energy:
     """Equation (1) of a state and its matches.
 
@@ -195,65 +202,82 @@ def energy(
     squared, gradient : (sz, sy, sx) arrays
         From `mismatch`, after the vote.
     weights : (sz, sy, sx) array
-        Those of the vote (0: no neighbourhood), as multiples of weight 1.
+        Those of the vote (0: no neighbourhood).
     mu, robustness, reference, floor : float
         As in the vote and in `adaptive_weights`.
+    unit : float
+        What a weight of 1 stands for.
 
     Notes
     -----
     Sums are rounded once, at their end, so they do not depend on an order.
     """
-    there = weights > 0
-    steepness = _total(gradient[there])
-    kept = squared[there]
-    own = adaptive_weights(kept, robustness=robustness, reference=reference, floor=floor) if kept.size else kept
-    # kept + floor: d^r at d = 0 has to be finite for r = 0 as well, and smooth for the comparison of rounds
+    settings = {"robustness": robustness, "reference": reference, "floor": floor}
+
+    def there(values: np.ndarray, z: int) -> np.ndarray:
+        return np.asarray(values[z][weights[z] > 0])
+
+    def robust(z: int) -> np.ndarray:
+        kept = there(squared, z)
+        # kept + floor: d^r at d = 0 has to be finite for r = 0 as well, and smooth for the comparison of rounds
+        return adaptive_weights(kept, **settings) * (kept + floor)
+
+    count = len(weights)
+    steepness = total(lambda z: there(gradient, z), count)
     return Energy(
-        weighted=_total(weights[there] * kept) + mu * steepness,
-        robust=_total(own * (kept + floor)) + mu * steepness,
-        squares=_total(kept),
+        weighted=total(lambda z: there(weights, z) * unit * there(squared, z), count) + mu * steepness,
+        robust=total(robust, count) + mu * steepness,
+        squares=total(lambda z: there(squared, z), count),
         gradient=steepness,
     )
 
 
-def _total(values: np.ndarray) -> float:
-    return math.fsum(np.ravel(values).tolist())
+def total(values: Callable[[int], np.ndarray], count: int) -> float:
+    """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no order."""
+    return math.fsum(chain.from_iterable(_listed(values, count)))
+
+
+def _listed(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
+    """One plane after the other: numbers of Python take 32 bytes each."""
+    for z in range(count):
+        yield values(z).ravel().tolist()
+        scratch.let_go()
 
 
 @kernel
-def _mismatch(state, example, match, shape, stride, step, width, gradient, result, start, stop):
-    """Sites start..stop. Differences are exact in float32, their squares and sums in float64: multiples of 2^-16."""
-    difference = np.empty((width, width, width))
+def _mismatch(state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop):
+    """Sites start..stop, in whole numbers: `state` counts `parts` to a unit. An empty `active` means everywhere."""
+    difference = np.empty((width, width, width), np.int32)
     for sz in range(start, stop):
         for sy in range(match.shape[1]):
             for sx in range(match.shape[2]):
                 m = match[sz, sy, sx]
-                if m < 0:
+                if m < 0 or (active.size > 0 and not active[sz, sy, sx]):
                     continue
                 ez = m // (shape[2] * shape[1]) * stride
                 ey, ex = (m // shape[2]) % shape[1] * stride, m % shape[2] * stride
-                squared, slopes = 0.0, 0.0
+                squared, slopes, x0 = np.int64(0), np.int64(0), sx * step
                 for c in range(len(state)):
                     for z in range(width):
                         for y in range(width):
-                            row, own = state[c, sz * step + z, sy * step + y], example[c, ez + z, ey + y]
-                            total = 0.0
+                            row = state[c, sz * step + z, sy * step + y, x0 : x0 + width]
+                            own = example[c, ez + z, ey + y, ex : ex + width]
                             for x in range(width):
-                                apart = np.float64(row[sx * step + x] - own[ex + x])
+                                apart = np.int32(row[x]) - np.int32(parts) * np.int32(own[x])
                                 difference[z, y, x] = apart
-                                total += apart * apart
-                            squared += total
+                                squared += np.int64(apart) * np.int64(apart)
                     if not gradient:
                         continue
                     for z in range(width):
                         for y in range(width):
                             for x in range(width):
-                                here = difference[z, y, x]
+                                here = np.int64(difference[z, y, x])
                                 if x > 0:
                                     slopes += (here - difference[z, y, x - 1]) ** 2
                                 if y > 0:
                                     slopes += (here - difference[z, y - 1, x]) ** 2
                                 if z > 0:
                                     slopes += (here - difference[z - 1, y, x]) ** 2
-                result[0, sz, sy, sx] = squared
-                result[1, sz, sy, sx] = slopes
+                # Below 2^53 and over a power of two: exact.
+                result[0, sz, sy, sx] = squared / np.float64(parts * parts)
+                result[1, sz, sy, sx] = slopes / np.float64(parts * parts)

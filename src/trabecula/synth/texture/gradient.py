@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.errors import InputError
+from trabecula.engine import scratch
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.tiles import for_slabs
 
@@ -42,10 +43,10 @@ class Votes:
 def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
     """Votes of a (Z, Y, X) volume before the first is cast."""
     return Votes(
-        np.zeros((channels, *shape), np.int32),
-        np.zeros(shape, np.int32),
-        np.zeros((channels, *shape), np.int32),
-        np.zeros((3, *shape), np.int16),
+        scratch.zeros((channels, *shape), np.int32),
+        scratch.zeros(shape, np.int32),
+        scratch.zeros((channels, *shape), np.int32),
+        scratch.zeros((3, *shape), np.int16),
     )
 
 
@@ -101,13 +102,14 @@ def add_votes(
         _add(field, around, match, weight, shape, stride, step, z, y, x, values, gradients, start, stop)
 
     for_slabs(work, covered[0])
-    _add_counts(votes, np.where(match < 0, 0, weight), rims, step=step)
+    _add_counts(votes, match, weight, rims, step=step)
 
 
 def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
     """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it repeats.
 
-    For sites that go once round every periodic axis; give the covered length along the others.
+    For sites that go once round every periodic axis; give the covered length along the others. Where nothing lies beyond they
+    are the votes themselves.
 
     Raises
     ------
@@ -116,18 +118,37 @@ def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
     """
     if any(want > have for want, have in zip(shape, votes.weights.shape, strict=True)):
         raise InputError(f"votes of {votes.weights.shape} do not cover a period of {tuple(shape)}: add sites")
-    return Votes(*(_folded(array, shape) for array in (votes.values, votes.weights, votes.gradients, votes.pairs)))
+    if votes.weights.shape == tuple(shape):
+        return votes
+    arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
+    del votes  # each goes when it is folded, if nobody else holds on to it
+    return Votes(*(_folded(arrays.pop(), shape) for _ in range(4)))
 
 
 def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    for axis, period in enumerate(shape, start=array.ndim - 3):
-        moved = np.moveaxis(array, axis, 0)
-        total = moved[:period].copy()
-        for first in range(period, len(moved), period):
-            beyond = moved[first : first + period]
-            total[: len(beyond)] += beyond
-        array = np.moveaxis(total, 0, axis)
-    return np.ascontiguousarray(array)
+    volumes = array.reshape(-1, *array.shape[-3:])
+    folded = scratch.empty((*array.shape[:-3], *shape), array.dtype)
+    results = folded.reshape(-1, *shape)
+
+    def work(start: int, stop: int) -> None:
+        for volume, result in zip(volumes, results, strict=True):
+            for z in range(start, stop):
+                plane = volume[z].copy()
+                for beyond in range(z + shape[0], len(volume), shape[0]):
+                    plane += volume[beyond]
+                rows = _turned_back(plane, shape[1])
+                result[z] = _turned_back(rows.T, shape[2]).T
+
+    for_slabs(work, shape[0])
+    return folded
+
+
+def _turned_back(rows: np.ndarray, period: int) -> np.ndarray:
+    """The first `period` rows, with the others added to them in place."""
+    for first in range(period, len(rows), period):
+        beyond = rows[first : first + period]
+        rows[: len(beyond)] += beyond
+    return rows[:period]
 
 
 def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
@@ -138,7 +159,7 @@ def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
     return rims
 
 
-def _add_counts(votes: Votes, weight: np.ndarray, rims: list[np.ndarray], *, step: int) -> None:
+def _add_counts(votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int) -> None:
     """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []
     for rim, length in zip(rims, votes.weights.shape, strict=True):
@@ -146,22 +167,27 @@ def _add_counts(votes: Votes, weight: np.ndarray, rims: list[np.ndarray], *, ste
         voxel = np.arange(length)[:, None]
         holds.append(((voxel >= first) & (voxel < stop)).astype(np.float32))
         pairs.append(((voxel >= first) & (voxel < stop - 1)).astype(np.float32))
-    weight = weight.astype(np.float32)
-    there = (weight > 0).astype(np.float32)
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            votes.weights[z] += _plane(holds[0][z], holds[1], holds[2], weight)
-            votes.pairs[0, z] += _plane(pairs[0][z], holds[1], holds[2], there)
-            votes.pairs[1, z] += _plane(holds[0][z], pairs[1], holds[2], there)
-            votes.pairs[2, z] += _plane(holds[0][z], holds[1], pairs[2], there)
+            cast, held = _summed(holds[0][z], match, weight)
+            votes.weights[z] += (holds[1] @ cast @ holds[2].T).astype(np.int32)
+            votes.pairs[1, z] += (pairs[1] @ held @ holds[2].T).astype(np.int16)
+            votes.pairs[2, z] += (holds[1] @ held @ pairs[2].T).astype(np.int16)
+            _, held = _summed(pairs[0][z], match, weight)
+            votes.pairs[0, z] += (holds[1] @ held @ holds[2].T).astype(np.int16)
 
     for_slabs(work, len(votes.weights))
 
 
-def _plane(z: np.ndarray, y: np.ndarray, x: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    near = np.flatnonzero(z)
-    return (y @ sites[near].sum(0) @ x.T).astype(np.int32)
+def _summed(near: np.ndarray, match: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The weights of sites on planes that are `near`, and how many of them vote, summed across the planes."""
+    cast, held = np.zeros(match.shape[1:], np.float32), np.zeros(match.shape[1:], np.float32)
+    for sz in np.flatnonzero(near):
+        voting = (match[sz] >= 0) & (weight[sz] > 0)
+        held += voting
+        cast += weight[sz] * voting
+    return cast, held
 
 
 def _laplacian(field: np.ndarray) -> np.ndarray:

@@ -3,28 +3,24 @@
 Two means together. The search prefers neighbourhoods from places of the exemplar that are as dense as is asked for
 (one more feature: the share of the phase around them), and after every vote the field is shifted, smoothly, until the share
 around every voxel is the one asked for: struts grow or thin where the exemplar holds nothing dense or sparse enough.
-
-On a coarser level a phase has another share (thin struts vanish first): what is asked for is carried over along straight
-lines through (0, 0), (the exemplar's share, its share on that level) and (1, 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.core.errors import RequestError
-from trabecula.core.request import Request
-from trabecula.core.target import porosity_of
+from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, with_guide
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.texture.shares import share_in
+from trabecula.synth.texture.windows import summed, summed_again, sums
 
 _WINDOW, _LEAST = 24, 6  # voxels a side in which a share is taken: of the finest level, and of any at least
 _WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar
@@ -34,11 +30,9 @@ _NEAR = 32  # values of the field that count as near the interface: about a voxe
 _MOST = 40  # by which a field is shifted in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _LAST = 16  # steps at the end
-BEYOND = 0.5
-"""How far outside the exemplar's own porosities the shift reaches with struts that still look like it: of the way to 0
-and to 1."""
-BYTES = 40
+BYTES = 32
 """Of a voxel: the windows' sums, and what a step takes."""
+_AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
 
 
 @dataclass(frozen=True)
@@ -57,11 +51,21 @@ class Leaning:
     @classmethod
     def of(cls, region: Region, shares: np.ndarray, width: int) -> Leaning:
         """For a region that is covered, with shares (z, y, x) float32 of its beginning."""
-        grown = fit_to(shares[None], region.shape)[0]
-        counts = np.ones(region.shape, bool) if region.free is None else region.free
-        whole = np.rint(grown * np.float32(_UNIT)).astype(np.int32) * counts
-        mean = float(whole.sum(dtype=np.int64) / max(1, np.count_nonzero(counts)) / _UNIT)
-        return cls(region, sums(whole, width, region.wraps), sums(counts, width, region.wraps), width, mean)
+        places = [np.arange(side).clip(max=have - 1) for side, have in zip(region.shape, shares.shape, strict=True)]
+        free, wraps = region.free, region.wraps
+
+        everywhere = np.ones(region.shape[1:], bool)
+
+        def counts(z: int) -> np.ndarray:
+            return everywhere if free is None else free[z]
+
+        def whole(z: int) -> np.ndarray:
+            near = shares[places[0][z]][np.ix_(*places[1:])]
+            return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
+
+        wanted, asked = summed(whole, region.shape, width, wraps)
+        counted, voxels = summed(counts, region.shape, width, wraps)
+        return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
 
     def guide(self, grid: Grid) -> np.ndarray:
         """What is asked for around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
@@ -70,75 +74,73 @@ class Leaning:
             (np.arange(count) * step + w // 2) % side
             for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
         ]
-        mesh = np.ix_(*at)
-        return _feature(self.wanted[mesh], self.counted[mesh])[..., None]
+        guide = scratch.empty((*grid.shape, 1), np.int16)
+
+        def work(start: int, stop: int) -> None:
+            for sz in range(start, stop):
+                mesh = (at[0][sz], *np.ix_(*at[1:]))
+                guide[sz, ..., 0] = _feature(self.wanted[mesh], self.counted[mesh])
+
+        for_slabs(work, len(guide))
+        return guide
 
     def leaned(self, field: np.ndarray) -> np.ndarray:
         """A field (1, Z, Y, X) int8, shifted towards what is asked for."""
-        shift = self.shift(field[0])
-        return np.clip(field + shift, -127, 127).astype(np.int8)
+        leaned = scratch.empty(field.shape, np.int8)
 
-    def shift(self, field: np.ndarray) -> np.ndarray:
-        """(Z, Y, X) int16: what has to be added, in a step of Newton's method on the shares around every voxel."""
-        wraps, width = self.region.wraps, self.width
-        counts = np.ones(self.region.shape, bool) if self.region.free is None else self.region.free
-        missing = sums((field > 0) & counts, width, wraps)
-        for_slabs(lambda a, b: _miss(self.wanted, self.counted, missing, a, b), len(missing))
+        def add(z: int, shift: np.ndarray) -> None:
+            leaned[0, z] = np.clip(field[0, z] + shift, -127, 127)
+
+        self.step(lambda z: field[0, z], add)
+        return leaned
+
+    def step(self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]) -> None:
+        """A step of Newton's method on the shares around every voxel.
+
+        Parameters
+        ----------
+        field : callable
+            Plane z (Y, X) of the field, in units of an int8 one.
+        use : callable
+            Takes z and what has to be added there, (Y, X) int16; called once a plane, when no plane is asked for any more.
+        """
+        region, width = self.region, self.width
+
+        def inside(z: int) -> np.ndarray:
+            return np.asarray(field(z) > 0 if region.free is None else (field(z) > 0) & region.free[z])
+
+        def beside(z: int) -> np.ndarray:
+            near = np.abs(field(z).astype(np.int16)) <= _NEAR
+            return np.asarray(near if region.free is None else near & region.free[z])
+
+        near, _ = summed(beside, region.shape, width, region.wraps)
+        missing, _ = summed(inside, region.shape, width, region.wraps)
         # Taken back through the same windows: a step at every voxel for its own window alone would overshoot and swing.
-        missing = sums(missing, width, wraps)
-        near = sums((np.abs(field.astype(np.int16)) <= _NEAR) & counts, width, wraps)
-        shift = np.empty(field.shape, np.int16)
-        for_slabs(lambda a, b: _shift(missing, near, self.counted, shift, a, b), len(shift))
-        return shift
+        summed_again(missing, width, region.wraps, lambda a, b: _miss(self.wanted, self.counted, missing, a, b))
+
+        def work(start: int, stop: int) -> None:
+            shift = np.empty(missing.shape[1:], np.int16)
+            for z in range(start, stop):
+                _shift(missing[z], near[z], self.counted[z], shift)
+                use(z, shift)
+
+        for_slabs(work, len(missing))
+
+
+def slab_bytes(shape: tuple[int, ...]) -> int:
+    """What a thread takes where arrays lie in scratch files: some planes, and a row of whole columns along z."""
+    return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
 
 
 def leaning_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Leaning]:
     """A grid of level `index` whose search is guided, and what its field leans to; shares are those of that level."""
-    even = bool((shares == shares.flat[0]).all())
+    even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
     leaning = Leaning.of(grid.region, shares, width)
     own, mean = share_in(grid.candidates.stack), float(leaning.mean)
     targets = tuple(Histogram.leaning(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
     grid = replace(grid, candidates=guided(grid.candidates, width))
     return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
-
-
-def check_phases(present: tuple[int, ...], empty: int) -> None:
-    """Raise where a target porosity does not say how much of each phase there is to be."""
-    if len(present) != 2 or empty not in present:
-        raise RequestError(
-            f"a target porosity is honoured for a void and one other phase, the exemplar holds {len(present)} phases: "
-            "merge them (tb.segment with one threshold), or leave the target out"
-        )
-
-
-def shares_of(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
-    """(Z, Y, X) float32: the share that the upper of two phases is to have at every voxel."""
-    porosity = np.broadcast_to(np.asarray(porosity_of(request.target), np.float32), request.shape)
-    return np.ascontiguousarray(porosity if present[1] == empty else 1 - porosity)
-
-
-def shares_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
-    """What shares at every voxel are at the resolution of each stack, finest first."""
-    own, found = share_in(stacks[0]), []
-    for stack in stacks:
-        found.append(carried_over(shares, own, share_in(stack)))
-        shares = halve(shares[None])[0]
-    return found
-
-
-def carried_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
-    """What shares become on a level where the exemplar's own share is `there`."""
-    return np.interp(shares, (0.0, own, 1.0), (0.0, there, 1.0)).astype(np.float32)
-
-
-def share_in(stack: Stack) -> float:
-    """The share of the phase in the exemplars' volumes."""
-    inside = sum(
-        np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
-        for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True)
-    )
-    return float(inside / np.prod(stack.sides.astype(np.int64), axis=1).sum())
 
 
 def guided(candidates: Candidates, width: int) -> Candidates:
@@ -166,56 +168,32 @@ def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
     """The last votes (1, Z, Y, X) int16, shifted until the shares are those asked for."""
-    field = votes[0].astype(np.int32)
-    moved = np.zeros_like(field)
+    field = scratch.empty(votes.shape[1:], np.int32)
+    for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
+    _settle(field, leaning)
+    result = scratch.empty(votes.shape, np.int16)
+
+    def end(start: int, stop: int) -> None:
+        np.clip(field[start:stop], -(1 << 15) + 1, (1 << 15) - 1, out=result[0, start:stop], casting="unsafe")
+
+    for_slabs(end, len(field))
+    return result
+
+
+def _settle(field: np.ndarray, leaning: Leaning) -> None:
+    """Steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
+    moved = scratch.zeros(field.shape, np.int16)
+
+    def rounded(z: int) -> np.ndarray:
+        return np.clip((field[z] + 128) >> 8, -127, 127)
+
+    def move(z: int, shift: np.ndarray) -> None:
+        moved[z] >>= 1  # half of the last step again: what varies within a window is slow to come
+        moved[z] += shift * np.int16(256)  # 16 bits hold it: a step is at most 40, so that all of them are at most 80
+        field[z] += moved[z]
+
     for _ in range(_LAST):
-        rounded = np.clip((field + 128) >> 8, -127, 127).astype(np.int8)
-        moved >>= 1  # half of the last step again: what varies within a window is slow to come
-        moved += leaning.shift(rounded).astype(np.int32) * 256
-        field += moved
-    return np.clip(field, -(1 << 15) + 1, (1 << 15) - 1).astype(np.int16)[None]
-
-
-def evened(request: Request) -> Request:
-    """The request with one number as its target: the mean of what is asked for."""
-    porosity = np.asarray(porosity_of(request.target))
-    inside = porosity[request.mask] if porosity.ndim and request.mask is not None else porosity
-    return replace(request, target={"porosity": float(inside.mean(dtype=np.float64))})
-
-
-def sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
-    """(Z, Y, X) int32: sums over the windows of `width` voxels around every voxel; beyond an open face lies nothing."""
-    total = values.astype(np.int32)
-    for axis in range(3):
-        lines = np.moveaxis(total, axis, 1) if axis == 0 else total
-        for_slabs(lambda a, b, k=axis, v=lines: _slide(v, width, k == 2, wraps[k], a, b), len(lines))  # type: ignore[misc]
-    return total
-
-
-@kernel
-def _slide(lines, width, along_last, wraps, start, stop):
-    """Running sums in place: of (n, side, m) along the second axis, or along the last one."""
-    before, after = width // 2, width - width // 2  # of the voxels beside a voxel: itself counts to those after
-    side = lines.shape[2] if along_last else lines.shape[1]
-    line = np.empty(side, np.int64)
-    for n in range(start, stop):
-        for m in range(lines.shape[1] if along_last else lines.shape[2]):
-            for k in range(side):
-                line[k] = lines[n, m, k] if along_last else lines[n, k, m]
-            total = np.int64(0)
-            for k in range(-before, after):
-                total += line[k % side] if wraps else (line[k] if 0 <= k < side else 0)
-            for k in range(side):
-                if along_last:
-                    lines[n, m, k] = total
-                else:
-                    lines[n, k, m] = total
-                low, high = k - before, k + after
-                if wraps:
-                    total += line[high % side] - line[low % side]
-                else:
-                    total += line[high] if high < side else 0
-                    total -= line[low] if low >= 0 else 0
+        leaning.step(rounded, move)
 
 
 @kernel
@@ -229,12 +207,11 @@ def _miss(wanted, counted, have, start, stop):
 
 
 @kernel
-def _shift(missing, near, counted, shift, start, stop):
-    """What is missing, averaged over a window, over what a shift by 1 would add."""
-    for z in range(start, stop):
-        for y in range(shift.shape[1]):
-            for x in range(shift.shape[2]):
-                # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that some can come.
-                slope = max(near[z, y, x], counted[z, y, x] / 50.0) / (2 * _NEAR + 1)
-                step = _HASTE * (missing[z, y, x] / _UNIT) / slope if slope > 0.0 else 0.0
-                shift[z, y, x] = np.int16(np.rint(min(max(step, -_MOST), _MOST)))
+def _shift(missing, near, counted, shift):
+    """Of a plane: what is missing, averaged over a window, over what a shift by 1 would add."""
+    for y in range(shift.shape[0]):
+        for x in range(shift.shape[1]):
+            # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that some can come.
+            slope = max(near[y, x], counted[y, x] / 50.0) / (2 * _NEAR + 1)
+            step = _HASTE * (missing[y, x] / _UNIT) / slope if slope > 0.0 else 0.0
+            shift[y, x] = np.int16(np.rint(min(max(step, -_MOST), _MOST)))

@@ -8,7 +8,8 @@ overlaps) and histogram matching (`optimise`). The fields of labels are clipped 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from math import prod
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import thread_count
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.base import Method, Model
 from trabecula.synth.shared.content import Content, Labels, content_of
@@ -25,14 +25,15 @@ from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
 from trabecula.synth.shared.matching.levels import levels_for
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
-from trabecula.synth.shared.neighbourhoods import basis_bytes, block_bytes
+from trabecula.synth.shared.neighbourhoods import basis_bytes
 from trabecula.synth.shared.orient import oriented, symmetries
-from trabecula.synth.shared.pyramid import halve
-from trabecula.synth.shared.statistics.correlate import Correlations, correlations_at
+from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.statistics.correlate import Correlations, correlations_at, step_bytes, step_slab_bytes
 from trabecula.synth.texture import SPEC, novel
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.grading import BEYOND, BYTES, check_phases, evened, shares_by_level, shares_of
-from trabecula.synth.texture.plain import Level, level_of, made_plain
+from trabecula.synth.texture.forecast import Run
+from trabecula.synth.texture.plain import Job, Level, level_of, made_plain
+from trabecula.synth.texture.shares import BEYOND, check_phases, evened, shares_by_level, shares_of
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
@@ -74,6 +75,7 @@ class TextureModel(Model):
     """Exemplars as a pyramid of fields with the neighbourhoods of every level."""
 
     spec = SPEC
+    spills: ClassVar[bool] = True
     config: TextureConfig
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
@@ -129,7 +131,7 @@ class TextureModel(Model):
     def _quantised(self, field: np.ndarray, index: int) -> np.ndarray:
         """A field of level `index` in int8: a distance counts in the voxels of its level, a grey value is what it is."""
         if self.content.distances:
-            return quantise(field / np.float32(2**index), clip=self.config.clip)
+            return quantise(field, clip=self.config.clip, unit=2**index)
         return quantise(field, clip=FULL)
 
     def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
@@ -139,18 +141,19 @@ class TextureModel(Model):
             told: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
-            regions = regions_of(request, used, self.content.bounds(request), self._quantised)
+            # Nothing is held by a name here: what is made of it is.
             votes, told = made_plain(
-                self.levels[:used],
-                regions,
-                request,
-                self.config,
-                self.targets,
-                distances=self.content.distances,
-                shares=self._shares(request, used),
+                Job(
+                    self.levels[:used],
+                    regions_of(request, used, self.content.bounds(request), self._quantised),
+                    request,
+                    self.config,
+                    self.content.distances,
+                    self.targets,
+                    self._shares(request, used),
+                )
             )
-        inside = (slice(None), *(slice(side) for side in request.shape))
-        votes = np.ascontiguousarray(votes[inside])
+        votes = fit_to(votes, request.shape)
         if request.target and isinstance(self.content, Labels):
             request = evened(request)
         return self.content.delivered(votes, request), {"levels": told} if told else {}
@@ -181,38 +184,57 @@ class TextureModel(Model):
             check_phases(self.content.present, self.content.empty)
 
     def _plan(self, request: Request) -> Plan:
-        new = self._makes_new(request)
-        finest = self.aims[0].candidates[-1] if new else self.levels[0][-1]
-        kept = [c for aim in self.aims for c in aim.candidates] if new else [c for level in self.levels for c in level]
-        region = Region(request.shape, request.periodic)
-        box, steps = finest.basis.box, finest.steps
-        grid, shape = region.grid(box=box, steps=steps), region.covered(box=box, steps=steps).shape
-        voxels = int(np.prod(shape, dtype=np.int64))
-        sites = int(np.prod(grid, dtype=np.int64))
-        channels, dimensions = len(finest.stack.field), finest.features.shape[1]
-        parts = 6 * (request.mask is not None or request.fixed is not None)
-        parts += 12 * channels * (request.fixed is not None)
-        # Moments that compete for the peak: a search, a histogram match, a step on the correlations, and the last choice.
-        moments = [
-            voxels * (3 * channels + parts) + sites * (2 * dimensions + 20),
-            voxels * (4 * channels + 2 + parts) + sites * 12,
-            voxels * (20 * channels + 10 if self.content.distances and channels > 1 else 4 * channels + 12),
-        ]
-        if request.target:  # sums over windows; features twice while one more is put to them
-            moments.append(voxels * (BYTES + parts))
-            moments[0] += sites * 2 * dimensions + 14 * voxels + 3 * max(c.features.nbytes for c in kept)
-        correlations = self.aims[0].correlations if new else self.targets[0] if self.targets else None
-        if correlations is not None:
-            moments.append(novel.step_bytes(correlations, request, self.top) + voxels * 4 * channels)
+        run = self._run(request)
         return Plan(
-            memory={
+            {
                 "interpreter and kernels": _PROCESS,
-                "exemplar": sum(stack.field.nbytes for stack in self.stacks)
-                + sum(c.features.nbytes + 9 * c.allowed.nbytes for c in kept),
-                "output": max(moments),
-                "scratch": thread_count() * block_bytes(finest.basis, grid) + 16 * len(finest.features),
+                "exemplar": self._held(),
+                "output": run.output,
+                "scratch": run.scratch,
             },
-            disk=int(np.prod(request.shape, dtype=np.int64)),  # uncompressed; most formats take a tenth
+            disk=prod(request.shape),  # uncompressed; most formats take a tenth
+        )
+
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        slab = self._run(request).slab
+        if self._makes_new(request):
+            slab = max(slab, novel.slab_bytes(self.aims[0].correlations, self.slices, request, self.top))
+        elif self.targets and request.fixed is None:
+            shape = Region(request.shape, request.periodic).shape
+            slab = max(slab, step_slab_bytes(shape, self.targets[0], request.periodic))
+        return {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "slab": slab}
+
+    def _held(self) -> int:
+        """Bytes of the exemplar's fields and neighbourhoods."""
+        kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
+        kept += [c for level in self.learnt or [] for c in level]
+        searched = 3 if self.config.search == "exact" else 1  # prepared for it, in another order
+        fields = sum(stack.field.nbytes for stack in self.stacks)
+        return fields + sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
+
+    def _run(self, request: Request) -> Run:
+        """What a forecast is of."""
+        new, config = self._makes_new(request), self.config
+        labels = isinstance(self.content, Labels)
+        itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
+        if new:
+            region = Region(novel.domain(request.shape, request.periodic, 0, self.top), (True, True, True))
+            correlations = self.aims[0].correlations
+            step = novel.step_bytes(correlations, request, self.top)
+            finest = self.aims[0].candidates
+            return Run(request, region, finest, labels, itemsize, repeated=True, correcting=step)
+        stepped = bool(self.targets) and request.fixed is None and not request.target
+        return Run(
+            request,
+            Region(request.shape, request.periodic),
+            self.levels[0],
+            labels,
+            itemsize,
+            exact=config.search == "exact",
+            energetic=config.energetic,
+            leaning=bool(request.target),
+            repeated=config.sweeps > 1,
+            correcting=step_bytes(request.shape, self.targets[0], request.periodic) if stepped else 0,
         )
 
 
@@ -234,11 +256,16 @@ def _levels_that_fit(smallest: int, config: TextureConfig) -> int:
 
 def _has_room(mask: np.ndarray, width: int) -> bool:
     """Whether a cube of `width` voxels fits into a mask (one that is thinner along an axis may fill that axis)."""
-    room = mask
-    for axis, side in enumerate(mask.shape):
-        sums = np.cumsum(room, axis=axis, dtype=np.int32)
-        sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
-        reach = min(width, side)
-        cells = np.arange(side - reach + 1)
-        room = sums.take(cells + reach, axis) - sums.take(cells, axis) == reach
-    return bool(room.any())
+    reach = [min(width, side) for side in mask.shape]
+    deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside
+    for plane in mask:
+        deep = np.where(plane, deep + 1, 0)
+        room = deep >= reach[0]
+        for axis in (0, 1):
+            sums = np.cumsum(room, axis=axis, dtype=np.int32)
+            sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
+            cells = np.arange(room.shape[axis] - reach[1 + axis] + 1)
+            room = sums.take(cells + reach[1 + axis], axis) - sums.take(cells, axis) == reach[1 + axis]
+        if room.any():
+            return True
+    return False

@@ -15,15 +15,18 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.histogram import match_histogram
+from trabecula.engine.checkpoint import State, offer, resumed
 from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import refined, rematched, robust_weights, voted
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.statistics import correlate
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, correlations_at, owed
-from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import UNIT, Slices, sliced_round, slices_of
+from trabecula.synth.shared.statistics.moved import round_bytes
+from trabecula.synth.shared.statistics.sliced import sliced_round
+from trabecula.synth.shared.statistics.slices import Slices, slices_of
+from trabecula.synth.shared.votes import noise, votes_of
 from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
@@ -42,6 +45,7 @@ _STRENGTH = 2.5
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
+_LAYOUT, _PASS = "novel layout", "novel pass {}"  # stages of a run that can be interrupted
 _FIRST = 3  # times as many sweeps in the first round, which starts from random matches
 
 
@@ -136,81 +140,125 @@ def made_new(
     aims: Sequence[Aims], slices: Slices, schedule: Sequence[Pass], request: Request, config: TextureConfig
 ) -> np.ndarray:
     """The last votes (C, Z, Y, X) int16 on the torus."""
-    top, seed, periodic = len(aims) - 1, request.seed, request.periodic
-    sides = [domain(request.shape, periodic, level, top) for level in range(top + 1)]
-    field = _laid_out(aims[top], slices, sides[top], seed)
-    votes, level = field.astype(np.int16) * np.int16(UNIT), top
-    unused = [list(aim.candidates) for aim in aims]
-    for number, p in enumerate(schedule):
+    top = len(aims) - 1
+    regions = [Region(domain(request.shape, request.periodic, level, top), _AROUND) for level in range(top + 1)]
+    unused = [iter(aim.candidates) for aim in aims]
+    candidates = [next(unused[p.level]) for p in schedule]
+    begin, state = _resumed(len(schedule))
+    if state is None:
+        run, level = _Run(_laid_out(aims[top], slices, regions[top], request.seed)), top
+    else:
+        run, level = _Run(**state.arrays), schedule[begin].level
+    for number in range(begin, len(schedule)):
+        p = schedule[number]
         while level > p.level:
             level -= 1
-            field = fit_to(refined(field, _AROUND, distances=True), sides[level])
-        grid = Grid.over(Region(sides[level], _AROUND), unused[level].pop(0))
-        field, votes = _passed(grid, field, p, number, aims[level].correlations, periodic, seed, config)
-    return votes
+            run.field = fit_to(refined(run.field, _AROUND, distances=True), regions[level].shape)
+        grid = Grid.over(regions[level], candidates[number])
+        done = 0 if state is None else state.number
+        state = None  # nor does anybody else hold on to what it was
+        for round_ in track(range(done, p.rounds), f"level {level}", total=p.rounds - done):
+            run.go_on(grid, p, number, round_, aims[level].correlations, request, config)
+            last = number == len(schedule) - 1 and round_ == p.rounds - 1
+            offer(_PASS.format(number), round_ + 1, **run.kept(last=last))
+    return votes_of(run.field) if run.votes is None else run.votes
 
 
 def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
-    """Memory of a step on the two-point function on the finest level: spectra and fields in float32."""
-    sides = domain(request.shape, request.periodic, 0, top)
-    pairs = Pairs(sides, correlations.r_max, request.periodic, correlations.edges)
-    return 16 * int(np.prod(pairs.sides, dtype=np.int64)) + 20 * int(np.prod(sides, dtype=np.int64))
+    """Memory of a step on the two-point function on the finest level, beside the field and its votes."""
+    return correlate.step_bytes(domain(request.shape, request.periodic, 0, top), correlations, request.periodic)
 
 
-def _laid_out(aims: Aims, slices: Slices, shape: tuple[int, ...], seed: int) -> np.ndarray:
+def slab_bytes(correlations: Correlations, slices: Slices, request: Request, top: int) -> int:
+    """Memory of what `made_new` does to the field where arrays lie in scratch files, beside search and vote."""
+    shape = domain(request.shape, request.periodic, 0, top)
+    return max(correlate.step_slab_bytes(shape, correlations, request.periodic), round_bytes(slices))
+
+
+def _resumed(count: int) -> tuple[int, State | None]:
+    """The pass in which an interrupted run goes on, and its state; the first, and none."""
+    for number in reversed(range(count)):
+        state = resumed(_PASS.format(number))
+        if state is not None:
+            return number, state
+    return 0, None
+
+
+def _laid_out(aims: Aims, slices: Slices, region: Region, seed: int) -> np.ndarray:
     """Sliced rounds from noise, with a step on the two-point function every few of them: (C, Z, Y, X) int8."""
-    channels = len(aims.stack.field)
-
-    def matched(votes: np.ndarray) -> np.ndarray:
-        pairs = zip(votes, aims.stack.histograms, strict=True)
-        return np.stack([match_histogram(vote, histogram) for vote, histogram in pairs])
-
-    raw = np.random.Philox(key=int(key(seed, "novel/noise"))).random_raw(channels * int(np.prod(shape)))
-    votes = ((raw >> np.uint64(50)).astype(np.int16) - np.int16(8192)).reshape(channels, *shape)
-    field = matched(votes)
-    votes = field.astype(np.int16) * np.int16(UNIT)
-    stage = key(seed, "novel/sliced")
-    for number in track(range(_SLICED_ROUNDS), "laying out"):
+    stage, histograms = key(seed, "novel/sliced"), aims.stack.histograms
+    state = resumed(_LAYOUT)
+    if state is None:
+        begin, votes = 0, noise((len(histograms), *region.shape), int(key(seed, "novel/noise")))
+        votes = votes_of(rematched(region, votes, histograms))
+    else:
+        begin, votes = state.number, state.arrays.pop("votes")
+    for number in track(range(begin, _SLICED_ROUNDS), "laying out", total=_SLICED_ROUNDS - begin):
         votes = sliced_round(votes, slices, key=stage, number=number, strength=_STRENGTH)
         if (number + 1) % _STEP_EVERY == 0:
-            votes = corrected(matched(votes), aims.correlations, periodic=_AROUND)
-            field = matched(votes)
-            votes = field.astype(np.int16) * np.int16(UNIT)
-    return field
+            votes = corrected(rematched(region, votes, histograms), aims.correlations, periodic=_AROUND)
+            votes = votes_of(rematched(region, votes, histograms))
+        offer(_LAYOUT, number + 1, votes=votes)
+    return rematched(region, votes, None)  # a step was the last: these are votes of a field
 
 
-def _passed(
-    grid: Grid,
-    field: np.ndarray,
-    p: Pass,
-    number: int,
-    target: Correlations,
-    periodic: tuple[bool, ...],
-    seed: int,
-    config: TextureConfig,
-) -> tuple[np.ndarray, np.ndarray]:
-    """One pass: the field, and the votes that it came from."""
-    stage = key(seed, f"novel/pass {number}")
-    match, debt = random_matches(grid, stage), None
-    for round_ in track(range(p.rounds), f"level {p.level}"):
-        count = config.sweeps * (_FIRST if round_ == 0 else 1)
-        match, distance = swept(
+@dataclass
+class _Run:
+    """Where the passes stand: a field (C, Z, Y, X) int8 and the votes that it came from, the match of every site, and what
+    earlier rounds of the pass owe the two-point function."""
+
+    field: np.ndarray
+    match: np.ndarray | None = None
+    votes: np.ndarray | None = None
+    debt: np.ndarray | None = None
+
+    def kept(self, *, last: bool) -> dict[str, np.ndarray]:
+        """All that the next round starts from; after the last one the votes are the result."""
+        parts = {"field": self.field, "match": self.match, "debt": self.debt, "votes": self.votes if last else None}
+        return {name: part for name, part in parts.items() if part is not None}
+
+    def go_on(
+        self,
+        grid: Grid,
+        p: Pass,
+        number: int,
+        round_: int,
+        target: Correlations,
+        request: Request,
+        config: TextureConfig,
+    ) -> None:
+        """One round of pass `number`, which is `p`."""
+        if round_ == 0:
+            self.match, self.debt = random_matches(grid, key(request.seed, f"novel/pass {number}")), None
+        periodic = request.periodic
+        self.votes = None  # every array that is not needed makes room before the next is made
+        self._vote(grid, p, number, round_, request.seed, config)
+        if p.beyond:
+            self.debt = owed(self.debt, self.field, target, periodic=periodic)
+        aim = self.debt
+        if aim is not None and round_ == p.rounds - 1:
+            aim = aim * p.beyond
+        for _ in range(p.steps):
+            self.votes = None
+            self.votes = corrected(self.field, target, debt=aim, periodic=periodic)
+            self.field = rematched(grid.region, self.votes, grid.targets)
+
+    def _vote(self, grid: Grid, p: Pass, number: int, round_: int, seed: int, config: TextureConfig) -> None:
+        """Search and vote."""
+        assert self.match is not None  # the first round begins with some
+        self.match, distance = swept(
             grid,
-            match,
-            field,
-            stage=stage,
+            self.match,
+            self.field,
+            stage=key(seed, f"novel/pass {number}"),
             first=100 * round_ + 1,
-            count=count,
+            count=config.sweeps * (_FIRST if round_ == 0 else 1),
             tries=config.tries,
             index_penalty=config.index_penalty,
         )
+        del self.field
         weights = robust_weights(grid, distance, config.robustness)
-        votes = voted(grid, match, weights, trim=1 if p.level == 0 else 0)
-        field = rematched(grid.region, votes, grid.targets)
-        if p.beyond:
-            debt = owed(debt, field, target, periodic=periodic)
-        aim = debt * p.beyond if debt is not None and round_ == p.rounds - 1 else debt
-        for _ in range(p.steps):
-            votes = corrected(field, target, debt=aim, periodic=periodic)
-            field = rematched(grid.region, votes, grid.targets)
-    return field, votes
+        del distance
+        votes = voted(grid, self.match, weights, trim=1 if p.level == 0 else 0)
+        del weights
+        self.field = rematched(grid.region, votes, grid.targets)

@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.matching.grid import Grid, features_of, nearest_matches, random_matches, swept
+from trabecula.engine.checkpoint import State as Left
+from trabecula.engine.checkpoint import resumed
+from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.levels import grain_of, variance_in
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import joined_votes, refined, rematched, robust_weights, voted
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
-from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.statistics.correlate import Correlations, corrected, owed
-from trabecula.synth.texture.balance import Balance, balanced
+from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.statistics.correlate import Correlations
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.grading import Leaning, leaning_grid, settled
+from trabecula.synth.texture.grading import leaning_grid, settled
+from trabecula.synth.texture.rounds import Course, Run
 
 _SPARSE_BELOW = 4  # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 
 Level = tuple[Candidates, ...]
 """The exemplars' neighbourhoods at one resolution, one entry per width of the config."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The output at one resolution."""
-
-    match: np.ndarray  # (sz, sy, sx) int32, index of the nearest neighbourhood per site
-    votes: np.ndarray  # (C, Z, Y, X) int16, the weighted mean of what overlaps, times 256
-    field: np.ndarray  # (C, Z, Y, X) int8, the same with the exemplar's histogram
 
 
 def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool) -> Level:
@@ -57,87 +46,85 @@ def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool
     return tuple(made)
 
 
-def made_plain(
-    levels: Sequence[Level],
-    regions: Sequence[Region],
-    request: Request,
-    config: TextureConfig,
-    targets: Sequence[Correlations] = (),
-    *,
-    distances: bool,
-    shares: Sequence[np.ndarray] = (),
-) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds go by them.
+@dataclass(frozen=True)
+class Job:
+    """What is to be made of what.
 
     Levels and regions are as many, finest first, as are `targets` where `corrections` of the config step towards them, and
-    `shares` where the request asks for a phase here more and there less (`grading`).
+    `shares` where the request asks for a phase here more and there less (`grading`). `distances` says that fields are smooth.
     """
-    state: State | None = None
+
+    levels: Sequence[Level]
+    regions: Sequence[Region]
+    request: Request
+    config: TextureConfig
+    distances: bool
+    targets: Sequence[Correlations] = ()
+    shares: Sequence[np.ndarray] = ()
+
+    def stages(self) -> list[tuple[int, int]]:
+        """Level and place of the width of every grid, in the order in which they are gone over."""
+        return [(index, n) for index in reversed(range(len(self.regions))) for n in range(len(self.levels[index]))]
+
+    def course(self, index: int, number: int) -> Course:
+        """What the rounds on one grid go by."""
+        config, used = self.config, len(self.regions)
+        candidates, first = self.levels[index][number], index == used - 1
+        if first and 2**index >= _SPARSE_BELOW and config.step:
+            candidates = replace(candidates, step=1)
+        grid, leaning = Grid.over(self.regions[index], candidates), None
+        if self.shares:
+            grid, leaning = leaning_grid(grid, self.shares[index], index)
+        rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
+        even = self.request.fixed is None and not self.shares
+        target = self.targets[index] if index < len(self.targets) and even else None
+        return Course(
+            name=_name(index, number),
+            said=f"level {used - index} of {used}",
+            grid=grid,
+            stage=key(self.request.seed, f"texture/{index}" + (f"/{number}" if number else "")),
+            trims=_trims(grid, rounds, config, distances=self.distances) if index == 0 else [0] * rounds,
+            target=target,
+            steps=config.corrections[min(index, len(config.corrections) - 1)] if target else 0,
+            leaning=leaning,
+            finest=index == 0,
+            last=(index, number) == self.stages()[-1],
+        )
+
+
+def made_plain(job: Job) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds go by them."""
+    stages = job.stages()
+    begin, left = _resumed(stages)
+    run = Run() if left is None else Run.resumed(left.arrays)
     before: Candidates | None = None
-    told: list[dict[str, Any]] = []
-    used = len(regions)
-    for index in reversed(range(used)):
-        first = index == used - 1
-        for number, candidates in enumerate(levels[index]):
-            if first and 2**index >= _SPARSE_BELOW and config.step:
-                candidates = replace(candidates, step=1)
-            leaning = None
-            grid = Grid.over(regions[index], candidates)
-            if shares:
-                grid, leaning = leaning_grid(grid, shares[index], index)
-            stage = key(request.seed, f"texture/{index}" + (f"/{number}" if number else ""))
-            if state is None or before is None:
-                begin = partial(_started, grid, stage, leaning)
-            else:
-                begin = partial(_continued, grid, before, state, finer=number == 0, distances=distances)
-            rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
-            trims = _trims(grid, rounds, config, distances=distances) if index == 0 else [0] * rounds
-            even = request.fixed is None and not shares
-            target = targets[index] if index < len(targets) and even else None
-            steps = config.corrections[min(index, len(config.corrections) - 1)] if target else 0
-            said = f"level {used - index} of {used}"
-            state, trace = _optimised(
-                grid, begin, stage, trims, config, target, steps, leaning, finest=index == 0, said=said
-            )
-            told += [{"level": index, "width": candidates.basis.width, "energy": trace}] if trace else []
-            before = candidates
-    assert state is not None  # there is at least one level
-    return state.votes if leaning is None else settled(state.votes, leaning), told
+    for index, number in stages[begin:]:
+        course = job.course(index, number)
+        done = 0 if left is None else left.number
+        if left is None and before is None:
+            run.start(course)
+        elif left is None and before is not None:
+            run.go_over(course, before, finer=number == 0, distances=job.distances)
+        left = None  # nor does anybody else hold on to its arrays
+        run.go_on(course, job.config, done)
+        before = course.grid.candidates
+        run.tell({"level": index, "width": before.basis.width})
+    assert run.votes is not None  # the last course leaves them
+    return run.votes if course.leaning is None else settled(run.votes, course.leaning), run.told
 
 
-def _cast(
-    grid: Grid,
-    match: np.ndarray,
-    weights: np.ndarray,
-    leaning: Leaning | None,
-    *,
-    trim: int = 0,
-    histogram: bool = True,
-) -> State:
-    """Vote and match the histogram: the matches become a field."""
-    votes = joined_votes(grid.region, voted(grid, match, weights, trim=trim))
-    return State(match, votes, _field_of(grid, votes, leaning, histogram=histogram))
+def _name(index: int, number: int) -> str:
+    """Of a level and the place of a width, among the stages that an interrupted run can go on from."""
+    return f"level {index} width {number}"
 
 
-def _field_of(grid: Grid, votes: np.ndarray, leaning: Leaning | None, *, histogram: bool) -> np.ndarray:
-    """With the histogram, or with the shares that are asked for."""
-    field = rematched(grid.region, votes, grid.targets if histogram else None)
-    return field if leaning is None else grid.region.bounded(leaning.leaned(field))
-
-
-def _started(grid: Grid, stage: np.uint64, leaning: Leaning | None) -> State:
-    """Random patches."""
-    return _cast(grid, random_matches(grid, stage), grid.active.astype(np.int32), leaning)
-
-
-def _continued(grid: Grid, before: Candidates, state: State, *, finer: bool, distances: bool) -> State:
-    """The result so far on the next grid: its field doubled (a distance doubles too), its matches moved along."""
-    field, region = state.field, grid.region
-    if finer:
-        field = refined(field, region.wraps, distances=distances)
-    field = region.bounded(fit_to(field, region.shape))
-    match = carried(state.match, before, grid.candidates, grid.shape, factor=2 if finer else 1)
-    return State(match, field.astype(np.int16) * 256, field)
+def _resumed(stages: Sequence[tuple[int, int]]) -> tuple[int, Left | None]:
+    """The stage in which an interrupted run goes on, and its state; the first, and none."""
+    for place in reversed(range(len(stages))):
+        left = resumed(_name(*stages[place]))
+        if left is not None:
+            return place, left
+    return 0, None
 
 
 def _trims(grid: Grid, rounds: int, config: TextureConfig, *, distances: bool) -> list[int]:
@@ -147,68 +134,3 @@ def _trims(grid: Grid, rounds: int, config: TextureConfig, *, distances: bool) -
         # A mean of grey values loses their grain: in the end every voxel takes one neighbourhood's.
         trims[-2:] = [(grid.candidates.basis.width - grid.candidates.step) // 2] * len(trims[-2:])
     return trims
-
-
-def _optimised(
-    grid: Grid,
-    begin: Callable[[], State],
-    stage: np.uint64,
-    trims: Sequence[int],
-    config: TextureConfig,
-    target: Correlations | None,
-    steps: int,
-    leaning: Leaning | None,
-    *,
-    finest: bool,
-    said: str,
-) -> tuple[State, list[dict[str, Any]]]:
-    balance = Balance.at_first(config, len(trims))
-    state, debt = begin(), None  # here, so that nobody else holds on to it
-    for number in track(range(len(trims)), said):
-        match, distance = _matched(grid, state, stage, number, config)
-        if config.energetic:
-            votes, balance = balanced(grid, state.field, match, balance, config, trim=trims[number])
-            del state
-            votes = joined_votes(grid.region, votes)
-            state = State(match, votes, _field_of(grid, votes, leaning, histogram=config.histogram))
-            if balance.feedback.done:
-                break
-        else:
-            del state
-            weights = robust_weights(grid, distance, config.robustness)
-            state = _cast(grid, match, weights, leaning, trim=trims[number], histogram=config.histogram)
-            if target is not None and steps:
-                last = finest and number == len(trims) - 1  # nothing comes after it that would take something back
-                debt = (
-                    None if last else owed(debt, state.field, target, periodic=grid.region.wraps, free=grid.region.free)
-                )
-                state = _corrected(grid, state, target, debt, steps)
-    return state, balance.trace()
-
-
-def _corrected(grid: Grid, state: State, target: Correlations, debt: np.ndarray | None, steps: int) -> State:
-    """Steps on the two-point function, of the voxels that are made."""
-    votes, field, region = state.votes, state.field, grid.region
-    for _ in range(steps):
-        votes = corrected(field, target, debt=debt, periodic=region.wraps, free=region.free)
-        field = rematched(region, votes, grid.targets)
-    return State(state.match, votes, field)
-
-
-def _matched(
-    grid: Grid, state: State, stage: np.uint64, number: int, config: TextureConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    if config.search == "exact":
-        features = features_of(grid, state.field)
-        return nearest_matches(grid, state.match, features, index_penalty=config.index_penalty)
-    first = number * config.sweeps + 1
-    return swept(
-        grid,
-        state.match,
-        state.field,
-        stage=stage,
-        first=first,
-        count=config.sweeps,
-        tries=config.tries,
-        index_penalty=config.index_penalty,
-    )

@@ -11,8 +11,9 @@ from functools import partial
 import numpy as np
 
 from trabecula.core.checks import as_number
+from trabecula.engine import scratch
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import for_slabs, sum_slabs
 from trabecula.synth.texture.gradient import Votes
 
 _QUANTUM = 256  # parts of a field's unit in the result
@@ -51,24 +52,36 @@ def solve_votes(
     mu = float(as_number(mu, name="mu", low=0, high=1e5))
     unit = int(as_number(unit, name="unit", low=1, high=2**20, whole=True))
     tolerance = float(as_number(tolerance, name="tolerance", low=1e-6, high=16))
-    result = np.empty(votes.values.shape, np.int16)
+    result = scratch.empty(votes.values.shape, np.int16)
     for channel in range(len(result)):
-        mean = np.empty(votes.weights.shape, np.float32)
-        _weighted_mean(votes.values[channel], votes.weights, mean)
-        guess = mean if start is None else np.where(votes.weights > 0, start[channel], 0).astype(np.float32)
+        guess = None if start is None else start[channel]
+        field = _begun(votes, channel, guess if mu > 0 else None)
         if mu > 0:
-            mean = _solved(votes, channel, np.float32(mu * unit), guess, tolerance)
-        np.clip(np.rint(mean * _QUANTUM), -_MOST, _MOST, out=mean)
-        result[channel] = mean
+            _solve(votes, channel, np.float32(mu * unit), field, tolerance)
+        for_slabs(partial(_rounded, field, result[channel]), len(field))
+        del field  # before the next one is made
     return result
 
 
-def _solved(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> np.ndarray:
-    """Conjugate gradients from `field`, which is spent. Scalar products are summed plane by plane, then over planes."""
+def _begun(votes: Votes, channel: int, guess: np.ndarray | None) -> np.ndarray:
+    """The guess, or the weighted mean, as (Z, Y, X) float32."""
+    field = scratch.empty(votes.weights.shape, np.float32)
+    if guess is None:
+        for_slabs(partial(_weighted_mean, votes.values[channel], votes.weights, field), len(field))
+    else:
+        for_slabs(partial(_guessed, guess, votes.weights, field), len(field))
+    return field
+
+
+def _guessed(guess: np.ndarray, weights: np.ndarray, field: np.ndarray, start: int, stop: int) -> None:
+    field[start:stop] = np.where(weights[start:stop] > 0, guess[start:stop], 0)
+
+
+def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> None:
+    """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
     weights, pairs, planes = votes.weights, votes.pairs, len(field)
     part = np.empty((planes, 2))
-    rest, along, image = np.empty_like(field), np.empty_like(field), np.empty_like(field)
-    inverse = np.empty_like(field)
+    inverse, rest, along, image = (scratch.empty(field.shape, np.float32) for _ in range(4))
 
     def total() -> np.ndarray:
         return np.array([_sum(part[:, 0]), _sum(part[:, 1])])
@@ -78,8 +91,9 @@ def _solved(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, toler
     old, size = total()
     # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err alike, the diagonal overstates
     # what holds a voxel in its place by this ratio.
-    ratio = 1 + 2 * float(mu) * int(pairs.sum(dtype=np.int64)) / max(int(weights.sum(dtype=np.int64)), 1)
-    enough = (tolerance / ratio) ** 2 * np.count_nonzero(weights)
+    paired, weight, held = sum_slabs(partial(_counted, pairs, weights), planes).tolist()
+    ratio = 1 + 2 * float(mu) * paired / max(weight, 1)
+    enough = (tolerance / ratio) ** 2 * held
     for _ in range(_STEPS):
         if size <= enough or old <= 0:
             break
@@ -89,7 +103,12 @@ def _solved(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, toler
         new, size = total()
         for_slabs(partial(_turn, np.float32(new / old), inverse, rest, along), planes)
         old = new
-    return field
+
+
+def _counted(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Pairs, weights and voxels voted on."""
+    part = weights[start:stop]
+    return np.array([pairs[:, start:stop].sum(dtype=np.int64), part.sum(dtype=np.int64), np.count_nonzero(part)])
 
 
 @kernel
@@ -101,8 +120,17 @@ def _sum(values):
 
 
 @kernel
-def _weighted_mean(values, weights, mean):
-    for z in range(mean.shape[0]):
+def _rounded(field, result, start, stop):
+    for z in range(start, stop):
+        for y in range(field.shape[1]):
+            for x in range(field.shape[2]):
+                value = np.rint(field[z, y, x] * np.float32(_QUANTUM))
+                result[z, y, x] = np.int16(min(max(value, np.float32(-_MOST)), np.float32(_MOST)))
+
+
+@kernel
+def _weighted_mean(values, weights, mean, start, stop):
+    for z in range(start, stop):
         for y in range(mean.shape[1]):
             for x in range(mean.shape[2]):
                 w = weights[z, y, x]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.plan import Plan
 from trabecula.exemplar.segment import otsu
 
 LARGEST = 256**3
@@ -60,6 +62,12 @@ def fitted(image: Image) -> Fitted:
         values = _bytes(values, limits)
         threshold = int(np.ceil(otsu(values)[0])) if values.min() < values.max() else 0
     return Fitted(np.ascontiguousarray(values), block, limits, threshold)
+
+
+def forecast(shape: Sequence[int], itemsize: int) -> Plan:
+    """What a page of a volume takes, with the volume itself, of so many bytes a voxel."""
+    voxels = prod(shape)
+    return Plan({"volume": (itemsize + 1) * voxels, "page": 12 * min(voxels, LARGEST)})
 
 
 def _block(shape: Sequence[int]) -> tuple[int, ...]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.joints import known_of, mixed_histograms, surroundings
-from trabecula.synth.shared.matching.kernels import search, start_matches
+from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.nearest import index_histogram, k_nearest, reranked
-from trabecula.synth.shared.neighbourhoods import covered_shape, project
+from trabecula.synth.shared.nearest import best_among, index_histogram, usage_factors
+from trabecula.synth.shared.neighbourhoods import covered_shape, planes_together, project_planes
+from trabecula.synth.shared.slabs import counted, made_by_slabs
+
+_TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,16 @@ class Grid:
             targets = targets_of(covered, candidates.stack.histograms, width=candidates.basis.width)
         return cls(candidates, covered, shape, active, targets)
 
+    @cached_property
+    def count(self) -> int:
+        """How many sites are active."""
+        return counted(self.active)
+
+    @property
+    def full(self) -> bool:
+        """Whether all sites are active."""
+        return self.count == self.active.size
+
     @property
     def reach(self) -> tuple[int, ...]:
         """Voxels that the neighbourhoods cover, those beyond an axis that wraps counted again."""
@@ -48,24 +64,47 @@ def targets_of(region: Region, histograms: tuple[Histogram, ...], *, width: int)
     if region.free is None or region.low is None or region.high is None:
         return histograms
     near = surroundings(region.free, known_of(region.free, region.low, region.high), width)
-    made = int(np.count_nonzero(region.free))
-    return mixed_histograms(histograms, region.low, region.high, near, made)
+    return mixed_histograms(histograms, region.low, region.high, near, counted(region.free))
 
 
 def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
     """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as neighbourhoods reach."""
-    beyond = [(0, 0)] + [(0, max(0, far - side)) for far, side in zip(grid.reach, field.shape[1:], strict=True)]
-    return np.pad(field, beyond, mode="wrap") if any(far for _, far in beyond) else field
+    shape = (len(field), *np.maximum(grid.reach, field.shape[1:]).tolist())
+    if shape == field.shape:
+        return field
+    return made_by_slabs(lambda start, stop: _planes(shape[1:], field, start, stop), shape, field.dtype)
+
+
+def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Planes start..stop of a field that is repeated to `shape`."""
+    part = field[:, start:stop] if stop <= field.shape[1] else field[:, np.arange(start, stop) % field.shape[1]]
+    beyond = [(0, 0), (0, 0), *((0, far - side) for far, side in zip(shape[1:], field.shape[2:], strict=True))]
+    return np.pad(part, beyond, mode="wrap") if tuple(shape[1:]) != field.shape[2:] else part
 
 
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
     """The feature vectors of the output's neighbourhoods."""
-    active = None if grid.active.all() else grid.active
-    features = project(wrapped(grid, field), grid.candidates.basis, step=grid.candidates.step, active=active)
+    features = scratch.empty((*grid.shape, _depth(grid)), np.int16)
+
+    def work(start: int, stop: int) -> None:
+        for first, last in _together(grid, start, stop):
+            features[first:last] = site_features(grid, field, first, last)
+
+    for_slabs(work, grid.shape[0], least=2)
+    return features
+
+
+def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """The feature vectors of the neighbourhoods in planes start..stop of the sites, in the caller's thread."""
+    basis, step = grid.candidates.basis, grid.candidates.steps[0]
+    features = np.empty((stop - start, *grid.shape[1:], basis.vectors.shape[1]), np.int16)
+    shape = tuple(np.maximum(grid.reach, field.shape[1:]).tolist())
+    planes = _planes(shape, field, start * step, (stop - 1) * step + basis.box[0])
+    active = None if grid.full else grid.active[start:stop]
+    project_planes(planes, basis, features, step=grid.candidates.step, active=active)
     if grid.guide is None:
         return features
-    np.right_shift(features, 1, out=features)
-    return with_guide(features, grid.guide)
+    return with_guide(features >> 1, grid.guide[start:stop])
 
 
 def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -73,26 +112,43 @@ def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
     return np.concatenate([features, guide], axis=-1)
 
 
+def _depth(grid: Grid) -> int:
+    """Components of a feature vector."""
+    return grid.candidates.basis.vectors.shape[1] + (0 if grid.guide is None else grid.guide.shape[-1])
+
+
+def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Planes of sites whose features are made at once: a few, so that they are still in the cache when they are looked at."""
+    thick = planes_together(_depth(grid), grid.shape)
+    for first in range(start, stop, thick):
+        yield first, min(first + thick, stop)
+
+
 def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
     """Random patches: an independent candidate per site."""
-    numbers = grid.candidates.numbers
-    chosen = np.empty(grid.shape, np.int32)
-    start_matches(chosen, len(numbers), stage)
-    return numbers[chosen].astype(np.int32)
+    match, numbers = scratch.empty(grid.shape, np.int32), grid.candidates.numbers
+    for_slabs(lambda start, stop: start_matches(match, numbers, stage, start, stop), len(match))
+    return match
 
 
 def nearest_matches(
     grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and their distances."""
-    candidates = grid.candidates
-    queries = features[grid.active]
-    index, distance = k_nearest(queries, candidates.prepared)
-    shares = index_histogram(old[grid.active], len(candidates.features))
-    count = len(candidates.numbers)
-    chosen, apart = reranked(index, distance, shares, weight=index_penalty * count, theta=1 / count)
-    match, found = old.copy(), np.zeros(old.shape, np.int32)
-    match[grid.active], found[grid.active] = chosen, apart
+    among, count, active = grid.candidates.prepared, len(grid.candidates.numbers), grid.active
+    shares = index_histogram(old, len(grid.candidates.features), active)
+    factors = usage_factors(shares, weight=index_penalty * count, theta=1 / count)
+    match, found = (scratch.empty(old.shape, np.int32, least=0) for _ in range(2))
+    thick = max(1, _TOGETHER // (old.shape[1] * old.shape[2]))
+
+    def work(start: int, stop: int) -> None:
+        for first in range(start, stop, thick):
+            planes = slice(first, min(first + thick, stop))
+            there = active[planes]
+            match[planes], found[planes] = old[planes], 0
+            match[planes][there], found[planes][there] = best_among(features[planes][there], among, factors)
+
+    for_slabs(work, len(old), least=1, anywhere=True)
     return match, found
 
 
@@ -108,10 +164,11 @@ def swept(
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and their distances."""
-    features = features_of(grid, field)
+    # In files features are more to write and to read than to make again.
+    kept = features_of(grid, field) if count > 1 and not scratch.is_active() else None
     for sweep in range(first, first + count):
         match, distance = searched(
-            grid, match, features, stage=stage, sweep=sweep, tries=tries, index_penalty=index_penalty
+            grid, match, field, kept, stage=stage, sweep=sweep, tries=tries, index_penalty=index_penalty
         )
     return match, distance
 
@@ -119,50 +176,57 @@ def swept(
 def searched(
     grid: Grid,
     old: np.ndarray,
-    features: np.ndarray,
+    field: np.ndarray,
+    features: np.ndarray | None = None,
     *,
     stage: np.uint64,
     sweep: int,
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One sweep of the coherent search: new matches and their distances."""
+    """One sweep of the coherent search: new matches and their distances. Features that are not given are made as it goes."""
     candidates = grid.candidates
-    match = np.empty_like(old)
-    distance = np.empty(old.shape, np.int32)
+    match, distance = scratch.empty(old.shape, np.int32), scratch.empty(old.shape, np.int32)
     penalty = penalties(old, grid, index_penalty)
     # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
     ratio = candidates.step // candidates.stride
     ratios = (0 if candidates.basis.flat else ratio, ratio, ratio)
 
     def work(start: int, stop: int) -> None:
-        search(
-            features,
-            candidates.features,
-            penalty,
-            grid.active,
-            old,
-            match,
-            distance,
-            candidates.shape,
-            ratios,
-            grid.region.wraps,
-            stage,
-            sweep,
-            tries,
-            start,
-            stop,
-        )
+        for first, last in _together(grid, start, stop):
+            search(
+                site_features(grid, field, first, last) if features is None else features[first:last],
+                first,
+                candidates.features,
+                penalty,
+                grid.active,
+                old,
+                match,
+                distance,
+                candidates.shape,
+                ratios,
+                grid.region.wraps,
+                stage,
+                sweep,
+                tries,
+                first,
+                last,
+            )
 
-    for_slabs(work, len(old), least=2)
+    for_slabs(work, len(old), least=2, anywhere=True)
     return match, distance
 
 
 def penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
     """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one sweep."""
     allowed = grid.candidates.allowed
-    used = match.ravel() if grid.active.all() else match[grid.active]
-    even = np.float32(np.count_nonzero(allowed) / max(1, used.size))
-    share = np.bincount(used, minlength=len(allowed)).astype(np.float32) * even
+
+    def tally(start: int, stop: int) -> np.ndarray:
+        counts = np.zeros(len(allowed), np.int64)
+        count_matches(match, grid.active, counts, start, stop)
+        return counts
+
+    even = np.float32(np.count_nonzero(allowed) / max(1, grid.count))
+    share = np.asarray(sum_slabs(tally, len(match))).astype(np.float32) * even
     factors = np.float32(1) + np.float32(weight) * np.maximum(share - 1, 0)
     return np.where(allowed, factors, np.float32(np.inf))

@@ -16,13 +16,23 @@ from trabecula.engine.random import below, philox
 
 
 @kernel
-def start_matches(match, count, key):
-    """Random patches: an independent uniform index per site."""
-    for z in range(match.shape[0]):
+def start_matches(match, numbers, key, start, stop):
+    """Random patches: one of the candidates' numbers for every site of planes start..stop, each with the same chance."""
+    for z in range(start, stop):
         for y in range(match.shape[1]):
             for x in range(match.shape[2]):
                 word = philox(key, z, y, x, 0)[0]
-                match[z, y, x] = below(word, count)
+                match[z, y, x] = numbers[below(word, len(numbers))]
+
+
+@kernel
+def count_matches(match, active, counts, start, stop):
+    """How many active sites of planes start..stop are matched with each candidate, added to `counts`."""
+    for z in range(start, stop):
+        for y in range(match.shape[1]):
+            for x in range(match.shape[2]):
+                if active[z, y, x]:
+                    counts[match[z, y, x]] += 1
 
 
 @inline
@@ -77,13 +87,29 @@ def _better(site, exemplar, penalty, candidate, best, least):
 
 @kernel
 def search(
-    features, exemplar, penalty, active, old, match, distance, shape, ratios, wraps, key, sweep, tries, start, stop
+    features,
+    first,
+    exemplar,
+    penalty,
+    active,
+    old,
+    match,
+    distance,
+    shape,
+    ratios,
+    wraps,
+    key,
+    sweep,
+    tries,
+    start,
+    stop,
 ):
     """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for sites start..stop.
 
-    features (Z, Y, X, D) int16; exemplar (N, D) int16; penalty (N,) float32 factors, infinite where E has a gap; active
-    (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised; ratios, wraps (3,). Of the
-    `tries` pairs of random candidates one is anywhere and one around the best, in a shrinking radius.
+    features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16; penalty (N,) float32 factors,
+    infinite where E has a gap; active (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised;
+    ratios, wraps (3,). Of the `tries` pairs of random candidates one is anywhere and one around the best, in a shrinking
+    radius.
     """
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
@@ -95,7 +121,7 @@ def search(
                     match[z, y, x] = old[z, y, x]
                     distance[z, y, x] = 0
                     continue
-                site = features[z, y, x]
+                site = features[z - first, y, x]
                 best = np.int64(old[z, y, x])
                 least = np.float32(_distance(site, exemplar[best], np.inf)) * penalty[best]
                 for axis in range(3):
@@ -117,6 +143,16 @@ def search(
                     best, least = _better(site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
                 distance[z, y, x] = _distance(site, exemplar[best], np.inf)
+
+
+@kernel
+def weigh(distance, active, floor, mean, table, weight, start, stop):
+    """The table's entry for 256 times the ratio of each site's distance to the mean; 0 where a site is not active."""
+    for z in range(start, stop):
+        for y in range(distance.shape[1]):
+            for x in range(distance.shape[2]):
+                ratio = (np.int64(distance[z, y, x]) + floor) * 256 // mean
+                weight[z, y, x] = table[min(max(ratio, 1), 4095)] if active[z, y, x] else 0
 
 
 @kernel
@@ -142,70 +178,6 @@ def vote(field, match, weight, shape, strides, steps, box, trims, wraps, plane, 
                 for x in range(X):
                     weights = plane[C, y, x]
                     result[c, z, y, x] = np.int64(plane[c, y, x]) * 256 // weights if weights > 0 else 0
-
-
-@kernel
-def vote_sums(field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop):
-    """Weighted sums of the matched neighbourhoods over voxel planes start..stop, added to `result`.
-
-    As `vote`, but field is (C, z, y, x) int16, plane has C, and result is (C, ...) int32. A last channel of factors, and the
-    others multiplied by it, weigh the exemplar's voxels: it sums up to what the others are to be divided by.
-    """
-    _, Z, Y, X = result.shape
-    summed = np.empty(match.shape[1:], np.int32)
-    for z in range(start, stop):
-        plane[:] = 0
-        for turn in range(2 if wraps[0] else 1):
-            _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z + turn * Z)
-        _fold(plane, Y, X, wraps)
-        result[:, z] += plane[:, :Y, :X]
-
-
-@kernel
-def choose(
-    field, dear, match, weight, shape, strides, steps, box, trims, wraps, first, mean, cost, chosen, start, stop
-):
-    """For voxel planes start..stop the voxel of the exemplar, of all those matched with it, whose value lies nearest to `mean`.
-
-    field (C, z, y, x) int8; dear (z, y, x) int32, a factor of the squared distance; mean (C, ...) int16, 256 times a value; cost
-    (...) int64 the least so far and chosen (...) int32 the voxel that it belongs to, numbered from `first`, both updated. Of
-    equals the first one stays. The rest as in `vote`.
-    """
-    C, Z, Y, X = mean.shape
-    _, _, EY, EX = field.shape
-    SZ, SY, SX = match.shape
-    for z in range(start, stop):
-        for turn in range(2 if wraps[0] else 1):
-            plane = z + turn * Z
-            for sz in range(max(0, (plane - box[0] + steps[0]) // steps[0]), min(SZ, plane // steps[0] + 1)):
-                dz = plane - sz * steps[0]
-                z0, z1 = reach(sz, SZ, box[0], trims[0], wraps[0])
-                if dz < z0 or dz >= z1:
-                    continue
-                for sy in range(SY):
-                    y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
-                    for sx in range(SX):
-                        if weight[sz, sy, sx] == 0:
-                            continue
-                        x0, x1 = reach(sx, SX, box[2], trims[2], wraps[2])
-                        m = match[sz, sy, sx]
-                        ez = m // (shape[2] * shape[1]) * strides[0] + dz
-                        ey = (m // shape[2]) % shape[1] * strides[1]
-                        ex = m % shape[2] * strides[2]
-                        for dy in range(y0, y1):
-                            y = (sy * steps[1] + dy) % Y
-                            for dx in range(x0, x1):
-                                x = sx * steps[2] + dx
-                                x = x - X if x >= X else x
-                                apart = np.int64(0)
-                                for c in range(C):
-                                    d = (np.int64(field[c, ez, ey + dy, ex + dx]) << 8) - mean[c, z, y, x]
-                                    apart += d * d
-                                # A distance of 0 would hide what is dear.
-                                apart = (apart + 256) * dear[ez, ey + dy, ex + dx]
-                                if apart < cost[z, y, x]:
-                                    cost[z, y, x] = apart
-                                    chosen[z, y, x] = first + (ez * EY + ey + dy) * EX + ex + dx
 
 
 @inline

@@ -1,27 +1,32 @@
 """Several views of one volume at one resolution: the planes across an axis, matched with the picture seen there.
 
 Neighbourhoods are squares in these planes. Every view searches for itself, in the volume turned so that its axis comes first;
-the votes of all of them are added up, turned back, and make one field.
+what all of them say of a slab of the volume is added up there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from trabecula.engine import scratch
 from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
-from trabecula.synth.shared.matching.kernels import choose
+from trabecula.synth.shared.matching.plane_kernels import add_votes, choose_pixels, divide, paint
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import add_sums, mean_of, trims_of
+from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.shared.turned import order_of, turned
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
 _MOST_FACTOR = 256  # times an int8 is an int16
+_THICK = 8  # planes that are summed up at once, at least: sites at their borders are gone through twice
+_CACHED = 1 << 17  # voxels that are summed up at once where planes are small
 
 
 @dataclass(frozen=True)
@@ -33,11 +38,18 @@ class Plane:
 
     def turned(self, field: np.ndarray) -> np.ndarray:
         """A field (C, Z, Y, X) with the view's axis first of the three."""
-        return np.ascontiguousarray(np.moveaxis(field, 1 + self.axis, 1))
+        return turned(field, self.axis)
 
-    def back(self, field: np.ndarray) -> np.ndarray:
-        """`turned` backwards, not copied."""
-        return np.moveaxis(field, 1, 1 + self.axis)
+    @classmethod
+    def over(cls, region: Region, axis: int, candidates: Candidates, targets: tuple[Histogram, ...]) -> Plane:
+        """The view of a region that is covered."""
+        box, steps = candidates.basis.box, candidates.steps
+        order = order_of(axis)
+        seen = Region(tuple(region.shape[a] for a in order), tuple(region.wraps[a] for a in order))
+        shape = seen.grid(box=box, steps=steps)
+        free = None if region.free is None else turned(region.free, axis)
+        active = replace(seen, free=free).active(shape, box=box, steps=steps)
+        return cls(axis, Grid(candidates, seen, shape, active, targets))
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,7 @@ class Frame:
         (width,), (step,) = widths, steps  # one for all views: a voxel of the cover belongs to all of them
         covered = region.covered(box=(width,) * 3, steps=(step,) * 3)
         targets = targets_of(covered, histograms, width=width)
-        planes = tuple(Plane(axis, Grid.over(covered.seen(axis), candidates, targets)) for axis, candidates in views)
+        planes = tuple(Plane.over(covered, axis, candidates, targets) for axis, candidates in views)
         return cls(covered, planes, targets)
 
 
@@ -87,16 +99,25 @@ def voted_planes(
     trim : int
         Voxels at the rim of a neighbourhood that do not vote.
     """
-    channels = len(frame.planes[0].grid.candidates.stack.field)
-    total = np.zeros((channels + 1, *frame.region.shape), np.int32)
-    for place, (plane, match, weight) in enumerate(zip(frame.planes, matches, weights, strict=True)):
+    views: list[tuple[Any, ...]] = []
+    for place, plane in enumerate(frame.planes):
         field = plane.grid.candidates.stack.field
         factor = np.int16(1) if factors is None else factors[place].astype(np.int16)
         values = np.concatenate([field * factor, np.broadcast_to(factor, (1, *field.shape[1:]))])
-        part = np.zeros((channels + 1, *plane.grid.region.shape), np.int32)
-        add_sums(part, values, plane.grid, match, weight, trim=trim)
-        np.moveaxis(total, 1 + plane.axis, 1)[:] += part
-    return mean_of(total)
+        views.append((values, matches[place], weights[place], *_laid(plane, trim)))
+    shape = frame.region.shape
+    votes = scratch.empty((len(frame.targets), *shape), np.int16)
+
+    def work(start: int, stop: int) -> None:
+        thick = planes_at_once(shape)
+        for first in range(start, stop, thick):
+            total = np.zeros((len(votes) + 1, min(thick, stop - first), *shape[1:]), np.int32)
+            for view in views:
+                add_votes(total, first, *view)
+            divide(total, votes, first)
+
+    for_slabs(work, shape[0], anywhere=True)
+    return votes
 
 
 def chosen_planes(
@@ -114,8 +135,8 @@ def chosen_planes(
     ----------
     matches, weights, trim
         As in `voted_planes`.
-    mean : (C, Z, Y, X) int16
-        256 times the field to come near to.
+    mean : (C, Z, Y, X) int16 or int8
+        256 times the field to come near to, or in int8 that field.
     dear : sequence of (z, y, x) int32
         What the squared distance of every voxel of a view's exemplar is multiplied by, 1 or more.
 
@@ -126,57 +147,50 @@ def chosen_planes(
     sources : (Z, Y, X) int32
         Their numbers: view after view, in the order of each view's stack; -1 where there is none.
     """
-    field = np.clip((mean.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
-    sources = np.full(mean.shape[1:], -1, np.int32)
-    cost = np.full(mean.shape[1:], 2**62, np.int64)
-    first = 0
-    for plane, match, weight, factor in zip(frame.planes, matches, weights, dear, strict=True):
-        grid = plane.grid
-        exemplar = grid.candidates.stack.field
-        seen = plane.turned(mean)
-        least, found = (np.ascontiguousarray(np.moveaxis(part, plane.axis, 0)) for part in (cost, sources))
-        _choose(grid, exemplar, factor, match, weight, trim, first, seen, least, found)
-        cost, sources = (np.moveaxis(part, 0, plane.axis) for part in (least, found))
-        here = (sources >= first) & (sources < first + exemplar[0].size)
-        taken = sources[here] - first
-        for channel, values in enumerate(exemplar):
-            field[channel][here] = values.ravel()[taken]
-        first += exemplar[0].size
-    return field, np.ascontiguousarray(sources)
-
-
-def _choose(
-    grid: Grid,
-    exemplar: np.ndarray,
-    factor: np.ndarray,
-    match: np.ndarray,
-    weight: np.ndarray,
-    trim: int,
-    first: int,
-    mean: np.ndarray,
-    least: np.ndarray,
-    found: np.ndarray,
-) -> None:
-    candidates = grid.candidates
+    exemplars = [plane.grid.candidates.stack.field for plane in frame.planes]
+    pixels = np.concatenate([exemplar.reshape(len(mean), -1) for exemplar in exemplars], axis=1)
+    begins = np.cumsum([0] + [exemplar[0].size for exemplar in exemplars])[:-1]
+    laid = [_laid(plane, trim) for plane in frame.planes]
+    views: list[tuple[int, tuple[Any, ...]]] = [
+        (plane.axis, (int(begin), *own, *how))
+        for plane, *own, how, begin in zip(frame.planes, exemplars, dear, matches, weights, laid, begins, strict=True)
+    ]
+    shape = frame.region.shape
+    field, sources = scratch.empty(mean.shape, np.int8), scratch.empty(shape, np.int32)
 
     def work(start: int, stop: int) -> None:
-        choose(
-            exemplar,
-            factor,
-            match,
-            weight,
-            candidates.shape,
-            candidates.strides,
-            candidates.steps,
-            candidates.basis.box,
-            trims_of(grid, trim),
-            grid.region.wraps,
-            first,
-            mean,
-            least,
-            found,
-            start,
-            stop,
-        )
+        thick = planes_at_once(shape)
+        for first in range(start, stop, thick):
+            here = slice(first, min(first + thick, stop))
+            aim = mean[:, here]
+            aim = aim * np.int16(256) if aim.dtype == np.int8 else aim
+            cost, found = np.full(aim.shape[1:], 2**62, np.int64), np.full(aim.shape[1:], -1, np.int32)
+            for axis, view in views:
+                seen, least, taken = (
+                    np.ascontiguousarray(np.moveaxis(part, axis - 3, -3)) for part in (aim, cost, found)
+                )
+                choose_pixels(seen, least, taken, first, *view)
+                cost, found = (np.moveaxis(part, 0, axis) for part in (least, taken))
+            field[:, here], sources[here] = mean_field(aim), found
+            paint(pixels, sources[here], field, first)
 
-    for_slabs(work, len(least))
+    for_slabs(work, shape[0], anywhere=True)
+    return field, sources
+
+
+def mean_field(votes: np.ndarray) -> np.ndarray:
+    """Votes int16 as the field int8 that they are 256 times of, rounded."""
+    return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
+
+
+def planes_at_once(shape: tuple[int, ...]) -> int:
+    """Planes of a volume in which what all views say is summed up at once."""
+    return max(_THICK, _CACHED // (shape[1] * shape[2]))
+
+
+def _laid(plane: Plane, trim: int) -> tuple[Any, ...]:
+    """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the width and its axis."""
+    grid, candidates = plane.grid, plane.grid.candidates
+    width, trims = candidates.basis.width, trims_of(grid, trim)
+    sides, wraps = grid.region.shape, grid.region.wraps
+    return candidates.shape, sides, candidates.strides, candidates.steps, width, trims, wraps, plane.axis

@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trabecula.core.request import Request
+from trabecula.engine import scratch
 from trabecula.synth.shared.content import free_of
 from trabecula.synth.shared.neighbourhoods import Triple, covered_shape, grid_shape
 from trabecula.synth.shared.pyramid import halve
+from trabecula.synth.shared.slabs import both, by_pieces, inverse, made_by_slabs
+from trabecula.synth.shared.turned import order_of, turned
 
 
 @dataclass(frozen=True)
@@ -39,60 +42,69 @@ class Region:
         """The region with its open axes continued to what a grid of neighbourhoods covers; what is added is not free."""
         reach = covered_shape(self.grid(box=box, steps=steps), box=box, steps=steps)
         shape = tuple(side if wrap else far for side, far, wrap in zip(self.shape, reach, self.wraps, strict=True))
-        pads = [(0, new - old) for new, old in zip(shape, self.shape, strict=True)]
 
         def grown(values: np.ndarray | None, fill: int) -> np.ndarray | None:
-            if values is None:
-                return None
-            return np.pad(values, [(0, 0)] * (values.ndim - 3) + pads, constant_values=fill)
+            return None if values is None else _grown(values, shape, fill)
 
         return Region(shape, self.wraps, grown(self.free, 0), grown(self.low, -127), grown(self.high, 127))
 
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
         """The sites whose neighbourhood holds a voxel that is to be made, of a region that is covered."""
-        if self.free is None:
-            return np.ones(grid, bool)
-        found = self.free
-        for axis, (count, side, wrap) in enumerate(zip(grid, self.shape, self.wraps, strict=True)):
-            sums = np.cumsum(found, axis=axis, dtype=np.int32)
-            sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
-            first = np.arange(count) * steps[axis]
-            last = first + box[axis]
-            inside = sums.take(np.minimum(last, side), axis) - sums.take(first, axis)
-            if wrap:
-                inside = inside + sums.take(np.clip(last - side, 0, side), axis)
-            found = inside > 0
+        free = self.free
+
+        def found(start: int, stop: int) -> np.ndarray | bool:
+            return (
+                True if free is None else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
+            )
+
+        return made_by_slabs(found, grid, bool)
+
+    def _found(self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple) -> np.ndarray:
+        """One plane of the active sites."""
+        planes = np.arange(z * steps[0], z * steps[0] + box[0])
+        around = free[planes % len(free)] if self.wraps[0] else free[planes[0] : planes[-1] + 1]
+        found = np.asarray(around.any(axis=0))
+        for axis in (0, 1):
+            found = _in_windows(found, grid[1 + axis], box[1 + axis], steps[1 + axis], axis, wrap=self.wraps[1 + axis])
         return found
 
     def seen(self, axis: int) -> Region:
         """The region with `axis` first: what its planes across that axis are, one after the other."""
-        order = (axis, *(a for a in range(3) if a != axis))
 
-        def turned(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else np.ascontiguousarray(np.moveaxis(values, axis - 3, -3))
+        def view(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else turned(values, axis)
 
-        return Region(
-            tuple(self.shape[a] for a in order),
-            tuple(self.wraps[a] for a in order),
-            turned(self.free),
-            turned(self.low),
-            turned(self.high),
-        )
+        order = order_of(axis)
+        shape, wraps = tuple(self.shape[a] for a in order), tuple(self.wraps[a] for a in order)
+        return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
 
     def halved(self) -> Region:
         """At half the resolution: free where any of eight voxels is; bounds are not carried over."""
         shape = tuple(-(-side // 2) for side in self.shape)
-        if self.free is None:
+        free = self.free
+        if free is None:
             return Region(shape, self.wraps)
-        padded = np.pad(self.free, [(0, side % 2) for side in self.shape])
-        z, y, x = shape
-        return Region(shape, self.wraps, np.asarray(padded.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5))))
+
+        def any_of_eight(start: int, stop: int) -> np.ndarray:
+            part = free[2 * start : 2 * stop]
+            part = np.pad(part, [(0, side % 2) for side in part.shape])
+            z, y, x = (side // 2 for side in part.shape)
+            return np.asarray(part.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5)))
+
+        return Region(shape, self.wraps, made_by_slabs(any_of_eight, shape, bool))
 
     def bounded(self, field: np.ndarray) -> np.ndarray:
-        """A field (C, Z, Y, X) with what is known put back."""
-        if self.low is None or self.high is None:
+        """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into it."""
+        low, high = self.low, self.high
+        if low is None or high is None:
             return field
-        return np.clip(field, self.low, self.high)
+
+        def work(start: int, stop: int) -> None:
+            planes = (slice(None), slice(start, stop))
+            np.clip(field[planes], low[planes], high[planes], out=field[planes])
+
+        by_pieces(work, self.shape)
+        return field
 
 
 def regions_of(
@@ -117,20 +129,72 @@ def regions_of(
         else:
             low, high = (quantised(bound, index) for bound in bounds)
             regions.append(replace(region, low=low, high=high))
+        if index == count - 1:
+            break
         region = region.halved()
         if bounds is not None and known is None:
             bounds = (halve(bounds[0]), halve(bounds[1]))
         elif bounds is not None and known is not None:
-            share = halve(known[None].astype(np.float32))
+            share = _share(known)
             bounds = (_halved_known(bounds[0], known, share), _halved_known(bounds[1], known, share))
-            known = share[0] > 0
-            region = replace(region, free=None if region.free is None else region.free & ~known)
+            known = made_by_slabs(lambda a, b, share=share: share[0, a:b] > 0, share.shape[1:], bool)  # type: ignore[misc]
+            region = replace(region, free=both(region.free, inverse(known)))
     return regions
+
+
+def _share(known: np.ndarray) -> np.ndarray:
+    """(1, Z, Y, X) float32: which part of a coarser voxel is known."""
+    return halve(made_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
 
 
 def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
     """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else what it is anywhere."""
-    sums = halve(np.where(known, bound, np.float32(0)))
-    free = bound[(slice(None), ~known)]
-    anywhere = free[:, 0, None, None, None] if free.size else np.float32(0)
-    return np.where(share > 0, sums / np.maximum(share, np.float32(1e-6)), anywhere).astype(np.float32)
+    sums = halve(
+        made_by_slabs(lambda a, b: np.where(known[a:b], bound[:, a:b], np.float32(0)), bound.shape, np.float32)
+    )
+    anywhere = _first_free(bound, known)
+
+    def mean(start: int, stop: int) -> np.ndarray:
+        part = share[:, start:stop]
+        return np.where(part > 0, sums[:, start:stop] / np.maximum(part, np.float32(1e-6)), anywhere)
+
+    return made_by_slabs(mean, sums.shape, np.float32)
+
+
+def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """What a bound is at voxels that are not known, (C, 1, 1, 1): it is the same at all of them."""
+    for z, plane in enumerate(known):
+        if not plane.all():
+            y, x = np.unravel_index(int(np.argmin(plane)), plane.shape)
+            return bound[:, z, y, x].astype(np.float32)[:, None, None, None]
+    return np.zeros((len(bound), 1, 1, 1), np.float32)
+
+
+def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
+    """(..., Z, Y, X), continued by a value to `shape`; itself where there is nothing to add."""
+    have = values.shape[-3:]
+    if have == shape:
+        return values
+    grown = scratch.empty((*values.shape[:-3], *shape), values.dtype)
+
+    def work(start: int, stop: int) -> None:
+        part = grown[..., start:stop, :, :]
+        part[...] = fill
+        inside = values[..., start : min(stop, have[0]), :, :]
+        part[..., : inside.shape[-3], : have[1], : have[2]] = inside
+
+    by_pieces(work, shape)
+    return grown
+
+
+def _in_windows(values: np.ndarray, count: int, width: int, step: int, axis: int, *, wrap: bool) -> np.ndarray:
+    """Whether any of a plane (Y, X) bool is True in `count` windows along an axis."""
+    side = values.shape[axis]
+    sums = np.cumsum(values, axis=axis, dtype=np.int32)
+    sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
+    first = np.arange(count) * step
+    last = first + width
+    inside = sums.take(np.minimum(last, side), axis) - sums.take(first, axis)
+    if wrap:
+        inside = inside + sums.take(np.clip(last - side, 0, side), axis)
+    return np.asarray(inside > 0)

@@ -14,6 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from trabecula.engine import scratch
+from trabecula.engine.compile import kernel
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.nearest import Candidates as Nearest
 from trabecula.synth.shared.nearest import candidates
@@ -115,24 +118,15 @@ class Candidates:
         """The candidates as the exact search wants them."""
         return candidates(self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed)
 
-    def corners(self, match: np.ndarray) -> list[np.ndarray]:
-        """The first voxel of each candidate, along z, y, x of the stack."""
-        return [cell * stride for cell, stride in zip(np.unravel_index(match, self.shape), self.strides, strict=True)]
-
-    def at(self, corners: Sequence[np.ndarray], volume: np.ndarray) -> np.ndarray:
-        """The allowed candidates of a volume that begin nearest to these voxels (z counted within the volume)."""
-        cells = []
-        for axis, (corner, width, stride) in enumerate(zip(corners, self.basis.box, self.strides, strict=True)):
-            most = self.stack.sides[volume, axis] - width
-            start = self.stack.starts[volume] if axis == 0 else 0
-            # The stride need not divide a volume's start: its first and last cells are rounded inwards.
-            first, last = -(-start // stride), (start + most) // stride
-            cells.append(np.clip((np.clip(corner, 0, most) + start) // stride, first, last))
-        return np.ravel_multi_index(cells, self.shape).astype(np.int32)
-
-    def volumes(self, z: np.ndarray) -> np.ndarray:
-        """Which volume a plane of the stack belongs to."""
-        return np.searchsorted(self.stack.starts, z, side="right") - 1
+    def bounds(self) -> np.ndarray:
+        """(n, 3, 4) int64: of each volume and axis its start in the stack, the last corner of a neighbourhood within it, and the
+        first and last cell of the grid that are allowed."""
+        most = self.stack.sides - self.basis.box
+        start = np.zeros_like(most)
+        start[:, 0] = self.stack.starts
+        # The stride need not divide a volume's start: its first and last cells are rounded inwards.
+        cells = [-(-start // self.strides), (start + most) // self.strides]
+        return np.stack([start, most, *cells], axis=-1).astype(np.int64)
 
 
 def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int) -> np.ndarray:
@@ -140,14 +134,54 @@ def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int
 
     `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
     """
-    sites, offsets = [], []
-    for count, have, coarse, fine in zip(grid, match.shape, old.steps, new.steps, strict=True):
-        corner = np.arange(count) * fine
-        site = np.minimum(corner // (factor * coarse), have - 1)
-        sites.append(site)
-        offsets.append(corner - factor * site * coarse)
-    z, y, x = old.corners(match[np.ix_(*sites)])
-    volume = old.volumes(z)
-    local = (z - old.stack.starts[volume], y, x)
-    moved = [factor * corner + offset for corner, offset in zip(local, np.ix_(*offsets), strict=True)]
-    return new.at(moved, volume)
+    moved, bounds = scratch.empty(grid, np.int32), new.bounds()
+
+    def work(start: int, stop: int) -> None:
+        _carry(
+            match,
+            old.shape,
+            old.strides,
+            old.steps,
+            old.stack.starts,
+            moved,
+            new.shape,
+            new.strides,
+            new.steps,
+            bounds,
+            factor,
+            start,
+            stop,
+        )
+
+    for_slabs(work, grid[0])
+    return moved
+
+
+@kernel
+def _carry(match, shape, strides, steps, starts, moved, new_shape, new_strides, new_steps, bounds, factor, start, stop):
+    """Matches on another grid, planes start..stop: each site takes what the old one at its place was matched with.
+
+    match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape` and `new_shape` with cells
+    `strides` and `new_strides` apart; starts (n,) the first planes of the volumes that E is stacked of; bounds (n, 3, 4) int64
+    of each volume of the new E its start (0 but along z), the last corner within it, and the first and last cell.
+    """
+    site, corner = np.empty(3, np.int64), np.empty(3, np.int64)
+    for z in range(start, stop):
+        for y in range(moved.shape[1]):
+            for x in range(moved.shape[2]):
+                corner[0], corner[1], corner[2] = z * new_steps[0], y * new_steps[1], x * new_steps[2]
+                for axis in range(3):
+                    site[axis] = min(corner[axis] // (factor * steps[axis]), match.shape[axis] - 1)
+                m = match[site[0], site[1], site[2]]
+                cz = m // (shape[1] * shape[2]) * strides[0]
+                volume = 0
+                while volume + 1 < len(starts) and starts[volume + 1] <= cz:
+                    volume += 1
+                old = (cz - starts[volume], m // shape[2] % shape[1] * strides[1], m % shape[2] * strides[2])
+                index = np.int64(0)
+                for axis in range(3):
+                    bound = bounds[volume, axis]
+                    place = factor * (old[axis] - site[axis] * steps[axis]) + corner[axis]
+                    cell = (min(max(place, 0), bound[1]) + bound[0]) // new_strides[axis]
+                    index = index * new_shape[axis] + min(max(cell, bound[2]), bound[3])
+                moved[z, y, x] = index

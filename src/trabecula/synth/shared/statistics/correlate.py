@@ -16,23 +16,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.statistics.bands import bands, best_length, least_squares
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import UNIT
-
-BANDS = (1, 2, 3, 5, 8, 12)
-"""Where the bands of distances begin, voxels; the last one reaches to r_max."""
+from trabecula.synth.shared.statistics.soft import Soft
+from trabecula.synth.shared.votes import UNIT, votes_of
 
 _SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
 _REACH, _NEAR = 30, 6  # farthest distance in voxels of the finest level, and at least so many of a level's own
 _LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
 _SHORT = 2.0  # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
-_RIDGE = 1e-3
-_LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def correlations_of(
         pairs = Pairs(field.shape[1:], r_max, edges=steps)
         fits += pairs.fits
         for c, channel in enumerate(field):
-            spectrum = pairs.forward(soft_indicator(channel, softness))
+            spectrum = pairs.forward(Soft.of(channel, softness).plane)
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
     return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
 
@@ -112,12 +111,6 @@ def owed(
     return now if debt is None else now + _LEAK * debt
 
 
-def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
-    """0 .. 1 in float32 of a field in int8."""
-    table = np.clip(np.arange(-128, 128) / softness + 0.5, 0, 1).astype(np.float32)
-    return np.asarray(table[field.astype(np.int16) + 128])
-
-
 def misfit(
     field: np.ndarray,
     target: Correlations,
@@ -126,10 +119,10 @@ def misfit(
     free: np.ndarray | None = None,
 ) -> np.ndarray:
     """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where there are no pairs."""
-    pairs = _pairs(field, target, periodic, free)
+    pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
     for c, channel in enumerate(field):
-        spectrum = pairs.forward(_soft(channel, target, free))
+        spectrum = pairs.forward(Soft.of(channel, target.softness, free).plane)
         found[c] = pairs.curve(spectrum, spectrum) - target.curves[c]
     return np.where((pairs.fits > 0) & target.held, found, 0.0)
 
@@ -160,104 +153,113 @@ def corrected(
     (C, Z, Y, X) int16
         In 1 / UNIT of an int8 step, to be matched to the exemplar's histogram.
     """
-    pairs = _pairs(field, target, periodic, free)
-    around = Pairs(pairs.shape, target.r_max, (True, True, True), target.edges)
-    votes = field.astype(np.int16) * np.int16(UNIT)
+    pairs, around = _pairs(field.shape[1:], target, periodic, free)
+    votes = votes_of(field)
     for c, channel in enumerate(field):
         aim = target.curves[c] if debt is None else target.curves[c] - debt[c]
-        move = _step(channel, aim, target, pairs, around, free)
-        if move is not None:
-            limit = FULL * UNIT
-            votes[c] = np.clip(np.rint(votes[c] + move * np.float32(UNIT * target.softness)), -limit, limit)
+        step = _step(Soft.of(channel, target.softness, free), aim, target, pairs, around)
+        if step is not None:
+            _take(*step, np.float32(UNIT * target.softness), votes[c])
     return votes
 
 
-def _pairs(field: np.ndarray, target: Correlations, periodic: Sequence[bool], free: np.ndarray | None) -> Pairs:
-    return Pairs(field.shape[1:], target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free)
+def step_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)) -> int:
+    """Memory of `corrected` at its peak beside the field and the votes, for a volume of this shape."""
+    pairs, around = _pairs(shape, target, periodic)
+    slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
+    # Moments that compete: a direction is made, it is transformed, its change of the two-point function is read off.
+    most = max(
+        slope + around.spectrum_bytes + around.kernel_bytes,
+        slope + change,
+        change + pairs.kept_bytes,
+    )
+    held = pairs.spectrum_bytes + around.spectrum_bytes + pairs.table_bytes + around.table_bytes
+    return held + most + pairs.slab_bytes
 
 
-def _soft(channel: np.ndarray, target: Correlations, free: np.ndarray | None) -> np.ndarray:
-    soft = soft_indicator(channel, target.softness)
-    return soft if free is None else soft * free
+def step_slab_bytes(
+    shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
+) -> int:
+    """What of that stays in memory where arrays lie in scratch files."""
+    pairs, around = _pairs(shape, target, periodic)
+    return max(pairs.slab_bytes, around.slab_bytes) + 6 * pairs.table_bytes
+
+
+def _pairs(
+    shape: Sequence[int], target: Correlations, periodic: Sequence[bool], free: np.ndarray | None = None
+) -> tuple[Pairs, Pairs]:
+    """Those that count, and those of directions, which wrap around the faces."""
+    pairs = Pairs(tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free)
+    return pairs, replace(pairs, wraps=(True, True, True), free=None)
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """A direction in which the two-point function falls where it is pushed: on the interface only, its mean there left as it is.
+
+    `slope` (Z, Y, X) float32 is the gradient everywhere, `mean` that on the interface.
+    """
+
+    slope: np.ndarray
+    mean: np.float32
+    soft: Soft
+
+    def plane(self, z: int) -> np.ndarray:
+        """Plane z (Y, X) float32."""
+        return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
 
 
 def _step(
-    channel: np.ndarray,
-    aim: np.ndarray,
-    target: Correlations,
-    pairs: Pairs,
-    around: Pairs,
-    free: np.ndarray | None,
-) -> np.ndarray | None:
-    """How far the soft indicator moves, (Z, Y, X) float32; None where nothing can, or nothing has to."""
-    soft = _soft(channel, target, free)
-    interface = (soft > 0) & (soft < 1)
-    if not interface.any():
+    soft: Soft, aim: np.ndarray, target: Correlations, pairs: Pairs, around: Pairs
+) -> tuple[_Direction, np.float32] | None:
+    """Where the soft indicator moves, and how far; None where nothing can, or nothing has to."""
+    mean, moving = soft.mean_and_moving()
+    if not moving:
         return None
-    spectrum = pairs.forward(soft)
+    spectrum = pairs.forward(soft.plane)
     r = np.arange(pairs.bins) % (target.r_max + 1)
     weights = np.where((r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
     excess = pairs.curve(spectrum, spectrum) - aim
-    mean = np.float32(soft.sum(dtype=np.float64) / (soft.size if free is None else np.count_nonzero(free)))
-    centred = around.forward(np.subtract(soft, mean, out=soft, where=True if free is None else free))
-    del soft  # the peak is ahead
+    centred = around.forward(partial(soft.centred, mean))
 
-    pushes, changes = [], []
-    for push in _bands(excess * weights):
-        pushes.append(push)
-        changes.append(2 * pairs.curve(spectrum, pairs.forward(_direction(push, interface, centred, around))))
+    pushes, changes = bands(excess * weights), []
+    for push in pushes:
+        # Nobody holds on to a direction: each is as large as the field.
+        change = pairs.forward(_direction(push, soft, moving, centred, around).plane)
+        changes.append(2 * pairs.curve(spectrum, change))
+        del change
     if not pushes:
         return None
-    shares = _least_squares(np.array(changes), excess, weights)
+    shares = least_squares(np.array(changes), excess, weights)
     push = np.sum([share * push for share, push in zip(shares, pushes, strict=True)], axis=0)
-    move = _direction(push, interface, centred, around)
     change = np.sum([share * change for share, change in zip(shares, changes, strict=True)], axis=0)
-    spectra = pairs.forward(move)
-    length = _best_length(excess, change, pairs.curve(spectra, spectra), weights)
-    return np.asarray(move * np.float32(length))
+    del spectrum
+    direction = _direction(push, soft, moving, centred, around)
+    del centred  # the peak is ahead
+    spectra = pairs.forward(direction.plane)
+    return direction, np.float32(best_length(excess, change, pairs.curve(spectra, spectra), weights))
 
 
-def _direction(push: np.ndarray, interface: np.ndarray, centred: np.ndarray, around: Pairs) -> np.ndarray:
-    """What lowers the two-point function where it is pushed, on the interface, and leaves the mean as it is."""
-    move = around.convolved(centred, push / np.maximum(around.fits, 1))
-    move *= interface
-    mean = np.float32(move.sum(dtype=np.float64) / np.count_nonzero(interface))
-    return np.subtract(mean, move, out=move, where=interface)
+def _direction(push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs) -> _Direction:
+    """What lowers the two-point function where it is pushed, on the interface of `moving` voxels."""
+    slope = around.convolved(centred, push / np.maximum(around.fits, 1))
+    sums = np.zeros(len(slope))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            sums[z] = (slope[z] * soft.interface(z)).sum(dtype=np.float64)
+
+    for_slabs(work, len(slope))
+    return _Direction(slope, np.float32(math.fsum(sums.tolist()) / moving), soft)
 
 
-def _bands(push: np.ndarray) -> list[np.ndarray]:
-    """What to push at every distance, one array a band, scaled to its largest; bands without any are left out."""
-    r = np.arange(len(push)) % (len(push) // 3)
-    bands = []
-    for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
-        part = np.where((r >= low) & (r < high), push, 0.0)
-        if part.any():
-            bands.append(part / np.abs(part).max())
-    return bands
+def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np.ndarray) -> None:
+    """Go so far in a direction: into votes (Z, Y, X) int16, `unit` of which is the soft indicator's whole range."""
+    limit = FULL * UNIT
 
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            moved = votes[z] + direction.plane(z) * length * unit
+            votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
-def _least_squares(changes: np.ndarray, excess: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """How much of each change takes the excess away best; exact sums and no LAPACK, so the same everywhere."""
-    count = len(changes)
-
-    def dot(a: np.ndarray, b: np.ndarray) -> float:
-        return math.fsum((a * b * weights).tolist())
-
-    matrix = [[dot(changes[i], changes[j]) for j in range(count)] + [-dot(changes[i], excess)] for i in range(count)]
-    for i in range(count):
-        matrix[i][i] = matrix[i][i] * (1 + _RIDGE) + 1e-300
-    for i in range(count):  # symmetric and positive definite: the diagonal serves as it comes
-        for j in range(i + 1, count):
-            factor = matrix[j][i] / matrix[i][i]
-            matrix[j] = [a - factor * b for a, b in zip(matrix[j], matrix[i], strict=True)]
-    shares = [0.0] * count
-    for i in reversed(range(count)):
-        known = math.fsum(matrix[i][j] * shares[j] for j in range(i + 1, count))
-        shares[i] = (matrix[i][-1] - known) / matrix[i][i]
-    return np.array(shares)
-
-
-def _best_length(excess: np.ndarray, change: np.ndarray, square: np.ndarray, weights: np.ndarray) -> float:
-    """The step, of a few lengths, that leaves least: a move by a changes the curve by a change + a^2 square."""
-    left = excess + _LENGTHS[:, None] * change + _LENGTHS[:, None] ** 2 * square
-    return float(_LENGTHS[np.argmin((left**2 * weights).sum(axis=1))])
+    for_slabs(work, len(votes))

@@ -1,7 +1,8 @@
 """Pairs of voxels by their distance, in fields of float32: the two-point function of values that are not 0 or 1.
 
 Unlike `measure.correlation`, which counts, this also correlates two fields and convolves one with a radial kernel, and keeps the
-transforms. Every line is transformed alone, so that threads change nothing.
+transforms. Every line is transformed alone, so that threads change nothing: first planes by slabs of z, then the lines along
+z by slabs of y, of which every plane holds a contiguous piece.
 """
 
 from __future__ import annotations
@@ -12,8 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.measure.fft import fast_side
+
+# What may be written by another process (`anywhere`) lies in a file however small it is: `least` is 0.
+Planes = Callable[[int], np.ndarray]
+"""Plane z (Y, X) float32 of a field that is nowhere as a whole; asked for by several threads."""
 
 _WORTH = 1 << 19  # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 
@@ -83,7 +89,8 @@ class Pairs:
     def fits(self) -> np.ndarray:
         """How many pairs there are in every bin, (bins,)."""
         if self.free is not None:
-            spectrum = self.forward(self.free.astype(np.float32))
+            free = self.free
+            spectrum = self.forward(lambda z: free[z].astype(np.float32))
             return np.maximum(self._by_length(np.rint(self._correlated(spectrum, spectrum))), 0)
         z, y, x = (
             np.full(len(offset), float(side)) if wrap else side - np.abs(offset).astype(float)
@@ -91,21 +98,44 @@ class Pairs:
         )
         return self._by_length(z[:, None, None] * y[:, None] * x)
 
-    def forward(self, values: np.ndarray) -> np.ndarray:
-        """The transform of (Z, Y, X) float32, complex64."""
+    @property
+    def spectrum_bytes(self) -> int:
+        """Of a transform."""
         depth, height, width = self.sides
-        spectrum = np.empty((depth, height, width // 2 + 1), np.complex64)
-        spectrum[len(values) :] = 0
+        return 8 * depth * height * (width // 2 + 1)
 
-        def planes(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                spectrum[z] = np.fft.fft(np.fft.rfft(values[z], width, axis=1), height, axis=0)
+    @property
+    def kernel_bytes(self) -> int:
+        """Of what `convolved` keeps of its kernel."""
+        return self.spectrum_bytes // self.sides[0] * (self.reach[0] + 1)
+
+    @property
+    def table_bytes(self) -> int:
+        """Of the bins of all offsets, which are kept once they are known."""
+        return 8 * int(np.prod([len(offset) for offset in self.offsets]))
+
+    @property
+    def kept_bytes(self) -> int:
+        """Of what `curve` takes meanwhile: lines at the offsets, and a few numbers for each of these."""
+        return self.kernel_bytes + 4 * self.table_bytes
+
+    @property
+    def slab_bytes(self) -> int:
+        """Of planes and rows on the way, which no scratch file holds."""
+        depth, height, width = self.sides
+        return (1 << 16) + thread_count() * 64 * max(depth, height) * (width // 2 + 1)
+
+    def forward(self, values: np.ndarray | Planes) -> np.ndarray:
+        """The transform of (Z, Y, X) float32, given whole or as a function of z that makes each plane; complex64."""
+        depth, height, width = self.sides
+        count = self.shape[0]
+        spectrum = scratch.empty((depth, height, width // 2 + 1), np.complex64, least=0)
+        _flat_transforms(values, (height, width), spectrum[:count])
 
         def lines(start: int, stop: int) -> None:
             for y in range(start, stop):
-                spectrum[:, y] = np.fft.fft(spectrum[:, y], axis=0)
+                spectrum[:, y] = np.fft.fft(spectrum[:count, y], depth, axis=0)
 
-        for_slabs(planes, len(values), least=_enough(height * width))
         for_slabs(lines, height, least=_enough(depth * width))
         return spectrum
 
@@ -118,19 +148,33 @@ class Pairs:
 
         Every axis has to wrap.
         """
-        kernel = np.zeros(self.shape, np.float32)
-        half = np.append(weights, 0.0).astype(np.float32)[self.places]
-        across = np.ix_(self.offsets[1] % self.shape[1], self.offsets[2] % self.shape[2])
-        for dz in range(self.reach[0] + 1):
-            kernel[dz][across] = half[dz]
-            kernel[-dz % self.shape[0]][across] = half[dz]  # a pair and its mirror image share a bin
-        spectra = self.forward(kernel)
-        del kernel
+        kernel = self._kernel(weights)
+        values = scratch.empty(self.shape, np.float32, least=0)
+        depth, far = self.shape[0], self.reach[0]
 
         def product(y: int) -> np.ndarray:
-            return spectrum[:, y] * spectra[:, y].real
+            lines = np.zeros((depth, kernel.shape[2]), np.complex64)
+            lines[: far + 1] = kernel[:, y]
+            lines[depth - far :] = kernel[far:0:-1, y]  # a pair and its mirror image share a bin
+            return spectrum[:, y] * np.fft.fft(lines, axis=0).real
 
-        return self._inverse(product, tuple(np.arange(side) for side in self.shape))
+        self._inverse(product, tuple(np.arange(side) for side in self.shape), values, anywhere=True)
+        return values
+
+    def _kernel(self, weights: np.ndarray) -> np.ndarray:
+        """The weights by offset, transformed along y and x: planes dz = 0 .. reach, complex64."""
+        _, height, width = self.shape
+        half = np.append(weights, 0.0).astype(np.float32)[self.places]
+        across = np.ix_(self.offsets[1] % height, self.offsets[2] % width)
+
+        def plane(dz: int) -> np.ndarray:
+            around = np.zeros((height, width), np.float32)
+            around[across] = half[dz]
+            return around
+
+        kernel = scratch.empty((len(half), height, width // 2 + 1), np.complex64, least=0)
+        _flat_transforms(plane, (height, width), kernel)
+        return kernel
 
     def _correlated(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Sums over all pairs of every offset, mean of both orders."""
@@ -139,28 +183,56 @@ class Pairs:
             a, b = first[:, y], second[:, y]
             return a.real * b.real + a.imag * b.imag
 
-        return self._inverse(product, self.offsets)
+        sums = np.empty(tuple(len(offset) for offset in self.offsets), np.float32)
+        self._inverse(product, self.offsets, sums)
+        return sums
 
-    def _inverse(self, product: Callable[[int], np.ndarray], places: Sequence[np.ndarray]) -> np.ndarray:
-        """Back from the transform whose plane y is product(y), at some places along every axis only."""
+    def _inverse(
+        self,
+        product: Callable[[int], np.ndarray],
+        places: Sequence[np.ndarray],
+        values: np.ndarray,
+        *,
+        anywhere: bool = False,
+    ) -> None:
+        """Back from the transform whose plane y is product(y), into `values`: at some places along every axis only.
+
+        `anywhere` says that values may be written by another process.
+        """
         depth, height, width = self.sides
-        kept = np.empty((len(places[0]), height, width // 2 + 1), np.complex64)
-        values = np.empty(tuple(len(place) for place in places), np.float32)
+        kept = scratch.empty((len(places[0]), height, width // 2 + 1), np.complex64, least=0)
 
         def lines(start: int, stop: int) -> None:
             for y in range(start, stop):
-                kept[:, y] = np.fft.ifft(product(y), axis=0)[places[0] % depth]
+                kept[:, y] = _taken(np.fft.ifft(product(y), axis=0), places[0], 0)
 
         def planes(start: int, stop: int) -> None:
             for z in range(start, stop):
-                rows = np.fft.ifft(kept[z], axis=0)[places[1] % height]
-                values[z] = np.fft.irfft(rows, width, axis=1)[:, places[2] % width]
+                rows = _taken(np.fft.ifft(kept[z], axis=0), places[1], 0)
+                values[z] = _taken(np.fft.irfft(rows, width, axis=1), places[2], 1)
 
-        for_slabs(lines, height, least=_enough(depth * width))
-        for_slabs(planes, len(kept), least=_enough(height * width))
-        return values
+        for_slabs(lines, height, least=_enough(depth * width), anywhere=True)
+        for_slabs(planes, len(kept), least=_enough(height * width), anywhere=anywhere)
 
     def _by_length(self, sums: np.ndarray) -> np.ndarray:
         twice = np.where(np.arange(len(sums)) > 0, 2.0, 1.0)[:, None, None]
         counted = np.bincount(self.places.ravel(), weights=(sums * twice).ravel(), minlength=self.bins + 1)
         return np.asarray(counted[: self.bins])
+
+
+def _flat_transforms(values: np.ndarray | Planes, sides: tuple[int, int], spectra: np.ndarray) -> None:
+    """Transforms of planes along x and y, continued by zeros to `sides`, into `spectra` (n, y, x // 2 + 1)."""
+    height, width = sides
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            plane = values(z) if callable(values) else values[z]
+            spectra[z] = np.fft.fft(np.fft.rfft(plane, width, axis=1), height, axis=0)
+
+    for_slabs(work, len(spectra), least=_enough(height * width), anywhere=True)
+
+
+def _taken(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
+    """The values at places along an axis, which may be negative; the values themselves where that is all in their order."""
+    side = values.shape[axis]
+    return values if len(places) == side and places[0] == 0 else values.take(places % side, axis)

@@ -22,36 +22,45 @@ def draw_signs(key, number, signs):
 
 
 @kernel
-def transport(ours, theirs, bins, moves, start, stop):
-    """moves (n, P): how far each value of ours (n, P) is from where its rank lies in theirs (m, P), columns start..stop.
+def extremes(values, low, high):
+    """Lower and raise low, high (P,) int64 to what the columns of values (n, P) hold."""
+    for k in range(values.shape[1]):
+        least, most = low[k], high[k]
+        for i in range(len(values)):
+            value = np.int64(values[i, k])
+            least, most = min(least, value), max(most, value)
+        low[k], high[k] = least, most
 
-    Values that share a bin of the common histogram move to the mean of theirs over the ranks that they cover.
-    """
-    n, m = len(ours), len(theirs)
-    mine = np.empty(bins, np.int64)
-    other = np.empty(bins, np.int64)
-    sums = np.empty(bins, np.int64)
-    table = np.empty(bins, np.float64)
-    for k in range(start, stop):
-        low, high = np.int64(theirs[0, k]), np.int64(theirs[0, k])
-        for i in range(n):
-            low, high = min(low, np.int64(ours[i, k])), max(high, np.int64(ours[i, k]))
-        for i in range(m):
-            low, high = min(low, np.int64(theirs[i, k])), max(high, np.int64(theirs[i, k]))
-        size = (high - low) // bins + 1
-        mine[:] = 0
-        other[:] = 0
-        sums[:] = 0
-        for i in range(n):
-            mine[(np.int64(ours[i, k]) - low) // size] += 1
-        for i in range(m):
-            value = np.int64(theirs[i, k])
-            other[(value - low) // size] += 1
-            sums[(value - low) // size] += value
+
+@kernel
+def tally(values, low, size, counts):
+    """Count the values (n, P) of every column in bins of size (P,) from low (P,): into counts (P, bins)."""
+    for k in range(values.shape[1]):
+        for i in range(len(values)):
+            counts[k, (np.int64(values[i, k]) - low[k]) // size[k]] += 1
+
+
+@kernel
+def tally_sums(values, low, size, counts):
+    """The same into counts[0], and the sums of the values into counts[1]."""
+    for k in range(values.shape[1]):
+        for i in range(len(values)):
+            value = np.int64(values[i, k])
+            q = (value - low[k]) // size[k]
+            counts[0, k, q] += 1
+            counts[1, k, q] += value
+
+
+@kernel
+def destinations(mine, theirs, table):
+    """table (P, bins): where the ranks of each of mine (P, bins) lie among theirs (2, P, bins), counts and sums."""
+    for k in range(len(mine)):
+        n, m = mine[k].sum(), theirs[0, k].sum()
+        other, sums = theirs[0, k], theirs[1, k]
         at = 0
         left = other[0] * n  # of their bin `at`, in units of 1 / (n m)
-        for q in range(bins):
-            need = mine[q] * m
+        for q in range(mine.shape[1]):
+            need = mine[k, q] * m
             reached = 0.0
             while need > 0:
                 while left == 0:
@@ -61,37 +70,58 @@ def transport(ours, theirs, bins, moves, start, stop):
                 reached += np.float64(taken) * (np.float64(sums[at]) / np.float64(other[at]))
                 need -= taken
                 left -= taken
-            if mine[q] > 0:
-                table[q] = np.rint(reached / (np.float64(mine[q]) * m))
-        for i in range(n):
-            value = np.int64(ours[i, k])
-            moves[i, k] = table[(value - low) // size] - value
+            if mine[k, q] > 0:
+                table[k, q] = np.rint(reached / (np.float64(mine[k, q]) * m))
 
 
 @kernel
-def add(blocks, numbers, total, votes, steps, box, first, start, stop):
-    """Add the neighbourhoods of a few planes of sites, the first of which is `first`, to voxel planes start..stop.
+def moves(values, low, size, table, found):
+    """found (n, P): how far each value (n, P) goes."""
+    for k in range(values.shape[1]):
+        for i in range(len(values)):
+            value = np.int64(values[i, k])
+            found[i, k] = table[k, (value - low[k]) // size[k]] - value
 
-    blocks (n, C * voxels) int32; numbers (planes, y, x) the row of each site in it, or -1; steps, box (3,) int.
+
+@kernel
+def add(blocks, numbers, first, steps, box, places_z, places_y, places_x, rest, total, votes, start, stop):
+    """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
+
+    blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,) the number of the first
+    site along z and y; places_*: where what all sites cover along an axis lies; rest (C,) is added to each.
     """
     width, voxels = box[2], box[0] * box[1] * box[2]
-    for z in range(start, stop):
-        for sz in range(numbers.shape[0]):
-            dz = z - (first + sz) * steps[0]
-            if dz < 0 or dz >= box[0]:
+    channels = len(total)
+    line = np.empty((channels, len(places_x)), np.int32)
+    count = np.empty(len(places_x), np.int32)
+    low, high = first[0] * steps[0], (first[0] + numbers.shape[0] - 1) * steps[0] + box[0]
+    near, far = first[1] * steps[1], (first[1] + numbers.shape[1] - 1) * steps[1] + box[1]
+    for z in range(low, high):
+        for y in range(near, far):
+            if places_y[y] < start or places_y[y] >= stop:
                 continue
-            for sy in range(numbers.shape[1]):
-                for sx in range(numbers.shape[2]):
-                    row = numbers[sz, sy, sx]
-                    if row < 0:
+            line[:] = 0
+            count[:] = 0
+            for sz in range(numbers.shape[0]):
+                dz = z - (first[0] + sz) * steps[0]
+                if dz < 0 or dz >= box[0]:
+                    continue
+                for sy in range(numbers.shape[1]):
+                    dy = y - (first[1] + sy) * steps[1]
+                    if dy < 0 or dy >= box[1]:
                         continue
-                    for dy in range(box[1]):
-                        y, x0 = sy * steps[1] + dy, sx * steps[2]
-                        for c in range(total.shape[0]):
-                            at = c * voxels + (dz * box[1] + dy) * width
-                            to = total[c, z, y]
+                    at = (dz * box[1] + dy) * width
+                    for sx in range(numbers.shape[2]):
+                        row = numbers[sz, sy, sx]
+                        if row < 0:
+                            continue
+                        x = sx * steps[2]
+                        for c in range(channels):
                             for dx in range(width):
-                                to[x0 + dx] += blocks[row, at + dx]
-                        count = votes[z, y]
+                                line[c, x + dx] += blocks[row, at + c * voxels + dx]
                         for dx in range(width):
-                            count[x0 + dx] += 1
+                            count[x + dx] += 1
+            for x in range(len(places_x)):
+                for c in range(channels):
+                    total[c, places_z[z], places_y[y], places_x[x]] += line[c, x] + rest[c] * count[x]
+                votes[places_z[z], places_y[y], places_x[x]] += count[x]

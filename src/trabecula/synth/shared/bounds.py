@@ -1,0 +1,99 @@
+"""What known voxels say of a field: the least and the most that it may be at each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from trabecula.engine import scratch
+from trabecula.measure.distance import distance_transform
+from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs
+
+Bounds = tuple[np.ndarray, np.ndarray]
+"""The least and the most, (C, Z, Y, X) float32, that the field may be."""
+
+_ANY = 1e4  # farther than any distance
+
+
+def distance_bounds(
+    values: np.ndarray, known: np.ndarray, labels: Sequence[int], spacing: tuple[float, ...], *, thin: bool
+) -> Bounds:
+    """Of the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
+
+    A known voxel lies no farther from an interface than from the nearest known voxel of the other side, and no nearer than
+    from that or from the unknown; with `thin`, where slices are known, no nearer than half as far.
+    """
+    unknown = None if thin else distance_transform(known, spacing=spacing)
+    low, high = _unfilled(len(labels), known)
+    for label, least, most in zip(labels, low, high, strict=True):
+        inside = made_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
+        within, without = _depth(inside, known, spacing), _depth(inverse(inside), known, spacing)
+
+        def held(
+            start: int, stop: int, inside: np.ndarray = inside, own: tuple[np.ndarray, ...] = (within, without)
+        ) -> Bounds:
+            there = unknown if unknown is None else unknown[start:stop]
+            return _between(inside[start:stop], own[0][start:stop], own[1][start:stop], there)
+
+        _fill(least, most, known, held)
+        del inside, within, without, held  # before the next are made
+    return low, high
+
+
+def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) -> Bounds:
+    """Of blurred indicators: how far the blur of a known voxel is known depends on its neighbours; its side of the middle does
+    not."""
+    low, high = _unfilled(len(labels), known)
+    for label, least, most in zip(labels, low, high, strict=True):
+
+        def held(start: int, stop: int, label: int = label) -> Bounds:
+            inside = values[start:stop] == label
+            return np.where(inside, 1.0, -_ANY), np.where(inside, _ANY, -1.0)
+
+        _fill(least, most, known, held)
+    return low, high
+
+
+def value_bounds(fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray) -> Bounds:
+    """Of fields that are the values themselves, stretched: `fields` says how."""
+    low, high = _unfilled(len(fields(values[:1])), known)
+
+    def work(start: int, stop: int) -> None:
+        there, held = known[start:stop], fields(values[start:stop])
+        low[:, start:stop] = np.where(there, held, -_ANY)
+        high[:, start:stop] = np.where(there, held, _ANY)
+
+    by_pieces(work, known.shape)
+    return low, high
+
+
+def _unfilled(channels: int, known: np.ndarray) -> Bounds:
+    shape = (channels, *known.shape)
+    return scratch.empty(shape, np.float32), scratch.empty(shape, np.float32)
+
+
+def _fill(low: np.ndarray, high: np.ndarray, known: np.ndarray, held: Callable[[int, int], Bounds]) -> None:
+    """The bounds of one channel: those that are held where voxels are known, anything elsewhere."""
+
+    def work(start: int, stop: int) -> None:
+        least, most = held(start, stop)
+        low[start:stop] = np.where(known[start:stop], least, -_ANY)
+        high[start:stop] = np.where(known[start:stop], most, _ANY)
+
+    by_pieces(work, known.shape)
+
+
+def _between(inside: np.ndarray, within: np.ndarray, without: np.ndarray, unknown: np.ndarray | None) -> Bounds:
+    own = np.where(inside, within, without)
+    far = np.maximum(own - 0.5, 0.1)
+    near = np.maximum(0.5 * far if unknown is None else np.minimum(own, unknown) - 0.5, 0.1)
+    return np.where(inside, near, -far), np.where(inside, far, -near)
+
+
+def _depth(inside: np.ndarray, known: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
+    """Distance of every voxel of `inside` to the nearest known voxel outside."""
+    may_be = made_by_slabs(lambda a, b: inside[a:b] | ~known[a:b], inside.shape, bool)
+    if counted(may_be) == may_be.size:
+        return made_by_slabs(lambda a, b: _ANY, inside.shape, np.float32)
+    return distance_transform(may_be, spacing=spacing)

@@ -1,0 +1,151 @@
+"""One process at a time: others are refused, whoever dies is forgotten, and nothing is left."""
+
+import os
+import subprocess
+import sys
+import threading
+from contextvars import copy_context
+
+import pytest
+
+from commands import refused
+from trabecula.engine import lock
+from trabecula.engine.checkpoint import kept_at
+from trabecula.engine.lock import locked
+from trabecula.errors import FileError
+
+HOLD = """
+import sys
+from pathlib import Path
+from trabecula.engine.lock import locked
+
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another process that has the lock."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path / "x.zarr.part")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_another_process_is_refused_until_this_one_ends(tmp_path, other):
+    told = rf"x.zarr.part is being written by another run \(process {other.pid} on .*wait"
+    with pytest.raises(FileError, match=told), locked(tmp_path / "x.zarr.part"):
+        pass
+    with pytest.raises(FileError, match="another run"), kept_at(tmp_path / "x.zarr.part"):
+        pass
+    with locked(tmp_path / "y.part"):  # of something else it knows nothing
+        pass
+    other.communicate("")
+    assert not list(tmp_path.iterdir())
+    with locked(tmp_path / "x.zarr.part"):
+        assert [path.name for path in tmp_path.iterdir()] == [".x.zarr.part.lock"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [("--chunks", 32, "--out", "x.zarr"), ("--out", "x.zarr")])
+def test_the_second_command_says_so_in_one_line_and_leaves_nothing(tmp_path, other, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    command = ("generate", "--method", "bubbles", "--preset", "foam", "--shape", 40, *words)
+    assert "x.zarr.part is being written by another run" in refused(*command)
+    assert [path.name for path in tmp_path.iterdir()] == [".x.zarr.part.lock"]
+
+
+def test_what_a_killed_process_left_means_nothing(tmp_path, other):
+    other.kill()
+    other.wait()
+    assert (tmp_path / ".x.zarr.part.lock").exists()
+    with locked(tmp_path / "x.zarr.part"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_path):
+    found = []
+
+    def elsewhere():
+        try:
+            with locked(tmp_path / "x.zarr.part"):
+                found.append("locked")
+        except FileError:
+            found.append("refused")
+
+    with locked(tmp_path / "x.zarr.part"):
+        with locked(tmp_path / "." / "x.zarr.part"):
+            pass
+        context = copy_context()
+        for target in (elsewhere, lambda: context.run(elsewhere)):  # the second as threads over slabs are started
+            thread = threading.Thread(target=target)
+            thread.start()
+            thread.join()
+    assert found == ["refused", "locked"]
+    elsewhere()
+    assert found[-1] == "locked"
+
+
+def test_an_error_gives_the_lock_back(tmp_path):
+    with pytest.raises(ZeroDivisionError), locked(tmp_path / "x.zarr.part"):
+        raise ZeroDivisionError
+    with locked(tmp_path / "x.zarr.part"):
+        pass
+
+
+@pytest.mark.parametrize("where", ["open", "_lock"])
+def test_where_nothing_can_be_locked_the_work_goes_on(tmp_path, monkeypatch, where):
+    """A file system that is read-only, or knows no locks: who writes there tells what is wrong."""
+
+    def cannot(*words):
+        raise OSError(30 if where == "open" else 37, "no")
+
+    monkeypatch.setattr(os if where == "open" else lock, where, cannot)
+    with locked(tmp_path / "x.zarr.part"):
+        done = True
+    assert done
+
+
+def test_a_file_that_was_removed_between_opening_and_locking_is_not_taken_for_the_lock(tmp_path, monkeypatch):
+    real, seen = lock._lock, []
+
+    def late(descriptor):
+        if not seen:
+            (tmp_path / ".x.zarr.part.lock").unlink()  # its owner ends just now
+        seen.append(descriptor)
+        real(descriptor)
+
+    monkeypatch.setattr(lock, "_lock", late)
+    with locked(tmp_path / "x.zarr.part"):
+        assert len(seen) == 2 and (tmp_path / ".x.zarr.part.lock").exists()
+
+
+def test_two_threads_never_have_it_both(tmp_path):
+    inside, most, done = [], [], []
+
+    def work():
+        while len(done) < 60:
+            try:
+                with locked(tmp_path / "x.zarr.part"):
+                    inside.append(1)
+                    most.append(len(inside))
+                    inside.pop()
+                    done.append(1)
+            except FileError:
+                pass
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert max(most) == 1 and not list(tmp_path.iterdir())
