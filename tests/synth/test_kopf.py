@@ -116,7 +116,7 @@ def test_too_frequent_values_weigh_less():
     candidates = Candidates.of(Stack.of([picture]), width=8, step=2, variance=0.9, most=8, flat=True)
     field = np.repeat(np.array([-100, -40, 40, 40], np.int8), 16**3 // 4).reshape(1, 16, 16, 16)
     frame = Frame.over(Region((16, 16, 16)), [(0, candidates)], (Histogram.of(picture),))
-    excess = excess_of(field, frame, 1.0)
+    excess = excess_of(field.astype(np.int16) * 256, frame, 1.0)
     assert excess.sum() == pytest.approx(0.25)
     factors = factors_of(picture, excess, 200)[0]
     assert np.unique(factors[picture[0, 0] == 40]).tolist() == [160]

@@ -10,10 +10,11 @@ from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.synth.mrf import relax
+from trabecula.synth.mrf.classes import Classes
 from trabecula.synth.mrf.content import content_of
 from trabecula.synth.mrf.feedback import Joint, joint_of, local_change
 from trabecula.synth.mrf.frame import Face
-from trabecula.synth.mrf.lattice import Lattice, classes_of, complete_in, known_halved, sites_of
+from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
 from trabecula.synth.mrf.limits import STEPS
 from trabecula.synth.mrf.palette import palette_of
 from trabecula.synth.mrf.planes import across, union_of
@@ -56,11 +57,12 @@ def neighbours_of(site, axes, width, shape):
     width=st.sampled_from([3, 5]),
 )
 def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, width):
-    full = np.ones(shape, bool)
-    lattice = Lattice(np.zeros(shape, np.uint8), full, full, full)
+    classes = Classes(Lattice(np.zeros(shape, np.uint8)), width)
     seen = []
-    for name in classes_of(lattice, width):
-        sites = sites_of(lattice, width, name)
+    for name in classes.names:
+        sites = classes.sites(name, 0, shape[0])
+        parts = [classes.sites(name, first, min(first + 2, shape[0])) for first in range(0, shape[0], 2)]
+        assert np.array_equal(np.concatenate(parts), sites)
         seen.append(sites)
         members = {tuple(int(c) for c in place) for place in np.array(np.unravel_index(sites, shape)).T}
         for site in list(members)[:4]:
@@ -69,8 +71,7 @@ def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, widt
 
 
 def test_a_sweep_of_width_7_needs_16_classes():
-    full = np.ones((16, 16, 16), bool)
-    assert len(classes_of(Lattice(np.zeros(full.shape, np.uint8), full, full, full), 7)) == 16
+    assert len(Classes(Lattice(np.zeros((16, 16, 16), np.uint8)), 7).names) == 16
 
 
 def test_offsets_follow_the_pictures_rows_and_columns():
@@ -82,17 +83,50 @@ def test_offsets_follow_the_pictures_rows_and_columns():
     )  # three planes without their lines, and three lines
 
 
-@given(seed=st.integers(0, 99))
-@settings(max_examples=8)
-def test_complete_neighbourhoods_are_found(seed):
-    there = np.random.default_rng(seed).random((6, 7, 5)) < 0.97
-    lattice = Lattice(np.zeros(there.shape, np.uint8), there, there, there)
-    found = complete_in(lattice, [across(0), across(2)], 3)
-    count = len(union_of([across(0), across(2)], 3))
-    for site in np.ndindex(there.shape):
-        near = neighbours_of(site, (0, 2), 3, there.shape)
-        wanted = len(near) == count and all(there[place] for place in near) and there[site]
-        assert found[site] == wanted
+def test_only_free_sites_are_asked():
+    free = np.random.default_rng(1).random((9, 10, 11)) < 0.4
+    classes = Classes(Lattice(np.zeros(free.shape, np.uint8), free=free), 5)
+    found = np.concatenate([classes.sites(name, 0, 9) for name in classes.names])
+    assert np.array_equal(np.sort(found), np.flatnonzero(free))
+
+
+@given(shape=st.tuples(*[st.integers(5, 9)] * 3), seed=st.integers(0, 99), reach=st.integers(1, 3))
+@settings(max_examples=20)
+def test_a_form_grows_by_a_box_around_every_voxel(shape, seed, reach):
+    rng = np.random.default_rng(seed)
+    form = rng.random([rng.integers(3, side + 1) for side in shape]) < 0.03
+    literal = np.zeros(shape, bool)
+    for place in np.argwhere(form):
+        literal[
+            np.ix_(*[(np.arange(p - reach, p + reach + 1)) % side for p, side in zip(place, shape, strict=True)])
+        ] = 1
+    assert np.array_equal(grown(form, shape, reach), literal)
+
+
+@pytest.mark.parametrize("shaped", [False, True])
+def test_what_is_asked_and_known_is_counted(shaped):
+    rng = np.random.default_rng(2)
+    levels, free = rng.integers(0, 3, (9, 8, 7)).astype(np.uint8), rng.random((9, 8, 7)) < 0.6
+    asked = np.zeros(levels.shape, bool)
+    form = rng.random((6, 8, 5)) < 0.5 if shaped else None
+    asked[:6, :, :5] = True if form is None else form
+    lattice = Lattice(levels, free=free, box=(6, 8, 5), form=form)
+    assert np.array_equal(lattice.asks_for(np.arange(levels.size)), asked.ravel())
+    assert np.array_equal(lattice.asked(4, 9), asked[4:])
+    left, held = lattice.known(3)
+    assert left == np.count_nonzero(asked & free)
+    assert held.tolist() == np.bincount(levels[asked & ~free], minlength=3).tolist()
+    lattice.free = None
+    assert lattice.known(3)[0] == asked.sum() and not lattice.known(3)[1].any()
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 8), (5, 7, 3)])
+def test_a_cell_is_marked_where_any_of_its_eight_is(shape):
+    marks = np.random.default_rng(3).random(shape) < 0.1
+    found = any_of_eight(marks)
+    assert found.shape == halved(shape)
+    for z, y, x in np.ndindex(found.shape):
+        assert found[z, y, x] == marks[2 * z : 2 * z + 2, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2].any()
 
 
 def begun(model, lattice, coarse, faces, seed=1):
@@ -146,7 +180,7 @@ def test_gibbs_draws_from_the_exact_conditional():
     )
     tile = np.random.default_rng(3).integers(0, 2, (3, 3, 3)).astype(np.uint8)
     relaxation.lattice.levels[:] = np.tile(tile, (10, 10, 10))
-    relaxation.lattice.free[:] = False
+    relaxation.lattice.free = np.zeros((30, 30, 30), bool)
     relaxation.lattice.free[1::3, 1::3, 1::3] = True
     shares = literal_density(model, relaxation.lattice.levels, (4, 4, 4), np.ones((30,) * 3))
     marginal = np.bincount(image.values[1:-1, 1:-1].ravel()) / 28**2
@@ -167,18 +201,18 @@ def test_icm_is_the_literal_loop(kind):
     shape = (6, 5, 7)
     settings = {"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0}
     model, relaxation = relaxation_of(tb.Image(values, kind), shape, settings)
-    relaxation.lattice.there[2, 1, 3] = relaxation.lattice.there[4, 4, 0] = relaxation.lattice.free[4, 4, 0] = False
-    relaxation.lattice.free[2, 1, 3] = False
+    relaxation.lattice.there = np.ones(shape, bool)
+    relaxation.lattice.there[2, 1, 3] = relaxation.lattice.there[4, 4, 0] = False
+    relaxation.lattice.free = relaxation.lattice.there.copy()
     levels, there = relaxation.lattice.levels.copy(), relaxation.lattice.there
-    relaxation.__post_init__()  # what it knows of where neighbours are
+    classes = Classes(relaxation.lattice, 3)
     temperature = np.ones(shape, np.float32)
     moves = []
     for step in relaxation._steps()[:6]:
         changed = relaxation.sweep(step)
-        names = classes_of(relaxation.lattice, 3)
         before = levels.copy()
-        for place in generator(1, "mrf/0/order", step.number).permutation(len(names)):
-            sites = [np.unravel_index(site, shape) for site in sites_of(relaxation.lattice, 3, names[place])]
+        for place in generator(1, "mrf/0/order", step.number).permutation(len(classes.names)):
+            sites = [np.unravel_index(site, shape) for site in classes.sites(classes.names[place], 0, shape[0])]
             sites = [site for site in sites if temperature[site] > 0]
             for site in sites:
                 weights = there * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
@@ -254,7 +288,7 @@ def test_without_the_feedback_it_is_the_papers(picture):
     """Nothing but the views' densities: the bias stays 0."""
     _, relaxation = relaxation_of(picture, (12, 12, 12), {"scales": 1, "sweeps": (2,), **NONE})
     relaxation.run()
-    assert not relaxation.shift.any()
+    assert not relaxation.shifts.of_groups.any() and not relaxation.shifts.fine.any()
     assert not any(part.any() for part in relaxation.steering.by_cell)
 
 

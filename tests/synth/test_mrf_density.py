@@ -11,12 +11,12 @@ from trabecula.synth.mrf import choose
 from trabecula.synth.mrf.content import content_of
 from trabecula.synth.mrf.density import densities, optimal_bandwidth
 from trabecula.synth.mrf.gather import gather_confidence, gather_levels, gather_places
-from trabecula.synth.mrf.lattice import Lattice
+from trabecula.synth.mrf.lattice import Lattice, marks_of
 from trabecula.synth.mrf.limits import STEPS, largest_feature
 from trabecula.synth.mrf.planes import across
 from trabecula.synth.mrf.source import patches_of, source_of
 from trabecula.synth.mrf.tables import LOGS, NEAREST_WEIGHT, POWERS, UNIT, kernel_table, log_of, power_of, shift_for
-from trabecula.synth.mrf.weigh import weigh
+from trabecula.synth.mrf.weigh import _weigh_products, weigh
 
 WIDTH = 5
 
@@ -52,7 +52,7 @@ def neighbours(lattice, axis):
     sites = np.arange(lattice.levels.size)
     offsets = across(axis).offsets(WIDTH)
     places = np.empty((len(sites), len(offsets)), np.int64)
-    gather_places(sites, offsets, lattice.there, places)
+    gather_places(sites, offsets, lattice.shape, marks_of(lattice.there), places)
     found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
     gather_levels(places, lattice.levels, found, weight)
     return places, found, weight
@@ -76,7 +76,7 @@ def test_the_density_is_equation_7(kind, way):
     content, patches, source = learnt(kind, rng, steps=steps, products=way != "bits or plain")
     levels = rng.integers(0, len(content.features), (5, 6, 7)).astype(np.uint8)
     there = rng.random(levels.shape) < 0.9
-    lattice = Lattice(levels, there, there, there)
+    lattice = Lattice(levels, there=there)
     places, found, weight = neighbours(lattice, 1)
     confidence = weight.astype(float)
     if way == "confidence":
@@ -98,16 +98,22 @@ def test_interior_sites_need_no_weights_and_agree():
     rng = np.random.default_rng(5)
     content, _, source = learnt("grey", rng, steps=1, products=True)
     levels = rng.integers(0, len(content.features), (6, 6, 6)).astype(np.uint8)
-    full = np.ones(levels.shape, bool)
-    _, found, weight = neighbours(Lattice(levels, full, full, full), 0)
+    _, found, weight = neighbours(Lattice(levels), 0)
     assert weight.all()
     whole = shares_of(source, content, found, weight, 1)[0]
-    # One site in a batch lacks a neighbour: now all go by the weighted product.
+    # One site in a batch lacks a neighbour: that one goes by the weighted product.
     found, weight = np.concatenate([found, found[:1]]), np.concatenate([weight, weight[:1]])
     weight[-1, 0] = 0
     mixed = shares_of(source, content, found, weight, 1)[0]
     assert np.array_equal(mixed[:-1], whole)
     assert not np.array_equal(mixed[-1], whole[0])
+    # And where all do, the others' weights are the same.
+    bins = np.empty((2, len(found), 1, len(content.features)), np.int64)
+    scratch = np.empty((len(found), len(source.centres)), np.float32)
+    for part, plain in zip(bins, (True, False), strict=True):
+        _weigh_products(found, weight, 1, source, content.features, 0, part, scratch, plain=plain)
+    assert np.array_equal(bins[0, :-1], bins[1, :-1])
+    assert not np.array_equal(bins[0, -1], bins[1, -1])
 
 
 @pytest.mark.parametrize(

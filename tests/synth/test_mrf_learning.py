@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
+from trabecula.synth.mrf import shares
 from trabecula.synth.mrf.choose import COLD, COLDEST, coldness, drawn
+from trabecula.synth.mrf.classes import Classes
 from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.lattice import Lattice, classes_of, complete_in, sites_of
+from trabecula.synth.mrf.lattice import Lattice
 from trabecula.synth.mrf.planes import Plane, across, pixels_along, turned, union_of
 from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.shares import expected, leads, moved_levels, of_groups, shares_of, shifts_for
+from trabecula.synth.mrf.shares import SITE, expected, leads, moved_levels, of_groups, shares_of
 from trabecula.synth.mrf.source import patches_of
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT
 
@@ -31,6 +33,22 @@ def blobs(side=48, sigma=(2.0, 2.0), share=0.4, seed=1):
 
 
 # Shares
+
+
+def energies(score, groups, cold):
+    """Scores of the groups."""
+    count, energy = len(score), np.empty((len(score), int(groups.max()) + 1), np.int64)
+    nothing = np.zeros(len(groups), np.int64)
+    of_groups(score, np.ones(count, bool), nothing, groups, cold, LOGS, POWERS, energy)
+    return energy
+
+
+def shifts_for(score, groups, wanted, *, coldness, start):
+    """Of levels' scores."""
+    energy = np.full((len(score), len(wanted)), -(1 << 40), np.int64)  # what has no level
+    found = energies(score, groups, coldness)
+    energy[:, : found.shape[1]] = found
+    return shares.shifts_for(energy, np.asarray(wanted), coldness=coldness, start=start)
 
 
 def softmax_shares(score, groups, shift, cold):
@@ -153,8 +171,7 @@ def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
     score, cold = scores(spread, 5, seed=seed, count=40), coldness(heat)
     groups, beta = np.array([1, 0, 2, 0, 1], np.uint8), coldness(heat) / COLD
     near = 1e-3 + 1e-3 / beta
-    energy = np.empty((40, 3), np.int64)
-    of_groups(score, groups, cold, LOGS, POWERS, energy)
+    energy = energies(score, groups, cold)
     literal = [np.logaddexp2.reduce(beta * score[:, groups == g] / UNIT, axis=1) / beta for g in range(3)]
     assert energy / UNIT == pytest.approx(np.transpose(literal), abs=near)
     shift = np.random.default_rng(seed).integers(-9 * UNIT, 9 * UNIT, 3)
@@ -166,7 +183,7 @@ def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
         assert lead / UNIT == pytest.approx(above, abs=near)
         added = int(shift[0])
         odds = np.exp2(-np.clip((lead + added) / UNIT * beta, -900, 900))
-        assert expected(lead, added, cold, POWERS) == pytest.approx(np.sum(1 / (1 + odds)), abs=0.01)
+        assert expected(lead, added, cold, POWERS) / SITE == pytest.approx(np.sum(1 / (1 + odds)), abs=0.01)
 
 
 @pytest.mark.parametrize("heat", [1e-3, 1e-9, 1e-320])
@@ -416,12 +433,11 @@ def test_neighbourhoods_take_the_pixels_of_their_plane(stretched, scale):
 @settings(max_examples=20)
 @given(shape=st.tuples(*[st.integers(5, 13)] * 3), width=st.sampled_from([3, 5]))
 def test_sites_of_a_class_for_turned_planes_do_not_see_each_other(shape, width):
-    full = np.ones(shape, bool)
-    lattice = Lattice(np.zeros(shape, np.uint8), full, full, full)
+    classes = Classes(Lattice(np.zeros(shape, np.uint8)), width, turned=True)
     offsets = union_of([plane for axis in range(3) for plane in turned(axis)], width)
-    flat, seen = np.arange(full.size), []
-    for name in classes_of(lattice, width, turned=True):
-        sites = sites_of(lattice, width, name)
+    flat, seen = np.arange(np.prod(shape)), []
+    for name in classes.names:
+        sites = classes.sites(name, 0, shape[0])
         near = (np.stack(np.unravel_index(sites, shape), -1)[:, None] + offsets) % shape
         assert not np.isin(np.ravel_multi_index(tuple(np.moveaxis(near, -1, 0)), shape), sites).any()
         seen.append(sites)
@@ -430,22 +446,8 @@ def test_sites_of_a_class_for_turned_planes_do_not_see_each_other(shape, width):
 
 def test_a_turned_sweep_of_width_7_needs_128_classes():
     """A plane of two diagonals reaches 6 voxels along an axis: what lies 4 apart is told apart."""
-    full = np.ones((16, 16, 16), bool)
-    lattice = Lattice(np.zeros(full.shape, np.uint8), full, full, full)
-    assert len(classes_of(lattice, 7, turned=True)) == 128
+    assert len(Classes(Lattice(np.zeros((16, 16, 16), np.uint8)), 7, turned=True).names) == 128
     assert [0, 6, 0] in union_of(turned(0), 7).tolist()
-
-
-@pytest.mark.parametrize("axis", [0, 2])
-def test_where_turned_neighbourhoods_are_complete_every_neighbour_is_there(axis):
-    there = np.ones((14, 13, 12), bool)
-    there[3, 6, 5] = there[9, 2, 8] = False
-    found = complete_in(Lattice(np.zeros(there.shape, np.uint8), there, there, there), turned(axis), 5)
-    literal = there.copy()
-    for offset in union_of(turned(axis), 5):
-        literal &= np.roll(there, -offset, (0, 1, 2))
-    assert not (found & ~literal).any()
-    assert found.any()
 
 
 # As a whole
@@ -539,10 +541,10 @@ def test_levels_of_a_group_come_to_their_shares_class_by_class():
         score = np.rint(np.random.default_rng(seed).normal(0, 2 * UNIT, (600, 12)) + bias).astype(np.int32)
         with_fine = score + fine.astype(np.int32)
         coarse = shifts_for(with_fine, groups, by_group, coldness=COLD, start=coarse)
-        shifted = with_fine + coarse[groups].astype(np.int32)
-        total = np.zeros(12)
-        shares_of(shifted, COLD, POWERS, total)
-        fine = moved_levels(shifted, groups, wanted, coldness=COLD, shift=fine)
+        shift, total = coarse[groups] + fine, np.zeros(12)
+        shifted = score + shift
+        shares_of(score, np.ones(600, bool), shift, COLD, POWERS, total)
+        fine = moved_levels(total, groups, wanted, count=600, coldness=COLD, shift=fine)
     assert total.sum() == pytest.approx(600)
     assert total / 600 == pytest.approx(wanted, abs=0.02)
     literal = np.exp2(shifted / UNIT - (shifted / UNIT).max(1, keepdims=True))

@@ -12,13 +12,19 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.core.request import Request
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs, sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.chen import SPEC
 from trabecula.synth.chen.config import ChenConfig
+from trabecula.synth.chen.kernels import count_sources
 from trabecula.synth.shared.content import completed
 from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
 from trabecula.synth.shared.orient import oriented, symmetries
-from trabecula.synth.shared.solid import Solid, SolidModel, State
+from trabecula.synth.shared.solid import SolidModel
+from trabecula.synth.shared.solid_fit import Solid
+from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.votes import votes_of
 
 _DEAREST = 64  # times: beyond it a pixel costs no more
 
@@ -39,32 +45,38 @@ class ChenModel(SolidModel):
     spec = SPEC
     config: ChenConfig
 
-    def _voted(
-        self, frame: Frame, state: State, matches: tuple[np.ndarray, ...], weights: Sequence[np.ndarray], trim: int
-    ) -> State:
+    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
         excess = excess_of(state.sources, frame, self.config.position_penalty)
         factors = [np.maximum(np.rint(frame.full / over), 1).astype(np.int16) for over in excess]
-        votes = voted_planes(frame, matches, weights, factors=factors, trim=trim)
-        made = self._made(frame, matches, votes)
+        votes = voted_planes(frame, state.matches, weights, factors=factors, trim=trim)
+        self._make(frame, state, votes)
         if not self.config.discrete:
-            return made
-        aim = made.field.astype(np.int16) * np.int16(256) if self.config.histogram else votes
+            return
+        aim = state.field if self.config.histogram else votes
         dear = [np.minimum(np.rint(over * 4), 4 * _DEAREST).astype(np.int32) for over in excess]
-        field, sources = chosen_planes(frame, matches, weights, aim, dear=dear, trim=trim)
-        field = frame.region.bounded(field)
-        return State(matches, field.astype(np.int16) * np.int16(256), field, sources)
+        field, state.sources = chosen_planes(frame, state.matches, weights, aim, dear=dear, trim=trim)
+        state.field = frame.region.bounded(field)
+        state.votes = votes_of(state.field)
 
-    def _bytes(self, channels: int, request: Request) -> int:
-        """Beside what a vote takes, the least distances and the sources."""
-        return super()._bytes(channels, request) + 16
+    @property
+    def _chooses(self) -> bool:
+        return self.config.discrete
 
     def _delivered(self, state: State, request: Request) -> np.ndarray:
         """Grey values and colours are those of the pixels themselves: matching channel by channel would make new colours."""
         if self.content.distances or not self.config.discrete or state.sources is None:
             return super()._delivered(state, request)
+        sources = state.sources
         pixels = np.concatenate([self._pixels(place) for place in range(len(self.views))])
-        inside = tuple(slice(side) for side in request.shape)
-        return completed(pixels[state.sources[inside]], request, empty=0)
+        depth, height, across = request.shape
+        values = scratch.empty((*request.shape, *pixels.shape[1:]), pixels.dtype)
+
+        def work(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                values[z] = pixels[sources[z, :height, :across]]
+
+        for_slabs(work, depth)
+        return completed(values, request, empty=0)
 
     def _pixels(self, place: int) -> np.ndarray:
         """The values of a view's pixels in the order of its sources on the finest level: (n,) or (n, 3)."""
@@ -84,7 +96,13 @@ def excess_of(sources: np.ndarray | None, frame: Frame, strength: float) -> list
     sizes = [int(np.prod(shape)) for shape in shapes]
     if sources is None or not strength:
         return [np.ones(shape) for shape in shapes]
-    counts = np.bincount(sources[sources >= 0], minlength=sum(sizes))
+
+    def count(start: int, stop: int) -> np.ndarray:
+        found = np.zeros(sum(sizes), np.int64)
+        count_sources(sources, found, start, stop)
+        return found
+
+    counts = sum_slabs(count, len(sources))
     even = max(1, int(counts.sum())) / sum(sizes)
     over = 1 + strength * np.maximum(counts / even - 1, 0)
     parts = np.split(over, np.cumsum(sizes)[:-1])

@@ -11,12 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.tiles import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import SPEC
 from trabecula.synth.kopf.config import KopfConfig
+from trabecula.synth.kopf.kernels import count_bins
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.planes import Frame, voted_planes
-from trabecula.synth.shared.solid import Solid, SolidModel, State
+from trabecula.synth.shared.solid import SolidModel
+from trabecula.synth.shared.solid_fit import Solid
+from trabecula.synth.shared.solid_state import State
 
 _BINS = 16
 
@@ -37,26 +41,26 @@ class KopfModel(SolidModel):
     spec = SPEC
     config: KopfConfig
 
-    def _voted(
-        self, frame: Frame, state: State, matches: tuple[np.ndarray, ...], weights: Sequence[np.ndarray], trim: int
-    ) -> State:
+    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
         factors = None
         if self.config.reweighting:
-            excess = excess_of((state.votes >> 8).astype(np.int8), frame, self.config.reweighting)
+            excess = excess_of(state.votes, frame, self.config.reweighting)
             factors = [factors_of(plane.grid.candidates.stack.field, excess, frame.full) for plane in frame.planes]
-        votes = voted_planes(frame, matches, weights, factors=factors, trim=trim)
-        return self._made(frame, matches, votes)
+        self._make(frame, state, voted_planes(frame, state.matches, weights, factors=factors, trim=trim))
 
 
-def excess_of(field: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
-    """(C, 16): strength times the share of a bin in a field (C, Z, Y, X) int8 beyond its share in the target."""
-    free = frame.region.free
-    excess = []
-    for channel, target in zip(field, frame.targets, strict=True):
-        held = channel if free is None else channel[free]
-        own = np.bincount(_bin(held.ravel()), minlength=_BINS) / max(1, held.size)
-        excess.append(strength * np.maximum(own - _shares(target), 0))
-    return np.array(excess)
+def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
+    """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in the target."""
+    free = np.empty((0, 0, 0), bool) if frame.region.free is None else frame.region.free
+
+    def count(start: int, stop: int) -> np.ndarray:
+        counts = np.zeros((len(votes), _BINS), np.int64)
+        count_bins(votes, free, counts, start, stop)
+        return counts
+
+    counts = sum_slabs(count, votes.shape[1])
+    own = counts / np.maximum(1, counts.sum(axis=1, keepdims=True))
+    return strength * np.maximum(own - np.array([_shares(target) for target in frame.targets]), 0)
 
 
 def factors_of(exemplar: np.ndarray, excess: np.ndarray, full: int) -> np.ndarray:

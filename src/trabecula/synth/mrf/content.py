@@ -59,14 +59,11 @@ class Content:
             return self.kind
         return "two phases" if len(self.values) == 2 else "phases"
 
-    def drawn(self, levels: np.ndarray, key: np.uint64) -> np.ndarray:
-        """Levels (Z, Y, X) as values: each voxel takes one of the pixels that its level stands for, at random."""
-        values = np.empty((*levels.shape, *self.pool.shape[1:]), self.pool.dtype)
-        chosen = np.empty(levels.shape[1:], np.int64)
-        for z, plane in enumerate(values):  # an index of the whole would take 8 bytes a voxel
-            draw_pixels(levels[z], self.starts, key, z, chosen)
-            plane[...] = self.pool[chosen]
-        return values
+    def drawn(self, levels: np.ndarray, z: int, key: np.uint64) -> np.ndarray:
+        """Levels (Y, X) of plane z as values: each voxel takes one of the pixels that its level stands for, at random."""
+        chosen = np.empty(levels.shape, np.int64)
+        draw_pixels(levels, self.starts, key, z, chosen)
+        return self.pool[chosen]
 
     @property
     def void(self) -> int | None:

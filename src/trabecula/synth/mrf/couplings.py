@@ -13,8 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.mrf.tables import UNIT
-from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.pairs import Pairs, Planes
 
 CONES = 2
 """Without, what lies along the axes is made up for by what lies along diagonals."""
@@ -73,7 +75,7 @@ class Couplings:
         self._held = held & (self._pairs.fits > 0) & (r >= min(_NEAR, far))
         self.strength = np.zeros_like(self._wanted)
         self.misfit = 0.0
-        self._field = np.zeros((int(np.prod(shape)), features.shape[1]), np.int16)
+        self._field = scratch.zeros((features.shape[1], *shape), np.int16)
 
     def _targets(self, pictures: Pictures) -> tuple[np.ndarray, np.ndarray]:
         """The pictures' autocorrelation (C, bins), and which bins they hold."""
@@ -88,7 +90,7 @@ class Couplings:
                 sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
         return sums / np.maximum(fits, 1), fits > 0
 
-    def start(self, coarse: Couplings | None, levels: np.ndarray, there: np.ndarray) -> None:
+    def start(self, coarse: Couplings | None, levels: np.ndarray, there: np.ndarray | None = None) -> None:
         """Take over the strengths of a coarser scale, whose voxels are twice as long, before the first sweep."""
         if coarse is not None:
             count, bins = len(self.strength), self._pairs.r_max + 1
@@ -98,43 +100,64 @@ class Couplings:
             self.strength = np.where(self._held, np.reshape(finer, (count, -1)), 0.0)
         self.act(levels, there)
 
-    def learn(self, levels: np.ndarray, there: np.ndarray) -> None:
-        """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them count."""
+    def learn(self, levels: np.ndarray, there: np.ndarray | None = None) -> None:
+        """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them count (None: all)."""
         apart = np.zeros_like(self.strength)
         both = self._both(there)
         for c in range(len(apart)):
-            spectrum = self._pairs.forward(self._spread(levels, there, c))
+            spectrum = self._pairs.forward(self._planes(levels, there, c))
             now = self._pairs.curve(spectrum, spectrum) / both
             apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now[0]), 1e-6), 0.0)
+            if len(apart) > 1:
+                del spectrum  # before the next is made
         self.misfit = float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
         self.strength = self.strength + self._rate * apart
-        self.act(levels, there)
+        if len(apart) == 1:
+            self._act(0, spectrum)
+        else:
+            self.act(levels, there)
 
-    def act(self, levels: np.ndarray, there: np.ndarray) -> None:
+    def act(self, levels: np.ndarray, there: np.ndarray | None = None) -> None:
         """What the strengths say of every site, given all others."""
+        for c in range(len(self.strength)):
+            self._act(c, self._pairs.forward(self._planes(levels, there, c)))
+
+    def _act(self, channel: int, spectrum: np.ndarray) -> None:
+        """The field of a channel, from the transform of its values."""
         # The strength of a bin is that of the mean over its offsets.
-        each = self.strength * levels.size / np.maximum(self._pairs.fits, 1)
-        for c in range(len(each)):
-            found = self._pairs.convolved(self._pairs.forward(self._spread(levels, there, c)), each[c])
-            units = np.rint(np.clip(found * np.float32(1 / np.log(2)), -_MOST, _MOST) * _GRAIN)
-            self._field[:, c] = units.ravel()
+        into = self._field[channel]
+        each = self.strength[channel] * into.size / np.maximum(self._pairs.fits, 1)
+        found = self._pairs.convolved(spectrum, each)
+
+        def work(first: int, last: int) -> None:
+            for z in range(first, last):
+                units = np.clip(found[z] * np.float32(1 / np.log(2)), -_MOST, _MOST)
+                into[z] = np.rint(units * _GRAIN)
+
+        for_slabs(work, len(into))
 
     def pull(self, sites: np.ndarray, out: np.ndarray) -> None:
         """Add what pairs say of every level at the sites to `out` (S, L) int64, in units."""
         own = np.rint(self._values.astype(np.float64) * _GRAIN).astype(np.int64)
         for c in range(own.shape[1]):
-            out += self._field[sites, c, None].astype(np.int64) * own[:, c] // (_GRAIN * _GRAIN // UNIT)
+            field = self._field[c].reshape(-1)[sites, None].astype(np.int64)
+            out += field * own[:, c] // (_GRAIN * _GRAIN // UNIT)
 
-    def _both(self, there: np.ndarray) -> np.ndarray | float:
+    def _both(self, there: np.ndarray | None) -> np.ndarray | float:
         """The share of each bin's pairs of which both count."""
-        if there.all():
+        if there is None:
             return 1.0
-        spectrum = self._pairs.forward(there.astype(np.float32))
+        marks = there
+        spectrum = self._pairs.forward(lambda z: marks[z].astype(np.float32))
         return np.maximum(self._pairs.curve(spectrum, spectrum), 1 / there.size)
 
-    def _spread(self, levels: np.ndarray, there: np.ndarray, channel: int) -> np.ndarray:
-        values = self._values[:, channel][levels]
-        return values if there.all() else np.where(there, values, np.float32(0))
+    def _planes(self, levels: np.ndarray, there: np.ndarray | None, channel: int) -> Planes:
+        """The values of a channel, plane by plane."""
+        values = np.ascontiguousarray(self._values[:, channel])
+        if there is None:
+            return lambda z: values[levels[z]]
+        marks = there
+        return lambda z: np.where(marks[z], values[levels[z]], np.float32(0))
 
 
 def _standardised(pictures: Pictures, features: np.ndarray) -> np.ndarray:

@@ -19,8 +19,8 @@ _ROWS, _MANY = 4096, 65536  # neighbourhoods that are summed at once, and in all
 _TABLES = 80_000  # bytes of the two tables of a source
 _SMALL = 100_000  # bytes of what does not depend on the picture
 _OF_A_PIXEL = {"labels": 10, "grey": 20, "colour": 132}  # bytes that numbering the levels takes
-_STARTING, _IN_A_FORM = 4, 5  # bytes a voxel, when a scale starts
-_CONVOLVED, _BEFORE = 12, 8  # bytes a voxel beside two spectra: of a channel of the couplings, and of the one before
+_OF_A_SITE = 42  # bytes while it is told whether sites lie in the result
+_OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
 
 
 def learning_bytes(images: Sequence[Image], scales: int, config: MrfConfig, *, turned: bool) -> tuple[int, int]:
@@ -66,8 +66,7 @@ def _source_bytes(image: Image, count: int, config: MrfConfig) -> int:
 class Run:
     """What a run's memory depends on.
 
-    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `frames` how many sets of planes the
-    sweeps go by, `threads` how many work at once.
+    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads` how many work at once.
     """
 
     request: Request
@@ -75,7 +74,6 @@ class Run:
     content: Content
     sources: Sequence[Source]
     views: int
-    frames: int
     pairs: Pairs | None
     config: MrfConfig
     threads: int
@@ -95,50 +93,56 @@ class Run:
     @property
     def output(self) -> int:
         """The lattices of all scales, and the most that anything takes beside them; the scratch of sites comes on top."""
-        most = max(*self._sites(), *self._couplings(), self._rest() - self.scratch)
-        return self._held() + most
+        beside = *self._sites(), self._couplings() - self.scratch, self._values() - self.scratch
+        return self._held() + max(0, *beside)
+
+    @property
+    def slab(self) -> int:
+        """What the thinnest slabs take where all that is as large as the result lies in files."""
+        _, height, width = self.shape
+        levels, each = len(self.content.values), self.content.values[0].nbytes
+        sites = _OF_A_SITE * height * width // (self.config.neighbourhood // 2 + 1) ** 2
+        plane = (_OF_A_PLANE + 2 * each) * height * width
+        if self.request.known is not None and self.content.kind == "colour":
+            plane += 80 * height * width + 40 * levels * _ROWS
+        most = self.threads * max(plane, sites + _ROWS * 4 * levels)
+        if self.pairs is not None:
+            most = max(most, self.pairs.slab_bytes + self.pairs.kept_bytes)
+        return self.scratch + self._tables + 2 * _SMALL + most
+
+    @property
+    def _voxels(self) -> int:
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def _tables(self) -> int:
+        """Of the offsets of pairs: their bins, and their weights for a while."""
+        return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
 
     def _held(self) -> int:
         """From the first sweep to the last, coarser scales included."""
-        voxels, (levels, channels) = int(np.prod(self.shape, dtype=np.int64)), self.content.features.shape
-        each = 4 * 8 / 7 + 9 / 8 * (self.frames + 5 * (self.config.relaxation == "icm"))
+        levels, channels = self.content.features.shape
+        marks = (self.request.mask is not None) + (self.request.known is not None)
+        each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
         if self.pairs is not None:
             each += 9 / 8 * 2 * channels
-        return round(voxels * each) + 9 * self._offsets + 8 * self.frames * self.views * levels**2
-
-    @property
-    def _offsets(self) -> int:
-        """How many a coupling has."""
-        if self.pairs is None:
-            return 0
-        z, y, x = self.pairs.reach
-        return (z + 1) * (2 * y + 1) * (2 * x + 1)
+        return round(self._voxels * each) + 8 * 4 * self.views * levels**2 + self._tables + 2 * _SMALL
 
     def _sites(self) -> tuple[int, int]:
         """A class of sites with their scores, and then with the groups' scores less what scratch there was before."""
         levels, channels = self.content.features.shape
         groups = int(self.content.groups.max()) + 1
-        sites = int(np.prod(self.shape, dtype=np.int64)) // (self.config.neighbourhood // 2 + 1) ** 2
-        each = 32 + 4 * levels + self.views * channels
-        return each * sites, (each + self.config.shares * (4 * levels + 8 * groups + 8)) * sites - self.scratch
+        sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
+        rows = 4 * levels + self.views * channels * (self.config.feedback_of(self.content.sort) > 0)
+        return (8 + rows) * sites, self.config.shares * (rows + 8 * groups + _OF_A_SITE) * sites - self.scratch
 
-    def _couplings(self) -> tuple[int, int]:
-        """The offsets when they are numbered, and the transforms of a field."""
+    def _couplings(self) -> int:
+        """The transforms of a field."""
         if self.pairs is None:
-            return 0, 0
-        depth, height, width = self.shape
-        spectrum = 8 * depth * height * (width // 2 + 1)
-        each = _CONVOLVED + _BEFORE * (self.content.features.shape[1] > 1)
-        fields = 2 * spectrum + each * depth * height * width
-        return 32 * self._offsets - self.scratch, 16 * self._offsets + fields - self.scratch
+            return 0
+        return 2 * self.pairs.spectrum_bytes + self.pairs.kernel_bytes + 4 * self._voxels + self.pairs.slab_bytes
 
-    def _rest(self) -> int:
-        """A scale's start, what is known as levels, and the values that come out."""
-        request, levels = self.request, len(self.content.values)
+    def _values(self) -> int:
+        """The values that come out."""
         each = self.content.values[0].nbytes
-        start = (_STARTING + _IN_A_FORM * (request.mask is not None)) * int(np.prod(self.shape, dtype=np.int64))
-        known = 0 if request.known is None else int(np.count_nonzero(request.known))
-        taken = (each + 24) * known
-        if self.content.kind == "colour":
-            taken = 80 * known + 40 * levels * min(known, 4096)
-        return max(start, taken, (each + 1) * int(np.prod(request.shape, dtype=np.int64)))
+        return each * int(np.prod(self.request.shape, dtype=np.int64))

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.synth.mrf import choose
+from trabecula.synth.mrf.classes import Classes
 from trabecula.synth.mrf.content import Content
 from trabecula.synth.mrf.density import densities
 from trabecula.synth.mrf.feedback import cells_of, pull
 from trabecula.synth.mrf.gather import gather_confidence, gather_levels, gather_places, local_sums
-from trabecula.synth.mrf.lattice import Lattice, complete_in
+from trabecula.synth.mrf.lattice import Lattice, marks_of
 from trabecula.synth.mrf.limits import STEPS
 from trabecula.synth.mrf.planes import Plane
 from trabecula.synth.mrf.source import Source
@@ -53,10 +54,10 @@ class Frame:
         self, faces: Sequence[Face], lattice: Lattice, content: Content, *, width: int, correction: float
     ) -> None:
         self.faces = tuple(faces)
-        self.turned = any(any(face.plane.stretched) for face in faces)
+        turned = any(any(face.plane.stretched) for face in faces)
         planes = [face.plane for face in faces]
-        self.whole = complete_in(lattice, planes, width).ravel()
-        self._lattice, self._content = lattice, content
+        self.classes = Classes(lattice, width, turned=turned)
+        self._lattice, self.content = lattice, content
         self._offsets = [(plane.offsets(width), plane.mirrored.offsets(width)) for plane in planes]
         self._blur = np.stack([face.source.blur for face in faces])
         self._prior = prior_of([face.source.marginal for face in faces], correction)
@@ -98,19 +99,19 @@ class Frame:
         mirrored : bool
             Whether the pictures are seen from behind.
         """
-        features = self._content.features
+        features = self.content.features
         bins = np.empty((len(sites), len(self.faces), len(features)), np.int64)
         for v, face in enumerate(self.faces):
             offsets = self._offsets[v][int(mirrored)]
             places = np.empty((len(sites), len(offsets)), np.int64)
             found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
-            gather_places(sites, offsets, self._lattice.there, places)
+            gather_places(sites, offsets, self._lattice.shape, marks_of(self._lattice.there), places)
             gather_levels(places, self._lattice.levels, found, weight)
             if bias:
                 sums = np.empty((len(sites), features.shape[1]), np.int32)
                 local_sums(found, weight, features, sums)
                 cells_of(sums, face.source.joint.edges, cells[v])
-                pull(cells[v], bias[face.learner], self._content.groups, pulled)
+                pull(cells[v], bias[face.learner], self.content.groups, pulled)
             if temperature.size:
                 gather_confidence(places, temperature, STEPS, weight)
             weigh(found, weight, STEPS if temperature.size else 1, face.source, features, v, bins, scratch)

@@ -11,10 +11,11 @@ from trabecula.engine.compile import kernel
 
 
 @kernel
-def gather_places(sites, offsets, there, places):
-    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not there."""
+def gather_places(sites, offsets, shape, there, places):
+    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `there`; without entries all are."""
     marks = there.ravel()
-    Z, Y, X = there.shape
+    every = len(marks) == 0
+    Z, Y, X = shape
     reach = offsets.max()
     for s in range(len(sites)):
         z, y, x = sites[s] // (Y * X), sites[s] // X % Y, sites[s] % X
@@ -24,7 +25,7 @@ def gather_places(sites, offsets, there, places):
             place = sites[s] + (dz * Y + dy) * X + dx
             if near:
                 place = ((z + dz) % Z * Y + (y + dy) % Y) * X + (x + dx) % X
-            places[s, k] = place if marks[place] else -1
+            places[s, k] = place if every or marks[place] else -1
 
 
 @kernel

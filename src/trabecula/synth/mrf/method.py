@@ -20,9 +20,10 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
+from trabecula.engine import scratch
 from trabecula.engine.checkpoint import State, resumed
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import SPEC
 from trabecula.synth.mrf.config import MrfConfig
@@ -68,6 +69,7 @@ class MrfModel(PictureModel):
     """Views of the pictures, and their neighbourhoods at every scale."""
 
     spec = SPEC
+    spills = True
     config: MrfConfig
 
     def __init__(self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]) -> None:
@@ -174,21 +176,18 @@ class MrfModel(PictureModel):
         porosity = self._porosity(request)
         sources = self.sources if porosity is None else [self._learn(scale, porosity) for scale in range(self.count)]
         lattices = lattices_of(request, self.content, self.count, self.config.neighbourhood)
-        top, coarse = len(lattices) - 1, None
-        couplings: Couplings | None = None
+        top = len(lattices) - 1
+        learnt: Couplings | None = None
         told: list[dict[str, Any]] = []
         begin, state = self._resumed(top)
         wanted = self._shares(porosity)
         for scale in range(begin, -1, -1):
-            lattice = lattices[scale]
-            if scale < top and coarse is None:  # what it started from is in the state
-                coarse = lattices[scale + 1].levels
-            frames, learnt = self._frames(sources[scale]), couplings
-            couplings = self._couplings(scale, lattice)
+            coarse = lattices[scale + 1].levels if scale < top else None
+            couplings = self._couplings(scale, lattices[scale])
             relaxation = started(
-                lattice,
+                lattices[scale],
                 coarse,
-                frames,
+                self._frames(sources[scale]),
                 self.content,
                 self.config,
                 seed=request.seed,
@@ -196,26 +195,33 @@ class MrfModel(PictureModel):
                 wanted=wanted,
                 couplings=couplings,
             )
-            if couplings is not None:
-                couplings.start(learnt, lattice.levels, lattice.there)
+            del coarse, lattices[scale + 1 :]
+            if couplings is not None and state is None:
+                couplings.start(learnt, lattices[scale].levels, lattices[scale].there)
+            learnt = couplings
             told = relaxation.run(told, state)
-            coarse, state = lattice.levels, None
+            state = None
+            del relaxation, couplings
+        del learnt
         return self._delivered(lattices[0].levels, request), {"scales": told, "oblique": self.oblique}
 
     def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
         """Levels as values; what is known comes out as it was, and outside a form is nothing."""
-        levels = levels[tuple(slice(side) for side in request.shape)]
-        if self.config.spread:
-            values = self.content.drawn(levels, key(request.seed, "mrf/values"))
-        else:
-            table = self.content.values
-            values = np.empty((*levels.shape, *table.shape[1:]), table.dtype)
-            for plane, part in zip(values, levels, strict=True):  # an index of the whole would take 8 bytes a voxel
-                plane[...] = table[part]
-        if request.mask is not None:
-            values[~request.mask] = self.content.empty
-        if request.fixed is not None and request.known is not None:
-            values[request.known] = request.fixed.values[request.known]
+        table, word = self.content.values, key(request.seed, "mrf/values")
+        depth, height, width = request.shape
+        values = scratch.empty((*request.shape, *table.shape[1:]), table.dtype)
+
+        def work(first: int, last: int) -> None:
+            for z in range(first, last):  # an index of the whole would take 8 bytes a voxel
+                plane = levels[z, :height, :width]
+                values[z] = self.content.drawn(plane, z, word) if self.config.spread else table[plane]
+                if request.mask is not None:
+                    values[z][~request.mask[z]] = self.content.empty
+                if request.fixed is not None and request.known is not None:
+                    known = request.known[z]
+                    values[z][known] = request.fixed.values[z][known]
+
+        for_slabs(work, depth)
         return values
 
     def _resumed(self, top: int) -> tuple[int, State | None]:
@@ -227,31 +233,28 @@ class MrfModel(PictureModel):
         return top, None
 
     def _plan(self, request: Request) -> Plan:
-        config = self.config
-        width = config.neighbourhood
+        run = self._run(request)
+        memory = {**self._fixed(request), "output": run.output, "scratch": run.scratch}
+        return Plan(memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes)
+
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        return {**self._fixed(request), "slab": self._run(request).slab}
+
+    def _fixed(self, request: Request) -> dict[str, int]:
+        """Bytes that do not depend on the shape."""
+        kept = bytes_of([source for scale in self.sources for source in scale])
+        memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
+        if request.target:  # the pictures are learnt anew
+            memory["learning"] = learning_bytes(self.exemplars, self.count, self.config, turned=self.oblique)[1]
+        return memory
+
+    def _run(self, request: Request) -> Run:
+        config, width = self.config, self.config.neighbourhood
         count = count_of(request.shape, request.periodic, count=self.count, width=width)
         shape = padded_shape(request.shape, request.periodic, count=count, width=width)
         kept = [source for scale in self.sources for source in scale]
-        run = Run(
-            request,
-            shape,
-            self.content,
-            kept,
-            len(self.views),
-            4 if self.oblique else 1,
-            self._pairs(shape),
-            config,
-            thread_count(),
-        )
-        memory = {
-            "interpreter and kernels": _PROCESS,
-            "exemplar": bytes_of(kept),
-            "output": run.output,
-            "scratch": run.scratch,
-        }
-        if request.target:  # the pictures are learnt anew
-            memory["learning"] = learning_bytes(self.exemplars, self.count, config, turned=self.oblique)[1]
-        return Plan(memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes)
+        pairs = self._pairs(shape)
+        return Run(request, shape, self.content, kept, len(self.views), pairs, config, thread_count())
 
     def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
         """The pairs of a lattice that are coupled at most."""

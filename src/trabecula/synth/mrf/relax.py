@@ -7,6 +7,7 @@ depends on its neighbours, on what has been learnt and on a random number of its
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -16,37 +17,23 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.seeds import generator, key
 from trabecula.engine.checkpoint import State, due, offer
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.tiles import sum_slabs
 from trabecula.synth.mrf import choose
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content
 from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.feedback import count
 from trabecula.synth.mrf.frame import Face, Frame
-from trabecula.synth.mrf.lattice import Lattice, classes_of, sites_of
+from trabecula.synth.mrf.lattice import ALL, Lattice, marks_of
+from trabecula.synth.mrf.members import Members
 from trabecula.synth.mrf.planes import union_of
-from trabecula.synth.mrf.shares import moved_levels, shifts_for
-from trabecula.synth.mrf.steering import Steering, Tables
-from trabecula.synth.mrf.tables import POWERS
+from trabecula.synth.mrf.steering import Steering
 from trabecula.synth.mrf.temperature import cool
+from trabecula.synth.mrf.visit import Scored, Shifts, Step, Tally, count_into, levels_for, parts_of, scored
 
 T = TypeVar("T")
 
 # Else all that lies far apart turns over at every sweep.
 _PARTS = 4  # of a sweep, before each of which couplings look anew
-
-
-@dataclass(frozen=True)
-class Step:
-    """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for random words, which of the
-    frames it goes by, and whether it sees the pictures from behind."""
-
-    rule: str
-    heat: float
-    key: np.uint64
-    number: int
-    frame: int = 0
-    mirrored: bool = False
 
 
 @dataclass
@@ -85,9 +72,7 @@ class Relaxation:
         self._union = union_of([face.plane for face in self.frames[0]], config.neighbourhood)
         joints = {face.learner: face.source.joint for faces in self.frames for face in faces}
         self.steering = Steering([joints[n] for n in sorted(joints)], len(self.frames[0]), rate=self._feedback)
-        self._by_group = np.bincount(self.content.groups, self.wanted)
-        self.shift = np.zeros(len(self._by_group), np.int64)  # of the groups of levels, and of levels within them
-        self.fine = np.zeros(len(self.wanted), np.int64)
+        self.shifts = Shifts(self.content.groups, self.wanted)
 
     def run(self, before: Sequence[dict[str, Any]] = (), state: State | None = None) -> list[dict[str, Any]]:
         """All sweeps of this scale, from `state` where there is one.
@@ -126,103 +111,61 @@ class Relaxation:
     def sweep(self, step: Step) -> int:
         """Visit every site that is to change, class after class; how many did change."""
         frame = self._frames[step.frame]
-        width = self.config.neighbourhood
-        names = classes_of(self.lattice, width, turned=frame.turned)
+        names = frame.classes.names
         order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
-        tables, changed = self.steering.empty_tables(), 0
+        tally = Tally(0, self.steering.empty_tables())
         part = -(-len(order) // _PARTS)
+        held = self.held if self.config.resynthesis else ALL
         for number, place in enumerate(order):
             if self.couplings is not None and number and number % part == 0:
                 self.couplings.act(self.lattice.levels, self.lattice.there)
-            sites = self._questioned(sites_of(self.lattice, width, names[place]), frame)
-            if len(sites):
-                changed += self._visit(sites, frame, step, tables)
+            members = Members(frame.classes, names[place], self.temperature, held)
+            if members.count:
+                tally += self._visit(members, frame, step)
         if self._feedback:
-            self.steering.learn(tables)
-        return changed
+            self.steering.learn(tally.tables)
+        return tally.changed
 
-    def _questioned(self, sites: np.ndarray, frame: Frame) -> np.ndarray:
-        """Those of a class whose temperature is not 0, or that were inherited; with complete neighbourhoods first, since only the
-        others need weights."""
-        if self.temperature.size:
-            warm = self.temperature.reshape(-1)[sites] > 0
-            sites = sites[warm | self.held.reshape(-1)[sites]] if self.config.resynthesis else sites[warm]
-        return sites[np.argsort(~frame.whole[sites], kind="stable")]
-
-    def _visit(self, sites: np.ndarray, frame: Frame, step: Step, tables: Tables) -> int:
-        """New levels for the sites of a class, counted into `tables`; how many changed."""
-        features, groups = self.content.features, self.content.groups
-        chosen = np.empty(len(sites), np.uint8)
-        cells = np.empty((len(frame.faces), len(sites), features.shape[1]), np.uint8)
-        score = self._scores(sites, frame, chosen, cells, mirrored=step.mirrored)
-        if len(score):
-            if self.config.shares:
-                score += self._shifted(score, sites, step)
-            self._choose(score, sites, step, chosen)
-        levels = self.lattice.levels.reshape(-1)
-        changed = int(np.count_nonzero(levels[sites] != chosen))
-        levels[sites] = chosen
-        if self.temperature.size:
-            cool(sites, self._union, self.lattice.there, self.held, self.config.xi, self.temperature)
-        if self._feedback:
-            for face, cell in zip(frame.faces, cells, strict=True):
-                count(cell, groups, chosen, tables[face.learner])
-        return changed
-
-    def _scores(
-        self, sites: np.ndarray, frame: Frame, chosen: np.ndarray, cells: np.ndarray, *, mirrored: bool
-    ) -> np.ndarray:
-        """Scores (S, L) int32 of all levels; none for h1a and h1b, which choose at once."""
+    def _visit(self, members: Members, frame: Frame, step: Step) -> Tally:
+        """New levels for the sites of a class."""
         config = self.config
-        at_once = config.heuristic in ("h1a", "h1b")
-        score = np.empty((0 if at_once else len(sites), len(self.content.features)), np.int32)
-        bias = self.steering.bias() if self._feedback else []
-
-        def work(start: int, stop: int) -> None:
-            scratch = frame.scratch(stop - start)
-            for first in range(start, stop, frame.batch):
-                part = slice(first, min(first + frame.batch, stop))
-                pulled = np.zeros((part.stop - first, score.shape[1]), np.int64)
-                log = frame.densities(
-                    sites[part], scratch, self.temperature, pulled, bias, cells[:, part], mirrored=mirrored
-                )
-                if at_once:
-                    choose.of_views(log, self.content.features, config.heuristic == "h1b", chosen[part])
-                    continue
-                if self.couplings is not None:
-                    self.couplings.pull(sites[part], pulled)
-                frame.score(log, pulled, config.heuristic, score[part])
-
-        for_slabs(work, len(sites), least=256)
-        return score
-
-    def _shifted(self, score: np.ndarray, sites: np.ndarray, step: Step) -> np.ndarray:
-        """What has to be added to the scores of the levels (L,) int32 for the wanted shares."""
-        counted = score[self.lattice.asked.reshape(-1)[sites]]
-        if len(counted):
+        found = scored(
+            members,
+            frame,
+            heuristic=config.heuristic,
+            bias=self.steering.bias() if self._feedback else [],
+            temperature=self.temperature,
+            couplings=self.couplings,
+            mirrored=step.mirrored,
+        )
+        shift = np.zeros(len(self.wanted), np.int32)
+        if config.shares and len(found.score):
             cold = step.rule == "icm" or step.heat == 0
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
-            coldness = choose.COLDEST if cold else choose.coldness(heat)
-            groups = self.content.groups
-            counted = counted + self.fine.astype(np.int32)
-            self.shift = shifts_for(counted, groups, self._by_group, coldness=coldness, start=self.shift)
-            shift = (self.shift[groups] + self.fine).astype(np.int32)
-            if len(self.shift) < len(self.wanted):
-                counted += self.shift[groups].astype(np.int32)
-                self.fine = moved_levels(counted, groups, self.wanted, coldness=coldness, shift=self.fine)
-            return shift
-        return (self.shift[self.content.groups] + self.fine).astype(np.int32)
+            shift = self.shifts.settle(members, found.score, choose.COLDEST if cold else choose.coldness(heat))
+        return members.sum_over(lambda first, last: self._changed(members, found, shift, frame, step, first, last))
 
-    def _choose(self, score: np.ndarray, sites: np.ndarray, step: Step, chosen: np.ndarray) -> None:
-        """The new levels (S,) uint8."""
-        if step.rule == "icm" or (step.rule == "gibbs" and step.heat == 0):
-            choose.greatest(score, chosen)
-        elif step.rule == "gibbs":
-            choose.drawn(score, choose.coldness(step.heat), POWERS, sites, step.key, step.number, chosen)
-        else:
-            present, tries = self.lattice.levels.reshape(-1)[sites], self.config.proposals
-            heat = round(65536 * step.heat)
-            choose.proposed(score, heat, POWERS, present, tries, sites, step.key, step.number, chosen)
+    def _changed(
+        self, members: Members, found: Scored, shift: np.ndarray, frame: Frame, step: Step, first: int, last: int
+    ) -> Tally:
+        """New levels for those in the planes first .. last; nobody reads meanwhile what this writes."""
+        sites, start = members.sites(first, last), int(members.starts[0][first])
+        levels, tables, changed = self.lattice.levels.reshape(-1), self.steering.empty_tables(), 0
+        for part in parts_of(len(sites)):
+            asked, rows = sites[part], slice(start + part.start, start + part.stop)
+            present = levels[asked]
+            if len(found.chosen):
+                chosen = found.chosen[rows]
+            else:
+                chosen = levels_for(found.score[rows] + shift, asked, present, step, self.config.proposals)
+            changed += int(np.count_nonzero(present != chosen))
+            levels[asked] = chosen
+            if self.temperature.size:
+                there = marks_of(self.lattice.there)
+                cool(asked, self._union, there, self.held, self.config.xi, self.temperature)
+            if self._feedback:
+                count_into(tables, found.cells[:, rows], frame, chosen)
+        return Tally(changed, tables)
 
     def _steps(self) -> list[Step]:
         """Every sweep of this scale."""
@@ -248,8 +191,17 @@ class Relaxation:
 
     def _fallen(self) -> float:
         """By what share the global temperature has fallen since the scale began (section V.B)."""
-        start = int(np.count_nonzero(self.lattice.free & ~self.held))
-        return 1 - float(self.temperature.sum(dtype=np.float64)) / max(start, 1)
+        temperature, held = self.temperature, self.held
+        sums = np.zeros(len(temperature))
+
+        def work(first: int, last: int) -> int:
+            for z in range(first, last):
+                sums[z] = temperature[z].sum(dtype=np.float64)
+            warm = ~held[first:last]
+            return int(np.count_nonzero(warm if self.lattice.free is None else self.lattice.free[first:last] & warm))
+
+        start = sum_slabs(work, len(temperature))
+        return 1 - math.fsum(sums) / max(start, 1)
 
     def _state(self) -> dict[str, np.ndarray]:
         """All that the next sweep starts from."""
@@ -257,15 +209,15 @@ class Relaxation:
         return {
             "levels": self.lattice.levels,
             "temperature": self.temperature,
-            "shift": self.shift,
-            "fine": self.fine,
+            "shift": self.shifts.of_groups,
+            "fine": self.shifts.fine,
             **self.steering.state(),
             **learnt,
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:
-        self.lattice.levels[:] = arrays["levels"]
-        self.temperature, self.shift, self.fine = arrays["temperature"], arrays["shift"], arrays["fine"]
+        self.lattice.levels, self.temperature = arrays["levels"], arrays["temperature"]
+        self.shifts.of_groups, self.shifts.fine = arrays["shift"], arrays["fine"]
         self.steering.restore(arrays)
         if self.couplings is not None:
             self.couplings.strength = arrays["strength"]

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content
 from trabecula.synth.mrf.couplings import Couplings
 from trabecula.synth.mrf.frame import Face
-from trabecula.synth.mrf.lattice import Lattice, any_of_eight, known_halved, within
+from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
 from trabecula.synth.mrf.relax import Relaxation
 
 
@@ -41,23 +44,56 @@ def lattices_of(request: Request, content: Content, count: int, width: int) -> l
     """The output at `count` resolutions at most, finest first."""
     count = count_of(request.shape, request.periodic, count=count, width=width)
     shape = padded_shape(request.shape, request.periodic, count=count, width=width)
-    inside = tuple(slice(side) for side in request.shape)
-    there, known, levels = np.ones(shape, bool), np.zeros(shape, bool), np.zeros(shape, np.uint8)
-    asked = np.zeros(shape, bool)
-    asked[inside] = True if request.mask is None else request.mask
-    if request.mask is not None:
+    box, form, known = request.shape, request.mask, None
+    levels, there = scratch.zeros(shape, np.uint8), None
+    if form is not None:
         # A little more than the form, so that its rim as well is known from all sides.
-        there = ~within(~asked, range(3), width // 2)
+        there = grown(form, shape, width // 2)
     if request.fixed is not None and request.known is not None:
-        known[inside] = request.known
-        there |= known
-        levels[known] = content.levels_of(request.fixed.values[request.known])
-    lattices = [Lattice(levels, there & ~known, there, asked)]
+        known = _measured(request, content, levels, there)
+    lattices = [Lattice(levels, _without(there, known), there, box, form)]
     while len(lattices) < count:
-        levels, known = known_halved(levels, known)
-        there, asked = any_of_eight(there), any_of_eight(asked)
-        lattices.append(Lattice(levels, there & ~known, there, asked))
+        if known is None:
+            levels = scratch.zeros(halved(levels.shape), np.uint8)
+        else:
+            levels, known = known_halved(levels, known)
+        there = None if there is None else any_of_eight(there)
+        box, form = halved(box), None if form is None else any_of_eight(form)
+        lattices.append(Lattice(levels, _without(there, known), there, box, form))
     return lattices
+
+
+def _measured(request: Request, content: Content, levels: np.ndarray, there: np.ndarray | None) -> np.ndarray:
+    """Where voxels are known, (Z, Y, X) bool; their levels are written, and they are there."""
+    assert request.fixed is not None and request.known is not None
+    marks, values, known = request.known, request.fixed.values, scratch.zeros(levels.shape, bool)
+    _, height, width = marks.shape
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            known[z, :height, :width] = marks[z]
+            if marks[z].any():
+                levels[z, :height, :width][marks[z]] = content.levels_of(values[z][marks[z]])
+            if there is not None:
+                there[z, :height, :width] |= marks[z]
+
+    for_slabs(work, len(marks))
+    return known
+
+
+def _without(there: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
+    """What is there and not known."""
+    if known is None:
+        return there
+    free = scratch.empty(known.shape, bool)
+
+    def work(first: int, last: int) -> None:
+        np.logical_not(known[first:last], out=free[first:last])
+        if there is not None:
+            free[first:last] &= there[first:last]
+
+    for_slabs(work, len(free))
+    return free
 
 
 def started(
@@ -79,40 +115,67 @@ def started(
     `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the first of its eight ("one",
     1/8), or to all ("all", 8/8); either way only the first inherits its temperature of 0.
     """
-    inherited = np.zeros(lattice.shape, bool)
     marginal = np.sum([face.source.marginal for face in frames[0]], axis=0)
-    _fill_with_noise(lattice, marginal, seed, scale)
+    if coarse is None or config.upsampling == "one":  # else there is nothing that it would not overwrite
+        _fill_with_noise(lattice, marginal, seed, scale)
     if coarse is not None:
-        first = (slice(None, None, 2),) * 3
-        found = coarse
-        if config.upsampling == "all":
-            for axis in range(3):
-                found = np.repeat(found, 2, axis=axis)
-            found = found[tuple(slice(side) for side in lattice.shape)]
-            lattice.levels[lattice.free] = found[lattice.free]
-        else:
-            part = lattice.free[first]
-            lattice.levels[first][part] = found[part]
-        inherited[first] = lattice.free[first]
+        _hand_on(lattice, coarse, config.upsampling)
     relaxation = Relaxation(lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings)
     if config.relaxation == "icm":
-        relaxation.temperature, relaxation.held = (lattice.free & ~inherited).astype(np.float32), inherited
+        relaxation.temperature, relaxation.held = _warm(lattice, inherits=coarse is not None)
     return relaxation
 
 
 def _of_free(lattice: Lattice, wanted: np.ndarray) -> np.ndarray:
     """The shares that voxels still to be made need, so that they and the known ones have the wanted shares together."""
-    known = lattice.asked & ~lattice.free
-    size, left = int(np.count_nonzero(lattice.asked)), int(np.count_nonzero(lattice.asked & lattice.free))
-    held = np.bincount(lattice.levels[known], minlength=len(wanted))
-    missing = np.maximum(wanted * size - held, 0)
+    left, held = lattice.known(len(wanted))
+    missing = np.maximum(wanted * (left + int(held.sum())) - held, 0)
     return missing / missing.sum() if left and missing.sum() > 0 else wanted
 
 
 def _fill_with_noise(lattice: Lattice, marginal: np.ndarray, seed: int, scale: int) -> None:
-    """Free voxels drawn from a histogram, a plane at a time."""
+    """Free voxels drawn from a histogram, each plane with random numbers of its own."""
     ends = np.cumsum(marginal)
-    for z, (plane, free) in enumerate(zip(lattice.levels, lattice.free, strict=True)):
-        raw = generator(seed, f"mrf/{scale}/noise", z).bit_generator.random_raw(plane.size)
-        drawn = np.searchsorted(ends, raw % np.uint64(ends[-1]), side="right").astype(np.uint8)
-        plane[free] = drawn.reshape(plane.shape)[free]
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            raw = generator(seed, f"mrf/{scale}/noise", z).bit_generator.random_raw(lattice.levels[z].size)
+            raw %= np.uint64(ends[-1])
+            drawn = np.searchsorted(ends, raw, side="right").astype(np.uint8).reshape(lattice.shape[1:])
+            _put(lattice, slice(z, z + 1), drawn[None])
+
+    for_slabs(work, lattice.shape[0])
+
+
+def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
+    """What a coarser scale found goes to the first of each eight voxels, or to all; what is not free stays."""
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            if upsampling == "all":
+                found = coarse[z // 2].repeat(2, axis=0).repeat(2, axis=1)
+                _put(lattice, slice(z, z + 1), found[None, : lattice.shape[1], : lattice.shape[2]])
+            elif z % 2 == 0:
+                _put(lattice, (slice(z, z + 1), slice(None, None, 2), slice(None, None, 2)), coarse[None, z // 2])
+
+    for_slabs(work, lattice.shape[0])
+
+
+def _put(lattice: Lattice, part: Any, found: np.ndarray) -> None:
+    """Levels for the free voxels of a part."""
+    np.copyto(lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part])
+
+
+def _warm(lattice: Lattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first of every eight."""
+    temperature, held = scratch.zeros(lattice.shape, np.float32), scratch.zeros(lattice.shape, bool)
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            free = np.ones(lattice.shape[1:], bool) if lattice.free is None else lattice.free[z]
+            if inherits and z % 2 == 0:
+                held[z, ::2, ::2] = free[::2, ::2]
+            temperature[z] = free & ~held[z]
+
+    for_slabs(work, lattice.shape[0])
+    return temperature, held

@@ -11,7 +11,11 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.synth.mrf.choose import COLD
+from trabecula.synth.mrf.members import over_rows, room_for_rows, sum_over_rows
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
+
+SITE = 1 << 31
+"""Steps of an expected number of sites."""
 
 _ROUNDS = 2  # through the groups, from the shifts of the class before; two groups are settled in one
 _NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30
@@ -20,16 +24,13 @@ _MOST = 16 * UNIT
 _LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at most
 
 
-def shifts_for(
-    score: np.ndarray, groups: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
-) -> np.ndarray:
+def shifts_for(energy: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray) -> np.ndarray:
     """Shifts (G,) int64 of the groups' scores, in units, the largest 0.
 
     Parameters
     ----------
-    score : (S, L) int32
-        Of the levels at the sites of a class, in units.
-    groups : (L,) uint8
+    energy : (S, G) int64
+        Scores of the groups (`of_groups`) at the sites of a class, in units.
     wanted : (G,) float64
         Shares that the class is to have, sum 1.
     coldness : int
@@ -37,19 +38,21 @@ def shifts_for(
     start : (G,) int64
         The shifts of the class before.
     """
-    energy = np.empty((len(score), len(wanted)), np.int64)
-    of_groups(score, groups, coldness, LOGS, POWERS, energy)
-    shift, lead = start.copy(), np.empty(len(score), np.int64)
+    shift, lead = start.copy(), room_for_rows(len(energy))
     first, rounds = (1, 1) if len(wanted) == 2 else (0, _ROUNDS)
     for _ in range(rounds):
         for group in range(first, len(wanted)):
-            leads(energy, shift, group, coldness, LOGS, POWERS, lead)
+
+            def work(begin: int, end: int, group: int = group) -> None:
+                leads(energy[begin:end], shift, group, coldness, LOGS, POWERS, lead[begin:end])
+
+            over_rows(work, len(lead))
             shift[group] = _settled(lead, float(wanted[group]), coldness, int(shift[group]))
     return shift - shift.max()
 
 
 def moved_levels(
-    score: np.ndarray, groups: np.ndarray, wanted: np.ndarray, *, coldness: int, shift: np.ndarray
+    taken: np.ndarray, groups: np.ndarray, wanted: np.ndarray, *, count: int, coldness: int, shift: np.ndarray
 ) -> np.ndarray:
     """Shifts (L,) int64 of the levels within their groups for the next class, from those of this one.
 
@@ -57,16 +60,15 @@ def moved_levels(
 
     Parameters
     ----------
-    score : (S, L) int32
-        With all shifts.
+    taken : (L,) float64
+        How many of the class's `count` sites every level is expected to take (`shares_of`), with all shifts.
     groups : (L,) uint8
     wanted : (L,) float64
+    count : int
     coldness : int
     shift : (L,) int64
     """
-    expected_levels = np.zeros(len(wanted))
-    shares_of(score, coldness, POWERS, expected_levels)
-    ratio = np.log2((wanted * len(score) + 0.5) / (expected_levels + 0.5))
+    ratio = np.log2((wanted * count + 0.5) / (taken + 0.5))
     step = np.rint(np.clip(ratio, -_LEVEL_STEP, _LEVEL_STEP) * (UNIT * COLD / coldness)).astype(np.int64)
     moved = np.clip(shift + step, -_MOST, _MOST)
     for group in range(int(groups.max()) + 1):  # what all of a group have in common is the group's
@@ -76,15 +78,19 @@ def moved_levels(
 
 def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
     """The shift of a group at which its expected share is `wanted`, found by halving an interval around the last one."""
-    aim, room = wanted * len(lead), int(_NARROW)
+
+    def taken(shift: int) -> int:
+        return int(sum_over_rows(lambda a, b: expected(lead[a:b], shift, coldness, POWERS), len(lead)))
+
+    aim, room = wanted * len(lead) * SITE, int(_NARROW)
     low, high = near - room, near + room
-    while low > -_WIDE and expected(lead, low, coldness, POWERS) > aim:
+    while low > -_WIDE and taken(low) > aim:
         low, high, room = low - 4 * room, low, 4 * room
-    while high < _WIDE and expected(lead, high, coldness, POWERS) < aim:
+    while high < _WIDE and taken(high) < aim:
         low, high, room = high, high + 4 * room, 4 * room
     while high - low > _FINE:
         middle = (low + high) // 2
-        if expected(lead, middle, coldness, POWERS) < aim:
+        if taken(middle) < aim:
             low = middle
         else:
             high = middle
@@ -92,22 +98,29 @@ def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
 
 
 @kernel
-def of_groups(score, groups, coldness, logs, powers, energy):
-    """Scores of the groups (S, G) int64: the logarithm of the sum of their levels' weights, at this coldness."""
+def of_groups(score, kept, added, groups, coldness, logs, powers, energy):
+    """Scores of the groups (S', G) int64: the logarithm of the sum of their levels' weights, at this coldness.
+
+    Of the S' sites that are `kept` (S,) bool; `added` (L,) int64 comes on top of the score (S, L) int32.
+    """
     G = energy.shape[1]
     top = np.empty(G, np.int64)
     total = np.empty(G, np.float64)
+    row = 0
     for s in range(len(score)):
+        if not kept[s]:
+            continue
         top[:] = -(1 << 40)
         total[:] = 1.0  # one step of 2^-31: what has no level is far below, and not below everything
         for level in range(len(groups)):
-            top[groups[level]] = max(top[groups[level]], np.int64(score[s, level]))
+            top[groups[level]] = max(top[groups[level]], score[s, level] + added[level])
         for level in range(len(groups)):
-            fall = ((np.int64(score[s, level]) - top[groups[level]]) * coldness) >> 12
+            fall = ((score[s, level] + added[level] - top[groups[level]]) * coldness) >> 12
             total[groups[level]] += np.float64(power_of(fall, powers))
         bits = total.view(np.int64)
         for g in range(G):
-            energy[s, g] = top[g] + ((log_of(bits[g], logs) - (31 << 16)) << 12) // coldness
+            energy[row, g] = top[g] + ((log_of(bits[g], logs) - (31 << 16)) << 12) // coldness
+        row += 1
 
 
 @kernel
@@ -129,26 +142,29 @@ def leads(energy, shift, group, coldness, logs, powers, lead):
 
 @kernel
 def expected(lead, shift, coldness, powers):
-    """How many of the sites a group that leads by `lead` + `shift` is expected to take."""
-    total = 0.0
+    """How many of the sites a group that leads by `lead` + `shift` is expected to take, in steps of 1 / `SITE`: whole numbers, so
+    that they may be summed in any order."""
+    total = np.int64(0)
     for s in range(len(lead)):
         above = ((lead[s] + shift) * coldness) >> 12
         odds = np.float64(power_of(-abs(above), powers)) * 2.0**-31
-        total += (1.0 if above >= 0 else odds) / (1.0 + odds)
+        total += np.int64((1.0 if above >= 0 else odds) / (1.0 + odds) * 2.0**31 + 0.5)
     return total
 
 
 @kernel
-def shares_of(score, coldness, powers, total):
-    """Adds the expected number of sites of every level (L,) to `total`."""
+def shares_of(score, kept, added, coldness, powers, total):
+    """Adds the expected number of sites of every level (L,) to `total`; of sites and scores as of `of_groups`."""
     weight = np.empty(score.shape[1], np.float64)
     for s in range(len(score)):
-        top = np.int64(score[s, 0])
+        if not kept[s]:
+            continue
+        top = score[s, 0] + added[0]
         for level in range(len(weight)):
-            top = max(top, np.int64(score[s, level]))
+            top = max(top, score[s, level] + added[level])
         whole = 0.0
         for level in range(len(weight)):
-            weight[level] = np.float64(power_of(((np.int64(score[s, level]) - top) * coldness) >> 12, powers))
+            weight[level] = np.float64(power_of(((score[s, level] + added[level] - top) * coldness) >> 12, powers))
             whole += weight[level]
         for level in range(len(weight)):
             total[level] += weight[level] / whole

@@ -12,14 +12,14 @@ from trabecula.synth.mrf.gather import gather_places
 def cool(sites, offsets, there, held, xi, temperature):
     """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held` sites keep theirs.
 
-    What is not `there` is no neighbour.
+    What is not `there` is no neighbour; without entries all are.
     """
     flat, kept = temperature.ravel(), held.ravel()
     places = np.empty((1, len(offsets)), np.int64)
     for s in range(len(sites)):
         if kept[sites[s]]:
             continue
-        gather_places(sites[s : s + 1], offsets, there, places)
+        gather_places(sites[s : s + 1], offsets, temperature.shape, there, places)
         total, number = np.float64(xi), 0
         for place in places[0]:
             if place >= 0:

@@ -29,8 +29,30 @@ def weigh(
         bit_rows(found, weight, *codes_of(len(features)), words, masks)
         bins_of_bits(words, masks, source.bits, source.centres, source.times, source.table, view, bins)
         return
+    complete = weight.all(axis=1) if steps == 1 else np.zeros(len(weight), bool)
+    for rows, plain in ((np.flatnonzero(complete), True), (np.flatnonzero(~complete), False)):
+        if len(rows) == len(found):
+            _weigh_products(found, weight, steps, source, features, view, bins, scratch, plain=plain)
+        elif len(rows):
+            part = np.empty((len(rows), 1, bins.shape[2]), np.int64)
+            _weigh_products(found[rows], weight[rows], steps, source, features, 0, part, scratch, plain=plain)
+            bins[rows, view] = part[:, 0]
+
+
+def _weigh_products(
+    found: np.ndarray,
+    weight: np.ndarray,
+    steps: int,
+    source: Source,
+    features: np.ndarray,
+    view: int,
+    bins: np.ndarray,
+    scratch: np.ndarray,
+    *,
+    plain: bool,
+) -> None:
+    """The same by a matrix product; `plain` where all neighbours count in full, which takes fewer columns."""
     assert source.plain is not None and source.weighted is not None
-    plain = steps == 1 and bool(weight.all())
     columns = source.plain if plain else source.weighted
     rows = np.empty((len(found), len(columns)), np.float32)
     if plain:
