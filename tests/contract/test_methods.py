@@ -366,8 +366,8 @@ def test_the_forecast_of_scratch_files_holds(name, spec, exemplar, tmp_path):
     if spec.scaling == "window":
         pytest.skip(f"{name} makes blocks alone")
     model = fitted(spec, exemplar, preset="fast" if "fast" in spec.presets else None)
-    request = tb.Request((96, 88, 80), seed=1)
-    budget = model.plan_spilled(request, 0).peak + (8 << 20)
+    request = tb.Request((64, 72, 56), seed=1)
+    budget = model.plan_spilled(request, 0).peak + (4 << 20)
     plan = model.plan_spilled(request, budget)
     arrays = plan.peak - sum(plan.memory[part] for part in ("interpreter and kernels", "exemplar"))
     generate_to(model, tb.Request((16, 16, 16), seed=1), tmp_path / "small.zarr", chunks=16)

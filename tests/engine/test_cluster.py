@@ -172,9 +172,9 @@ def test_the_command_with_a_worker_of_its_own(model, whole, tmp_path, monkeypatc
 WHOLE = {
     "texture": ({"preset": "fast"}, (40, 33, 36)),
     "quilt": ({"preset": "fast"}, (40, 33, 36)),
-    "kopf": ({"preset": "fast"}, (24, 20, 22)),
-    "chen": ({"preset": "fast"}, (24, 20, 22)),
-    "sliced": ({}, (24, 20, 22)),
+    "kopf": ({"first_rounds": 1, "rounds": (1,), "sweeps": (1,)}, (24, 20, 22)),
+    "chen": ({"first_rounds": 1, "rounds": (1,), "sweeps": (1,), "corrections": (0,)}, (24, 20, 22)),
+    "sliced": ({"layout_rounds": 2, "rounds": (1,), "corrections": (1,), "sweeps": 1}, (24, 20, 22)),
     "mrf": ({"sweeps": (1, 1, 2)}, (20, 16, 18)),
 }
 

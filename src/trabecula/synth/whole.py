@@ -21,8 +21,8 @@ from trabecula.engine.lock import locked
 from trabecula.engine.plan import Plan, format_bytes
 from trabecula.synth.base import Model
 
-_FULL = 5
-"""Pages take one part in this many of what may be resident: work on a slab takes more than the slab."""
+_FULL = 3
+"""Arrays are cut for one part in this many of what may be resident: a system maps more pages than are touched."""
 
 _AT_ONCE = 1 << 24
 

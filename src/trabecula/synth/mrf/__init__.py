@@ -12,5 +12,6 @@ SPEC = Spec(
     several=True,
     presets=("fast", "best", "paper"),
     scaling="sweep",
+    trial={"sweeps": (2, 3, 4)},
     target="trabecula.synth.mrf.method:Mrf",
 )
