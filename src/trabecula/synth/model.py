@@ -28,6 +28,9 @@ from trabecula.synth.facts import Facts, facts_of
 from trabecula.synth.spec import Spec
 
 
+_WRITING = 24 << 20  # bytes of what writes a store, loaded
+
+
 class Model(ABC):
     """A method that has seen its exemplar.
 
@@ -142,7 +145,7 @@ class Model(ABC):
 
         "pages" is what may be resident of the files.
         """
-        whole, fixed = self.plan(request), dict(self._plan_spilled(request))
+        whole, fixed = self.plan(request), {**self._plan_spilled(request), "writing": _WRITING}
         kept = sum(fixed.values())
         files = max(0, whole.peak - kept)
         pages = max(0, min(memory - kept, files))
