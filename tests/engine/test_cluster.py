@@ -12,7 +12,7 @@ import trabecula as tb
 from commands import refused, trabecula
 from trabecula.core.errors import ClusterError, InputError, MemoryBudgetError
 from trabecula.core.progress import listen
-from trabecula.engine import blocks, scratch
+from trabecula.engine import blocks
 from trabecula.engine.cluster import Cluster, Workers, workers_of
 from trabecula.engine.levels import halved
 from trabecula.making import generate_to, part_of
@@ -186,7 +186,6 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     bone = tb.crop(tb.sample("bone"), 40)
     picture = tb.Image(bone.values[20], "labels", bone.spacing[1:], bone.unit, bone.phases)
     model = tb.method(name, **settings).fit(picture if tb.method(name).spec.exemplar == "2d" else bone)
-    monkeypatch.setattr(scratch, "WORTH", 0)
     sent, real = [], Workers.spread
     monkeypatch.setattr(Workers, "spread", lambda self, work, bounds: (sent.append(work), real(self, work, bounds)))
     request = tb.Request(shape, seed=2)
@@ -196,8 +195,7 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
 
 
-def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path, monkeypatch):
-    monkeypatch.setattr(scratch, "WORTH", 0)
+def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path):
     model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 40))
     with distributed.Client(two, set_as_default=False) as client:
         victim = next(iter(client.run(os.getpid).values()))

@@ -27,7 +27,6 @@ from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.facts import Facts, facts_of
 from trabecula.synth.spec import Spec
 
-
 _WRITING = 24 << 20  # bytes of what writes a store, loaded
 
 

@@ -120,7 +120,8 @@ class Run:
         if self.energetic:
             moments.append(Moment(held + balance.round_bytes(voxels, sites, channels=channels), search))
         if self.leaning:
-            moments.append(Moment(voxels * grading.BYTES + voxels * (free + bounds) * 8 // 7, 0))
+            meanwhile = 8 * (thread_count() - 1) * min(voxels, AT_ONCE)
+            moments.append(Moment(voxels * grading.BYTES + voxels * (free + bounds) * 8 // 7 + meanwhile, 0))
         if self.correcting:
             moments.append(Moment(self.correcting + held + voxels * 4 * channels + 5 * sites, ranks))
         return moments
