@@ -135,7 +135,7 @@ def big_kills() -> None:
     `blocks there` is what of level 0 had been written by then. Methods that make a volume as a whole keep their state after every
     round here; `states` is how many of the kills left one, or all voxels.
     """
-    row = table("kills", "while running", "identical", "blocks there", "states", "left over", wide=12)
+    row = table("", "kills", "while running", "identical", "blocks there", "states", "left over", wide=12)
     picture = tb.Image(tb.sample("bone").values[32], "labels", (0.04, 0.04), "mm", ("void", "solid"))
     bone = tb.crop(tb.sample("bone"), 40)
     asked = {
