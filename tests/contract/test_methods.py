@@ -236,13 +236,13 @@ def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(spec, model, exem
 
 
 def test_a_run_in_blocks_goes_on_where_it_stopped(spec, model, material, tmp_path, monkeypatch):
-    """Interrupted again and again, each time a little later, until it has ended."""
+    """Interrupted again and again, each time later, until it has ended."""
     monkeypatch.setattr(scratch, "LEAST", 256)
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     request, path, stops, made = tb.Request(SHAPE, seed=5), tmp_path / "x.zarr", 0, None
     while made is None:
-        calls = iter(range(7 + 5 * stops))
+        calls = iter(range(7 + 5 * stops * stops))
 
         def interrupt(label, done, calls=calls):
             if next(calls, None) is None:

@@ -20,6 +20,7 @@ from trabecula.synth.texture import balance, grading
 
 _RANKS = 1 << 19  # bytes of counts of all ranks
 _SITE = 13  # of a search: the match before and after, distances, which sites are active
+_THREAD = 1 << 18  # bytes that a further thread holds of its own: itself, and counts
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Run:
     @property
     def scratch(self) -> int:
         """Bytes of what is worked on then, by all threads."""
-        return self._peak.beside
+        return self._peak.beside + (thread_count() - 1) * _THREAD
 
     @property
     def slab(self) -> int:
