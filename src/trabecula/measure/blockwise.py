@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from trabecula.core.checks import as_number, check_name
@@ -100,7 +101,9 @@ def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None) -> in
     )
 
 
-def count_slabs(volume: Slabs, *, r_max: int, depth: int) -> tuple[dict[str, Any], PieceSizes]:
+def count_slabs(
+    volume: Slabs, *, r_max: int, depth: int, tallies: Sequence[Any] = ()
+) -> tuple[dict[str, Any], PieceSizes]:
     """What one pass over all planes tells, by the names of `describe`, and the components of the solid.
 
     Parameters
@@ -110,6 +113,8 @@ def count_slabs(volume: Slabs, *, r_max: int, depth: int) -> tuple[dict[str, Any
         Largest distance of the curves; it has to fit every side.
     depth : int
         Planes of a slab.
+    tallies : sequence, optional
+        Further objects whose `add` takes every slab, so that planes are read once for them as well.
     """
     pairs = _radial(volume, r_max)
     numbers = Numbers(volume.shape, volume.spacing, volume.phases)
@@ -119,6 +124,8 @@ def count_slabs(volume: Slabs, *, r_max: int, depth: int) -> tuple[dict[str, Any
         numbers.add(slab)
         lines.add(inside)
         radial.add(inside)
+        for tally in tallies:
+            tally.add(slab)
     rays = [Ray(pairs.window, r_max, tuple(float(along == axis) for along in range(3))) for axis in range(3)]
     curves = {name: probability(lines.pairs[axis], rays[axis].fits()).tolist() for axis, name in enumerate(AXES)}
     fits = sum(segments_that_fit(volume.shape, r_max, axis, False) for axis in range(3))

@@ -1,9 +1,9 @@
 """The certificate: every descriptor of an image against the exemplar, and against what the exemplar's own parts
 differ by.
 
-The *real band* of a figure is what equal parts of the exemplar (halves along every axis that is long enough, eight
-octants as a rule) say that one more such part would have, 19 times in 20. A result inside it is no further from the
-exemplar than the exemplar is from itself.
+The *real band* of a figure is where another sample of the material, as large as the image, would lie 99 times in 100. Equal
+parts of the exemplar say it (halves along every axis that is long enough, eight octants as a rule), extrapolated to the
+image's size; `report.band` has the formulas.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ from trabecula.measure.describe import LEVELS
 from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
 from trabecula.report.correspond import check_corresponds, check_same_kind
+from trabecula.report.evenness import Windows, local_fractions, shared_windows
 from trabecula.report.metric import Certificate, Metric, about_image
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
 from trabecula.report.sticks import LabelStick, Measured, Stick, TextureStick
+from trabecula.report.undecided import exemplar_reasons, level_reasons
 from trabecula.report.volumes import check_pictures, judge_volumes
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
@@ -112,22 +114,29 @@ def verify(
 
     Notes
     -----
-    Distances to the exemplar: `porosity_error` = abs(phi - phi_e) / phi_e; over the radial S2 of the solid,
-    `two_point_distance` = the l2 norm of the difference for r = 1 .. r_max, `two_point_relative` = the norm over
-    that of the exemplar for r = 0 .. r_max, `two_point_covariance` = the same of (S2 - phi^2) / (phi - phi^2),
-    `two_point_axial` = the largest of that along an axis; `lineal_path_distance` and `two_point_cluster_distance` =
-    relative l2 of these curves; `component_distance` = the Wasserstein distance of the component sizes.
+    Distances to the exemplar: `porosity_error` = abs(phi - phi_e) / phi_e; over the radial S2 of the solid for r = 1 ..
+    r_max, `two_point_distance` = the l2 norm of the difference, `two_point_relative` = that over the norm of the exemplar's
+    (Zhang, Chen, Wang, Wang 2017, table 1; D2 of Zhang et al. 2021 is 100 times this); `two_point_covariance` = the relative
+    norm of (S2 - phi^2) / (phi - phi^2), r = 0 .. r_max, and `two_point_covariance_z` the same of S2 along z;
+    `lineal_path_distance` (of the void with `_void`, along an axis with `_z`), `two_point_cluster_distance` = relative l2 of
+    these curves; `component_distance` = the Wasserstein distance of the component sizes.
 
-    A figure passes inside its band: the bootstrap prediction interval (95 %) of the parts of the exemplar, widened by
-    the exemplar's own value; a distance up to the 95 % of the parts' distances to the whole. The band of `components`,
-    `floating` and `floating_voxels` is scaled to the image's volume; these, `largest_fraction` and
-    `percolating_fraction` fail on one side only, since fewer loose parts than the exemplar has are no fault.
-    `percolates` fails along an axis where the exemplar percolates and the image does not. `coherence` is the share of
-    voxels whose source in the exemplar moves along over 4 voxels; its band is that of parts of the exemplar searched
+    A figure passes inside its band. The bands of `components`, `floating` and `floating_voxels` are scaled to the image's volume;
+    these, `largest_fraction` and `percolating_fraction` fail on one side only, since fewer loose parts than the exemplar has are
+    no fault. `percolates` fails along an axis where the exemplar percolates and the image does not. `coherence` is the
+    share of voxels whose source in the exemplar moves along over 4 voxels; its band is that of parts of the exemplar searched
     in other parts.
 
-    Of a volume held against a picture, slices are measured, eight a plane: figures are their means, `two_point_axial` and
-    `axis_preference` those of the worst plane. Parts of the picture are then no larger than the slices.
+    Evenness: over all windows of three sizes (see `measure.evenness`), the standard deviation and the extremes of the local
+    fraction (`fraction_spread_large`, `fraction_lowest_large`, ...), of the local surface and of its direction, and the change
+    of the local fraction along every axis and from the faces to the centre (`fraction_trend_centre`).
+
+    There are three verdicts. Where a figure fails, the image fails. Where none fails, the image passes, unless
+    `Certificate.undecided` says why that proves nothing: the exemplar is too small or not stationary, noise passes every
+    figure as well, copying was not examined, or the exemplar is a picture and connections in space cannot be seen.
+
+    Of a volume held against a picture, slices are measured, eight a plane: figures are their means, distances along an axis
+    and `axis_preference` those of the worst plane. Parts of the picture are then no larger than the slices.
     `axis_preference` compares lines along the axes with lines along diagonals (see `measure.axis_preference`), over three
     correlation lengths; `coherence` is that of a slice a plane, halfway to the middle. Names that end with a plane
     (`porosity_zx`) are of that plane, or of those planes that one of several pictures is for; names with `_3d` are of the
@@ -165,7 +174,8 @@ def verify(
     reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
     fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
     reach = max(1, min(reach, fits))
-    stick = _stick(exemplar, reach, level, box, memory)
+    windows = shared_windows(exemplar, others)
+    stick = _stick(exemplar, reach, level, windows, box, memory)
     thorough = level != "quick" and exemplar.kind == "labels"
     reference = Reference(exemplar, stick, copying=thorough)
     baseline = _baseline(reference, reach) if thorough else None
@@ -204,16 +214,20 @@ def _are_images(given: Sequence[Any]) -> bool:
     return bool(given) and all(isinstance(each, Image) for each in given)
 
 
-def _stick(exemplar: Image, r_max: int, level: str, box: int | None, memory: int | None) -> Stick:
+def _stick(
+    exemplar: Image, r_max: int, level: str, windows: Windows | None, box: int | None, memory: int | None
+) -> Stick:
     if exemplar.kind != "labels":
-        return TextureStick(exemplar, lags=min(r_max, 32))
-    return LabelStick(r_max=r_max, level=level, box=box, memory=memory)
+        return TextureStick(exemplar, lags=min(r_max, 32), windows=windows)
+    return LabelStick(r_max=r_max, level=level, windows=windows, box=box, memory=memory)
 
 
 def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measured]:
     """Without transport and stiffness, which would take as long as those of an image, and no copy by its making."""
     field = gaussian_field(reference.exemplar)
-    measured = LabelStick(r_max=r_max, level="default").measure(field)
+    stick = cast(LabelStick, reference.stick)
+    fits = stick.windows if stick.windows and min(field.shape) >= min(reference.exemplar.shape) else None
+    measured = LabelStick(r_max=r_max, level="default", windows=fits).measure(field)
     return reference.judge(field, measured, copying=False), measured
 
 
@@ -229,7 +243,12 @@ def _certificate(
     if baseline:
         curves["baseline"] = baseline[1].curves
     notes = (*exemplar_notes(reference), *image_notes(reference.exemplar, image, metrics, measured))
-    return Certificate(metrics, notes, name, curves, about, baseline[0] if baseline else None)
+    noise = baseline[0] if baseline else None
+    reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
+    maps = {
+        who: local_fractions(each) for who, each in (("exemplar", reference.own), ("image", measured)) if each.cells
+    }
+    return Certificate(metrics, notes, name, curves, about, noise, reasons, maps)
 
 
 def _with_diversity(certificates: list[Certificate], images: Sequence[Image]) -> list[Certificate]:

@@ -10,6 +10,9 @@ from typing import Any
 from trabecula.core.image import Image, describe_fields
 from trabecula.report.figures import GROUPS, figure_of
 
+IN_SPACE = ("connectivity", "physics")
+"""Groups that are about three dimensions: no picture can pass them."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -30,7 +33,7 @@ class Metric:
         return {"value": self.value, "real_band": list(self.real_band) if self.real_band else None, "pass": self.passed}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certificate:
     """What `verify` found about one image."""
 
@@ -46,11 +49,22 @@ class Certificate:
     baseline: Mapping[str, Metric] | None = None
     """The same figures of a thresholded Gaussian field with the exemplar's fraction and two-point function: what a
     method has to beat. `None` where none was made."""
+    undecided: tuple[str, ...] = ()
+    """Why nothing can be passed even where nothing fails: an exemplar that is too small or not stationary, figures that noise
+    passes as well, what a picture cannot tell, what was not examined."""
+    local_fractions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across that axis."""
 
     @property
     def passed(self) -> bool | None:
-        """Whether no metric failed; `None` where none could be judged."""
-        return _all_passed(self.metrics.values())
+        """False where a metric failed; None where none did and `undecided` says why that proves nothing; else True."""
+        verdict = _all_passed(self.metrics.values())
+        return None if verdict and self.undecided else verdict
+
+    @property
+    def verdict(self) -> str:
+        """The verdict as a word: "pass", "fail" or "not decided"."""
+        return {True: "pass", False: "fail", None: "not decided"}[self.passed]
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -59,23 +73,38 @@ class Certificate:
 
     @property
     def groups(self) -> dict[str, bool | None]:
-        """The verdict of every group of figures that was measured: "two-point", "connectivity", ..."""
-        return group_verdicts(self.metrics)
+        """The verdict of every group of figures that was measured: "two-point", "connectivity", ... None where none was judged;
+        slices that match a picture decide nothing about connections in space."""
+        found = group_verdicts(self.metrics)
+        pictures = "planes" in self.about
+        return {name: None if pictures and name in IN_SPACE and passed else passed for name, passed in found.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON: metrics with value, real_band and pass; the verdict, whole and by group; the baseline's metrics;
         notes."""
         return {
             "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
+            "verdict": self.verdict,
             "passed": self.passed,
+            "undecided": list(self.undecided),
             "groups": self.groups,
             "baseline": None if self.baseline is None else {n: m.to_json() for n, m in self.baseline.items()},
             "level": self.about.get("level"),
             "notes": list(self.notes),
         }
 
+    def __repr__(self) -> str:
+        from trabecula.report.table import summary
+
+        return summary(self)
+
+    def _repr_html_(self) -> str:
+        from trabecula.report.page import summary_html
+
+        return summary_html(self)
+
     def to_table(self) -> str:
-        """A table for a terminal."""
+        """Return a table for a terminal."""
         from trabecula.report.table import table
 
         return table(self)

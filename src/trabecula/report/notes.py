@@ -7,23 +7,25 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.measure.correlation import decay_length
 from trabecula.measure.physics import physics_notes
-from trabecula.report.band import LEAST_PART
+from trabecula.report.band import CONFIDENCE
+from trabecula.report.evenness import windows_note
 from trabecula.report.metric import Metric
 from trabecula.report.reference import Reference
 from trabecula.report.sticks import Measured
 
-LONG_RANGE = 6
-"""An exemplar shorter than this many correlation lengths holds too little of its material to judge by."""
-
 
 def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Iterable[str]:
-    """Of an exemplar: its size, the range of its correlation, bare margins."""
+    """Yield what to know of an exemplar: its parts, the windows, bare margins."""
     exemplar = reference.exemplar
-    yield from _part_notes(reference, what)
-    if exemplar.kind == "labels":
-        yield from _range_note(exemplar, reference.own, what)
+    if reference.parts:
+        yield (
+            f"Bands come from {len(reference.parts)} parts of {_size(reference.parts[0])} voxels, extrapolated to the image's "
+            "size: "
+            f"{CONFIDENCE:.0%} of other samples of the material lie inside each."
+        )
+    if reference.own.evenness:
+        yield windows_note(reference.own.evenness, exemplar.unit)
     if reference.own.details and reference.parts:
         yield (
             f"Transport and stiffness of the parts are those of boxes of at most {_size(reference.parts[0])} voxels: cut "
@@ -39,31 +41,6 @@ def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Itera
         yield (
             f"The outermost slices of {what[0].lower()}{what[1:]} hold one phase alone ({', '.join(bare)}): a margin of the "
             "scan? Crop them, or they count as material and hide percolation."
-        )
-
-
-def _part_notes(reference: Reference, what: str) -> Iterable[str]:
-    count = len(reference.parts)
-    if count == 0:
-        yield (
-            f"{what} ({_size(reference.exemplar)}) is too small for parts of {LEAST_PART} voxels a side: no band says what "
-            "real material differs by, so nothing is judged."
-        )
-    elif count < 4:
-        yield (
-            f"The band comes from {count} parts of {what[0].lower()}{what[1:]} only: it is narrower than the material's own "
-            "spread."
-        )
-
-
-def _range_note(exemplar: Image, own: Measured, what: str) -> Iterable[str]:
-    length = decay_length(own.curves["two_point"])
-    shortest = min(np.array(exemplar.shape) * np.array(exemplar.spacing)) / min(exemplar.spacing)
-    if shortest < LONG_RANGE * length:
-        reach = f"over {length:.0f} voxels" if np.isfinite(length) else "further than the curves run"
-        yield (
-            f"{what} is correlated {reach}, its shortest side is {shortest:.0f}: it holds too little of the "
-            "material to say what is typical; bands are wide, and a larger scan may differ from all of this."
         )
 
 

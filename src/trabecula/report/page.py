@@ -16,7 +16,7 @@ from trabecula.engine.files import replacing
 from trabecula.measure.correlation import covariance_form
 from trabecula.report.figures import GROUPS, figure_of
 from trabecula.report.metric import Certificate, group_verdicts
-from trabecula.report.plot import curve_plot, hatching, key, place_plot
+from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
 from trabecula.report.words import VERDICTS, band, headline, number, sentences
 
 Pictures = Iterable[tuple[str, str | Path | bytes]]
@@ -28,10 +28,11 @@ _CURVES = {
     "two_point": "Two-point function, radial",
     "covariance": "Two-point function, covariance form",
     "two_point_cluster": "Two-point cluster function",
-    "lineal_path": "Lineal path",
-    "two_point_z": "Two-point function along z",
-    "two_point_y": "Two-point function along y",
-    "two_point_x": "Two-point function along x",
+    "lineal_path": "Lineal path of the solid",
+    "lineal_path_void": "Lineal path of the void",
+    "two_point_axis_z": "Two-point function along z",
+    "two_point_axis_y": "Two-point function along y",
+    "two_point_axis_x": "Two-point function along x",
     "histogram": "Histogram",
     "orientation": "Local orientations",
     "autocorrelation_z": "Autocorrelation along z",
@@ -48,7 +49,8 @@ h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.1rem; margin: 2.2
 .verdict { border: 2px solid #1c1b19; border-left-width: 14px; padding: .7rem 1rem; margin: 1rem 0; font-size: 1.1rem; }
 .verdict b { display: inline-block; min-width: 4.5rem; font-size: 1.35rem; letter-spacing: .04em; }
 .verdict.pass { border-color: #2b6b4f; } .verdict.fail { border-color: #a3341f; border-left-style: double; }
-.verdict.open { border-style: dashed; }
+.verdict.open { border-style: dashed; border-color: #8a5a00; }
+.maps { display: flex; flex-wrap: wrap; gap: 1rem 2rem; } .maps svg { image-rendering: pixelated; }
 .about { color: #55524b; margin: .1rem 0; } .notes li { margin: .25rem 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th { text-align: left; font-weight: 600; border-bottom: 2px solid #1c1b19; }
@@ -103,6 +105,7 @@ def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str
         _front(certificates),
         _group_table(certificates),
         _gallery(pictures),
+        _maps(certificates),
         _curves(certificates),
         _figure_table(certificates),
         *(_section(certificate) for certificate in certificates),
@@ -125,16 +128,46 @@ def write_page(html: str, path: str | Path) -> None:
 
 
 def _front(certificates: Sequence[Certificate]) -> str:
-    boxes = []
-    for certificate in certificates:
-        kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "OPEN")}[certificate.passed]
-        sentence = headline(certificate).replace(": PASS, ", ": ").replace(": FAIL in ", ": outside the band in ")
-        items = "".join(f"<li>{escape(text)}</li>" for text in sentences(certificate))
-        told = f"<ul>{items}</ul>" if items else ""
-        boxes.append(f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{told}</div>')
+    boxes = [_box(certificate) for certificate in certificates]
     lines = [_about("Exemplar", certificates[0].about.get("exemplar"))]
     lines += [_about(certificate.name, certificate.about.get("image")) for certificate in certificates]
     return "<h1>Is it the same material?</h1>" + "".join(boxes) + "".join(lines)
+
+
+def _box(certificate: Certificate) -> str:
+    """The verdict in words; a box that passes also says what was not examined."""
+    kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "NOT DECIDED")}[certificate.passed]
+    sentence = headline(certificate)
+    for verdict, short in (
+        (": PASS, ", ": "),
+        (": FAIL in ", ": outside the band in "),
+        (": NOT DECIDED, though", ":"),
+    ):
+        sentence = sentence.replace(verdict, short)
+    items = [*sentences(certificate), *([_unexamined(certificate)] if _unexamined(certificate) else [])]
+    told = "".join(f"<li>{escape(text)}</li>" for text in items)
+    return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{f"<ul>{told}</ul>" if told else ""}</div>'
+
+
+def _unexamined(certificate: Certificate) -> str:
+    """What the level left out."""
+    return {
+        "quick": "Not examined: thickness, pore size, directions, clusters, copying, transport, stiffness.",
+        "default": "Not examined: transport and stiffness (--full).",
+    }.get(str(certificate.about.get("level")), "")
+
+
+def summary_html(certificate: Certificate) -> str:
+    """Return the verdict and the groups of a certificate for a notebook; nothing in it depends on a page's style."""
+    border = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}[certificate.passed]
+    told = "".join(f"<li>{escape(text)}</li>" for text in [*sentences(certificate), _unexamined(certificate)] if text)
+    rows = "".join(
+        f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>" for group, passed in certificate.groups.items()
+    )
+    return (
+        f'<div style="border:{border};padding:.5em 1em"><b>{escape(headline(certificate))}</b><ul>{told}</ul></div>'
+        f"<table>{rows}</table>"
+    )
 
 
 def _about(name: str, about: Mapping[str, Any] | None) -> str:
@@ -206,6 +239,29 @@ def _row(name: str, certificates: Sequence[Certificate]) -> str:
     return (
         f'<tr><td>{escape(figure.title)} <span class="unit">{escape(suffix[figure.power])}</span><br>'
         f'<code>{escape(name)}</code></td>{"".join(cells)}<td class="place">{place}</td></tr>'
+    )
+
+
+def _maps(certificates: Sequence[Certificate]) -> str:
+    """The local fraction in middle planes of the exemplar and of every image, in one scale."""
+    first = certificates[0]
+    rows = {"exemplar": first.local_fractions.get("exemplar", {})}
+    rows |= {one.name: one.local_fractions.get("image", {}) for one in certificates}
+    planes = [plane for maps in rows.values() for plane in maps.values()]
+    if not planes:
+        return ""
+    low, high = min(float(plane.min()) for plane in planes), max(float(plane.max()) for plane in planes)
+    largest = max(max(plane.shape) for plane in planes)
+    drawn = []
+    for who, maps in rows.items():
+        for axis, plane in maps.items():
+            svg = density_map(plane, low=low, high=high, side=170 * max(plane.shape) / largest)
+            drawn.append(f"<figure>{svg}<figcaption>{escape(who)}, middle across {axis}</figcaption></figure>")
+    of = first.about["exemplar"]["phases"]
+    what = f"fraction of {of[-1]}" if of else "mean value"
+    return (
+        f'<h2>Where it is dense</h2><p class="soft">Local {escape(what)} over the smallest windows: {low:.2g} (white) to '
+        f'{high:.2g} (dark), one scale for all.</p><div class="maps">{"".join(drawn)}</div>'
     )
 
 
@@ -322,10 +378,6 @@ def _json(summary: str, value: Any) -> str:
 
 
 def _reading(certificates: Sequence[Certificate]) -> str:
-    missing = {
-        "quick": "Not measured at this level: thickness, pore size, directions, clusters, copying, transport, stiffness.",
-        "default": "Not measured at this level: transport and stiffness (--full).",
-    }.get(str(certificates[0].about.get("level")), "")
     baseline = (
         f"The {BASELINE} is the baseline: noise, filtered and cut so that fractions and two-point function are the "
         "exemplar's. Where it passes as well, a figure says little about the material. "
@@ -333,9 +385,10 @@ def _reading(certificates: Sequence[Certificate]) -> str:
         else ""
     )
     return (
-        "<h2>How to read this</h2><p>The real band of a figure is where one more part of the exemplar would lie, 19 times "
-        "in 20, by bootstrap over its equal parts. Inside it, the result is no further from the exemplar than the exemplar "
-        "is from itself. Distances fail above the band, and loose parts only where there are more of them than in the "
-        f"exemplar; counts are scaled to the volume. {VERDICTS[None]!r} means that there is nothing to judge by. A small "
-        f"exemplar gives a wide band: look at the figures as well as at the verdict. {baseline}{missing}</p>"
+        "<h2>How to read this</h2><p>The real band of a figure is where another sample of the material, as large as the image, "
+        "lies 99 times in 100: the spread of equal parts of the exemplar, extrapolated to the image's size, with the exemplar's "
+        "own uncertainty. Distances fail above the band, and loose parts only where there are more of them than in the "
+        f"exemplar; counts are scaled to the volume. {VERDICTS[None]!r} means that there is nothing to judge by. "
+        "NOT DECIDED means that no figure failed, and that this proves nothing: the reasons stand in the box. "
+        f"{baseline}</p>"
     )

@@ -136,6 +136,38 @@ def key(names: Sequence[str], *, band: str | None, baseline: str | None = None) 
     return f'<p class="key">{" ".join(parts)}</p>'
 
 
+def density_map(values: ArrayLike, *, low: float, high: float, side: float) -> str:
+    """Draw a plane of numbers as squares from white (`low`) to dark (`high`).
+
+    Parameters
+    ----------
+    values : array, (Y, X)
+    low, high : float
+        Ends of the scale.
+    side : float
+        Of the longer edge of the drawing, pixels.
+
+    Returns
+    -------
+    svg : str
+    """
+    plane = np.asarray(values, np.float64)
+    step = max(1, -(-max(plane.shape) // 64))  # coarser than 64 squares a side no eye misses
+    plane = plane[::step, ::step]
+    rows, columns = plane.shape
+    shares = (plane - low) / max(high - low, 1e-12)
+    squares = []
+    for y in range(rows):
+        for x in range(columns):
+            red, green, blue = (round(255 - (255 - end) * shares[y, x]) for end in (20, 60, 105))
+            squares.append(f'<rect x="{x}" y="{y}" width="1.02" height="1.02" fill="#{red:02x}{green:02x}{blue:02x}"/>')
+    scale = side / max(rows, columns)
+    return (
+        f'<svg width="{columns * scale:.0f}" height="{rows * scale:.0f}" viewBox="0 0 {columns} {rows}" role="img">'
+        f"{''.join(squares)}</svg>"
+    )
+
+
 def ticks(low: float, high: float, *, count: int = 5) -> list[float]:
     """About `count` round numbers from low to high."""
     if not high > low:

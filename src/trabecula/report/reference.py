@@ -11,7 +11,8 @@ from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
-from trabecula.report.band import parts, prediction_band
+from trabecula.report.band import LEAST_COUNT, distance_limit, draw_limit, parts, value_band
+from trabecula.report.evenness import evenness_bands, evenness_numbers
 from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order
 from trabecula.report.metric import Metric
 from trabecula.report.sticks import Measured, Stick
@@ -63,44 +64,71 @@ class Reference:
         return {name: found[name] for name in in_order(found)}
 
     def judged_coherence(self, share: float | None) -> Metric:
-        """The share of voxels that are copies, with its band and verdict."""
-        return self._judged("coherence", share, self.spread["coherence"], None)
+        """Return the share of voxels that are copies, with its band and verdict."""
+        known = [number for number in self.spread["coherence"] if number is not None]
+        if not known:
+            return Metric(share)
+        band = (0.0, min(1.0, draw_limit(known)))
+        return Metric(share, band, None if share is None else share <= band[1])
 
     def judged(self, measured: Measured) -> dict[str, Metric]:
-        """Every figure that is measured, with its band and verdict."""
+        """Return every figure that is measured, with its band and verdict."""
         found = {
-            name: self._judged(name, value, self.spread.get(name, []), 0.0)
+            name: self._judged_distance(name, value, measured)
             for name, value in self.stick.distances(measured, self.own).items()
         }
         for name, own in self.own.numbers.items():
-            value = measured.numbers.get(name)
-            spread = [part.numbers.get(name) for part in self.parts]
-            if figure_of(name).rule == COUNT:
-                size = np.prod(measured.shape)
-                spread = [
-                    None if n is None else n * size / np.prod(part.shape)
-                    for n, part in zip(spread, self.parts, strict=True)
-                ]
-                own = None if own is None else own * size / self.exemplar.values.size
-            found[name] = self._judged(name, value, spread, own)
+            found[name] = self._judged(name, measured.numbers.get(name), own, measured)
+        return found | self.judged_evenness(measured)
+
+    def judged_evenness(self, measured: Measured) -> dict[str, Metric]:
+        """Return local figures and trends of every phase, with bands and verdicts."""
+        found: dict[str, Metric] = {}
+        for suffix, own in self.own.evenness.items():
+            image = measured.evenness[suffix]
+            bands = evenness_bands(own, image, suffix)
+            known = evenness_numbers(own, suffix)
+            for name, value in evenness_numbers(image, suffix).items():
+                band = bands.get(name)
+                passed = None if band is None else _passes(value, band, figure_of(name).rule)
+                found[name] = Metric(value, band, passed, known[name])
         return found
 
-    def _judged(self, name: str, value: Any, spread: Sequence[float | None], own: Any) -> Metric:
+    def _sizes(self, measured: Measured) -> tuple[float, float, float]:
+        """Voxels of a part, of the exemplar, and of the image with all the images that its figures are means of."""
+        return (
+            float(np.prod(self.parts[0].shape)),
+            float(np.prod(self.exemplar.shape)),
+            float(np.prod(measured.shape)) * measured.samples,
+        )
+
+    def _judged_distance(self, name: str, value: float, measured: Measured) -> Metric:
+        known = [number for number in self.spread.get(name, []) if number is not None]
+        if len(known) < LEAST_COUNT:
+            return Metric(value, None, None, 0.0)
+        high = distance_limit(known, self._sizes(measured))
+        return Metric(value, (0.0, high), None if figure_of(name).rule == SHOWN else value <= high, 0.0)
+
+    def _judged(self, name: str, value: Any, own: Any, measured: Measured) -> Metric:
         figure = figure_of(name)
         rule = figure.rule
         if rule == AXES:
             holds = all(value[axis] for axis, through in own.items() if through)
             return Metric(value, None, holds if self.parts else None, own)
-        known = [number for number in spread if number is not None]
-        if rule == TOLD or len(known) < 2:
-            return Metric(value, None, None, own)
-        low, high = prediction_band(known, one_sided=rule in (DISTANCE, SHOWN))
-        if own is not None:  # the parts may all lie on one side of the whole: what faces cut makes them smaller
-            low, high = min(low, float(own)), max(high, float(own))
-        band = (low, min(high, 1.0) if figure.share else high)
-        if rule == SHOWN or (value is None and rule == AT_MOST):
-            return Metric(value, band, None, own)
-        return Metric(value, band, value is not None and _passes(value, band, rule), own)
+        # Counts grow with the volume: their density is judged, and told for the volume of the image.
+        volumes = [np.prod(part.shape) for part in self.parts] if rule == COUNT else [1.0] * len(self.parts)
+        scale, whole = (np.prod(measured.shape), np.prod(self.exemplar.shape)) if rule == COUNT else (1.0, 1.0)
+        numbers = [part.numbers.get(name) for part in self.parts]
+        known = [n / volume for n, volume in zip(numbers, volumes, strict=True) if n is not None]
+        shown = None if own is None else own * scale / whole
+        if rule == TOLD or len(known) < LEAST_COUNT or own is None:
+            return Metric(value, None, None, shown)
+        sizes, ndim = self._sizes(measured), self.exemplar.ndim
+        low, high = (float(edge * scale) for edge in value_band(known, own / whole, sizes, ndim))
+        band = (min(low, 1.0), min(high, 1.0)) if figure.share else (low, high)
+        if value is None:
+            return Metric(value, band, None if rule == AT_MOST else False, shown)
+        return Metric(value, band, _passes(value, band, rule), shown)
 
 
 def _passes(value: float, band: tuple[float, float], rule: str) -> bool:

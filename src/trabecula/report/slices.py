@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.exemplar.views import as_axis
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.correlation.preference import preference, preference_of, two_point_diagonal
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
+from trabecula.report.evenness import merge_evenness
 from trabecula.report.faces import slices_of
 from trabecula.report.sticks import Measured, Stick, TextureStick
 
@@ -43,9 +45,11 @@ class SliceStick:
         return replace(found, numbers={**numbers, **self._preference(curves)}, curves=curves)
 
     def measure_plane(self, volume: Image, plane: str) -> Measured:
-        """The mean over slices of one plane."""
+        """Measure the mean over slices of one plane."""
         found = [self.measure(each) for each in slices_of(volume, plane)]
-        return self.mean(found)
+        # Slices nearer to each other than the covariance reaches are no two samples.
+        independent = volume.shape[as_axis(plane)] / self.reach
+        return replace(self.mean(found), samples=max(1.0, min(float(len(found)), independent)))
 
     def mean(self, found: Sequence[Measured]) -> Measured:
         """The mean of several, counts scaled to the size of the first."""
@@ -57,7 +61,11 @@ class SliceStick:
                 numbers[name] = float(np.mean([n * sizes[0] / size for n, size in zip(counts, sizes, strict=True)]))
         curves = {name: np.mean([each.curves[name] for each in found], axis=0) for name in found[0].curves}
         shares = np.concatenate([each.sizes for each in found])
-        return Measured(found[0].shape, {**numbers, **self._preference(curves)}, curves, shares, {})
+        names = found[0].evenness
+        local = {name: merge_evenness([each.evenness[name] for each in found]) for name in names}
+        samples = float(sum(each.samples for each in found))
+        numbers |= self._preference(curves)
+        return Measured(found[0].shape, numbers, curves, shares, {}, local, found[0].cells, samples)
 
     def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
         """As of pictures."""
@@ -82,7 +90,11 @@ class SliceStick:
             far = min(map(len, lines))
             axial = np.mean([line[:far] for line in lines], axis=0)
             return {"texture_preference": preference_of(axial, curves[_DIAGONAL])}
-        return {"axis_preference": preference((curves["two_point_y"] + curves["two_point_x"]) / 2, curves[_DIAGONAL])}
+        return {
+            "axis_preference": preference(
+                (curves["two_point_axis_y"] + curves["two_point_axis_x"]) / 2, curves[_DIAGONAL]
+            )
+        }
 
 
 def reach_of(picture: Image, r_max: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,10 +15,18 @@ from trabecula.engine.slabs import Slabs
 from trabecula.measure.blockwise import LEFT_OUT, count_slabs, fitting_depth
 from trabecula.measure.components import component_sizes, sizes_distance
 from trabecula.measure.correlation import covariance_form
+from trabecula.measure.correlation.paths import segments_that_fit
 from trabecula.measure.describe import autocorrelation_lines, describe_curves, describe_numbers
+from trabecula.measure.evenness import Evenness
 from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten_bins
 from trabecula.measure.orientation import orientation
-from trabecula.measure.physics import describe_physics
+from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.physics import describe_physics, finite
+from trabecula.measure.tallies import Lines
+from trabecula.measure.tallies.cells import Cells, CellSums, cells_of
+from trabecula.measure.tallies.lines import Crossings
+from trabecula.measure.thickness import mean_chord
+from trabecula.report.evenness import Windows, measure_evenness, phases_of
 from trabecula.report.figures import FIGURES
 
 BINS = 64
@@ -42,6 +50,12 @@ class Measured:
     """Share of the volume that every component has; empty for grey and colour."""
     details: Mapping[str, Any]
     """What is told and not judged: the stiffness matrix, whether solvers converged."""
+    evenness: Mapping[str, Evenness] = field(default_factory=dict)
+    """Local figures of every phase by the suffix of their names; empty of parts."""
+    cells: Cells | None = None
+    """What the local figures are added up from."""
+    samples: float = 1.0
+    """Independent images of this shape that the figures are means of."""
 
 
 class Stick(Protocol):
@@ -57,50 +71,122 @@ class Stick(Protocol):
 class LabelStick:
     """Measures of phases."""
 
-    def __init__(self, *, r_max: int, level: str, box: int | None = None, memory: int | None = None) -> None:
-        self.r_max, self.level, self.box, self.memory = r_max, level, box, memory
+    def __init__(
+        self,
+        *,
+        r_max: int,
+        level: str,
+        windows: Windows | None = None,
+        box: int | None = None,
+        memory: int | None = None,
+    ) -> None:
+        self.r_max, self.level, self.windows, self.box, self.memory = r_max, level, windows, box, memory
 
     def measure(self, image: Image | Slabs, *, part: bool = False) -> Measured:
-        """Numbers, curves and sizes of components; at level "full" transport and stiffness, and unless it is a part what
-        halving the voxel changes. A volume in slabs is measured at level "quick"."""
+        """Measure numbers, curves and sizes of components; at level "full" transport and stiffness.
+
+        Of a part neither local figures nor what halving the voxel changes are measured. A volume in slabs is measured at level
+        "quick".
+        """
         if isinstance(image, Slabs):
             return self._measure_slabs(image)
         found = describe_numbers(image, level=self.level)
         curves = describe_curves(image, r_max=self.r_max, level=self.level)
         physics = describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
+        lines = _Axes(image.ndim, self.r_max)
+        lines.add(image)
+        local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
         return Measured(
             image.shape,
-            numbers_of(found, physics, self.level),
-            _curves_of(curves),
+            numbers_of(found, physics, self.level) | lines.numbers(found["porosity"], image.spacing),
+            _curves_of(curves) | lines.curves(image.shape),
             component_sizes(image) / image.values.size,
             physics,
+            self._evenness(local, image),
+            local,
         )
 
     def _measure_slabs(self, volume: Slabs) -> Measured:
         depth = fitting_depth(volume, r_max=self.r_max, memory=self.memory)
-        found, pieces = count_slabs(volume, r_max=self.r_max, depth=depth)
+        lines = _Axes(3, self.r_max)
+        sums = self.windows and CellSums(volume.shape, volume.spacing, len(volume.phases), cell=self.windows.cell)
+        tallies = [lines, *([sums] if sums else [])]
+        found, pieces = count_slabs(volume, r_max=self.r_max, depth=depth, tallies=tallies)
         found |= dict.fromkeys(LEFT_OUT)
-        sizes = pieces.sizes() / math.prod(volume.shape)
-        return Measured(volume.shape, numbers_of(found, {}, "quick"), _curves_of(found), sizes, {})
+        local = sums.result() if sums else None
+        return Measured(
+            volume.shape,
+            numbers_of(found, {}, "quick") | lines.numbers(found["porosity"], volume.spacing),
+            _curves_of(found) | lines.curves(volume.shape),
+            pieces.sizes() / math.prod(volume.shape),
+            {},
+            self._evenness(local, volume),
+            local,
+        )
+
+    def _evenness(self, local: Cells | None, image: Image | Slabs) -> dict[str, Evenness]:
+        if local is None or self.windows is None:
+            return {}
+        return measure_evenness(local, self.windows, phases_of(image))
 
     def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
-        """Raw, relative and covariance-normalised distances of the curves, and of the component sizes."""
+        """Return raw, relative and covariance-normalised distances of the curves, and of the component sizes."""
         found = {
             "porosity_error": abs(image.numbers["porosity"] / exemplar.numbers["porosity"] - 1),
             "two_point_distance": float(np.linalg.norm((image.curves["two_point"] - exemplar.curves["two_point"])[1:])),
             "component_distance": sizes_distance(image.sizes, exemplar.sizes),
         }
-        for name in ("two_point", "lineal_path", "two_point_cluster"):
-            if name in exemplar.curves:
-                suffix = "relative" if name == "two_point" else "distance"
-                found[f"{name}_{suffix}"] = _relative(image.curves[name], exemplar.curves[name])
-        forms = {
-            name: _relative(covariance_form(image.curves[name]), covariance_form(curve))
-            for name, curve in exemplar.curves.items()
-            if name.startswith("two_point") and "cluster" not in name
-        }
-        found["two_point_covariance"] = forms.pop("two_point")
-        found["two_point_axial"] = max(forms.values())
+        for name, own in exemplar.curves.items():
+            curve = image.curves[name]
+            stem, _, suffix = name.partition("_axis_")
+            ending = f"_{suffix}" if suffix else ""
+            if stem == "two_point":
+                if not suffix:
+                    found["two_point_relative"] = _relative(curve[1:], own[1:])
+                form = covariance_form(curve), covariance_form(own)
+                found[f"two_point_covariance{ending}"] = _relative(*form)
+            elif stem in ("two_point_cluster", "lineal_path", "lineal_path_void"):
+                void = "_void" if stem.endswith("_void") else ""
+                found[f"{stem.removesuffix('_void')}_distance{void}{ending}"] = _relative(curve, own)
+        return found
+
+
+class _Axes:
+    """Chords and lineal paths of every axis for itself, of the solid and of the void, plane after plane."""
+
+    def __init__(self, ndim: int, r_max: int) -> None:
+        self.ndim, self.r_max = ndim, r_max
+        self._lines = {"": Lines(r_max), "_void": Lines(r_max)}
+        self._crossings = Crossings()
+
+    def add(self, image: Image) -> None:
+        """Take the next planes of a volume, or the one of a 2-D image."""
+        inside = as_inside(indicator(image, None)[1])
+        self._crossings.add(inside)
+        self._lines[""].add(inside)
+        self._lines["_void"].add(~inside)
+
+    def numbers(self, porosity: float, spacing: tuple[float, ...]) -> dict[str, float | None]:
+        """Return the mean chord of the solid along every axis."""
+        rates = self._crossings.rates(spacing)
+        if len(rates) != self.ndim:
+            return {}
+        names = "zyx"[3 - self.ndim :]
+        chords = {name: finite(mean_chord(1 - porosity, [rate])) for name, rate in zip(names, rates, strict=True)}
+        surfaces = {f"specific_surface_{name}": 2 * rate for name, rate in zip(names, rates, strict=True)}
+        return {f"chord_length_{name}": chord for name, chord in chords.items()} | surfaces
+
+    def curves(self, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+        """Return the lineal path of the void, and of both along every axis."""
+        sides = (1,) * (3 - self.ndim) + tuple(shape)
+        axes = range(3 - self.ndim, 3)
+        fits = {axis: segments_that_fit(sides, self.r_max, axis, False) for axis in axes}
+        found = {}
+        for suffix, lines in self._lines.items():
+            for axis in axes:
+                found[f"lineal_path{suffix}_axis_{'zyx'[axis]}"] = lines.segments[axis] / fits[axis]
+        total = sum(fits.values())
+        found["lineal_path_void"] = sum(self._lines["_void"].segments[axis] for axis in axes) / total
         return found
 
 
@@ -112,10 +198,12 @@ class TextureStick:
     exemplar : Image
         Its range of values is cut into the bins of every histogram.
     lags : int
+    windows : Windows, optional
+        Of the local figures. Default: none are measured.
     """
 
-    def __init__(self, exemplar: Image, *, lags: int) -> None:
-        self.lags = lags
+    def __init__(self, exemplar: Image, *, lags: int, windows: Windows | None = None) -> None:
+        self.lags, self.windows = lags, windows
         self.bytes = exemplar.values.dtype == np.uint8
         low, high = (0.0, 256.0) if self.bytes else (float(exemplar.values.min()), float(exemplar.values.max()))
         self.edges = np.linspace(low, high if high > low else low + 1, BINS + 1)
@@ -135,12 +223,15 @@ class TextureStick:
         if self.bytes and image.values.dtype == np.uint8:
             curves["ten_bins"] = ten_bins(image)
         lines = autocorrelation_lines(image, lags=self.lags)
+        local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
         return Measured(
             image.shape,
             numbers,
             curves | {f"autocorrelation_{axis}": line for axis, line in lines.items()},
             NOTHING,
             {},
+            {} if local is None or self.windows is None else measure_evenness(local, self.windows, phases_of(image)),
+            local,
         )
 
     def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
@@ -184,7 +275,8 @@ def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
     curves = {"two_point": np.array(found["two_point"]["radial"]), "lineal_path": np.array(found["lineal_path"])}
     if found["two_point_cluster"] is not None:
         curves["two_point_cluster"] = np.array(found["two_point_cluster"])
-    return curves | {f"two_point_{axis}": np.array(c) for axis, c in found["two_point"].items() if axis != "radial"}
+    along = {f"two_point_axis_{axis}": np.array(c) for axis, c in found["two_point"].items() if axis != "radial"}
+    return curves | along
 
 
 def _relative(curve: ArrayLike, reference: ArrayLike) -> float:

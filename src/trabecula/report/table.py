@@ -34,5 +34,20 @@ def table(certificate: Certificate) -> str:
     return "\n".join([*lines, *(_folded("note: ", note) for note in certificate.notes)])
 
 
+def summary(certificate: Certificate) -> str:
+    """Return the verdict in words and a line a group: what a terminal shows of a certificate, in at most 60 lines."""
+    lines = [headline(certificate), *(_folded("", text) for text in sentences(certificate)), ""]
+    members: dict[str, list[bool | None]] = {}
+    for name, metric in certificate.metrics.items():
+        members.setdefault(figure_of(name).group, []).append(metric.passed)
+    width = max(len(title) for title in GROUPS.values())
+    for group, passed in certificate.groups.items():
+        judged = [verdict for verdict in members[group] if verdict is not None]
+        count = f"{sum(judged)} of {len(judged)} figures" if judged else "no figure judged"
+        lines.append(f"{GROUPS[group].ljust(width)}  {VERDICTS[passed].ljust(4)}  {count}")
+    lines.append("Every figure: .to_table(), .metrics; as a page: .to_html(PATH)")
+    return "\n".join("\n".join(lines).split("\n")[:60])
+
+
 def _folded(lead: str, text: str) -> str:
     return textwrap.fill(text, 100, initial_indent=lead, subsequent_indent=" " * max(len(lead), 2))

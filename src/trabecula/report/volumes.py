@@ -20,6 +20,7 @@ from trabecula.measure.percolation import percolates
 from trabecula.measure.physics import describe_physics, physics_notes
 from trabecula.report.band import LEAST_PART
 from trabecula.report.baseline import gaussian_field
+from trabecula.report.evenness import local_fractions, shared_windows
 from trabecula.report.faces import SLICES, Face, check_volume, faces_of, slices_of
 from trabecula.report.figures import VOLUME, in_order
 from trabecula.report.metric import Certificate, Metric, about_image
@@ -27,6 +28,7 @@ from trabecula.report.notes import exemplar_notes, span_note
 from trabecula.report.reference import Reference, coherence_of
 from trabecula.report.slices import SliceStick, reach_of
 from trabecula.report.sticks import LabelStick, Measured, TextureStick, numbers_of
+from trabecula.report.undecided import exemplar_reasons, level_reasons, picture_reason
 
 _TOLD = (
     "components",
@@ -42,7 +44,13 @@ _TOLD = (
     "anisotropy",
 )
 _PHYSICS = ("diffusivity", "conductivity", "permeability", "stiffness")
-_WORST = ("two_point_axial", "axis_preference", "autocorrelation_distance", "texture_preference")
+_WORST = (
+    *(f"two_point_covariance_{axis}" for axis in "yx"),
+    *(f"lineal_path_distance{void}_{axis}" for void in ("", "_void") for axis in "yx"),
+    "axis_preference",
+    "autocorrelation_distance",
+    "texture_preference",
+)
 """Of these the worst plane counts: a mean over planes would hide one that is wrong."""
 
 _BY_PLANE = ("porosity", "mean", "two_point_covariance", "histogram_divergence")
@@ -86,7 +94,10 @@ def judge_volumes(
         ordered = {name: metrics[name] for name in in_order(metrics)}
         notes = (*(note for judge in judges for note in judge.notes()), *_volume_notes(ordered, details))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
-        found.append(Certificate(ordered, notes, name, judges[0].curves(image), about, baseline))
+        reasons = [reason for judge in judges for reason in judge.reasons(level)]
+        reasons += [picture_reason()] if images[0].kind == "labels" else []
+        curves = judges[0].curves(image)
+        found.append(Certificate(ordered, notes, name, curves, about, baseline, tuple(reasons), judges[0].maps(image)))
     return found
 
 
@@ -96,14 +107,15 @@ class _Judge:
     def __init__(self, face: Face, images: Sequence[Image], r_max: int, level: str) -> None:
         self.face, picture = face, face.picture
         labels = picture.kind == "labels"
-        inner: Any = TextureStick(picture, lags=min(r_max, 32))
+        cuts = [slices_of(image, plane, 1)[0] for image in images for plane in face.planes]
+        windows = shared_windows(picture, cuts)
+        inner: Any = TextureStick(picture, lags=min(r_max, 32), windows=windows)
         if labels:
-            inner = LabelStick(r_max=r_max, level="quick" if level == "quick" else "default")
+            inner = LabelStick(r_max=r_max, level="quick" if level == "quick" else "default", windows=windows)
         self.stick = SliceStick(inner, reach=reach_of(picture, r_max))
         self.copying = labels and level != "quick"
         # Counts and shares depend on how much is seen at once: parts of the picture are as large as slices.
-        sides = [slices_of(image, plane, 1)[0].shape for image in images for plane in face.planes]
-        shape = [min(side[n] for side in sides) for n in range(2)]
+        shape = [min(cut.shape[n] for cut in cuts) for n in range(2)]
         self.reference = Reference(picture, self.stick, copying=self.copying, shape=shape)
         self._measured: tuple[Image, Measured] | None = None
         self.field = self.stick.measure(gaussian_field(picture)) if self.copying else None
@@ -143,10 +155,25 @@ class _Judge:
         found["image"] = self._measured[1].curves if self._measured and self._measured[0] is image else {}
         return found | ({"baseline": self.field.curves} if self.field else {})
 
+    def maps(self, image: Image) -> dict[str, Any]:
+        """Return local fractions of the picture and of the first slice of the image that was judged last."""
+        measured = self._measured[1] if self._measured and self._measured[0] is image else None
+        found = {"exemplar": self.reference.own, "image": measured}
+        return {
+            who: local_fractions(each) for who, each in found.items() if each is not None and each.cells is not None
+        }
+
+    def reasons(self, level: str) -> Iterable[str]:
+        """Return what the picture cannot decide."""
+        yield from exemplar_reasons(self.reference, what=self._what()[0].lower() + self._what()[1:])
+        yield from level_reasons(self.reference, level, self.baseline or None, {})
+
+    def _what(self) -> str:
+        return f"The picture of {' and '.join(self.face.planes)}" if self.face.suffix else "The picture"
+
     def notes(self) -> Iterable[str]:
-        """What to know of the picture."""
-        planes = " and ".join(self.face.planes)
-        return exemplar_notes(self.reference, what=f"The picture of {planes}" if self.face.suffix else "The picture")
+        """Return what to know of the picture."""
+        return exemplar_notes(self.reference, what=self._what())
 
 
 def _of_volume(image: Image, level: str, box: int | None) -> tuple[dict[str, Metric], dict[str, Any]]:

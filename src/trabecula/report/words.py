@@ -10,30 +10,34 @@ from trabecula.report.metric import Certificate, Metric
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}
 
+_UNEVEN = {"fraction_spread", "fraction_lowest", "fraction_highest", "fraction_trend"}
 _BROKEN = {"floating", "floating_voxels", "components", "largest_fraction", "percolates", "percolating_fraction"}
 
 
 def headline(certificate: Certificate) -> str:
-    """The verdict in one sentence."""
+    """Return the verdict in one sentence."""
     judged = sum(metric.passed is not None for metric in certificate.metrics.values())
+    if certificate.passed is False:
+        return f"{certificate.name}: FAIL in {len(certificate.failed)} of {judged} figures"
     if certificate.passed is None:
-        return f"{certificate.name}: not judged, the exemplar is too small to say what real material differs by"
-    if certificate.passed:
-        return f"{certificate.name}: PASS, all {judged} figures lie within what parts of the exemplar differ by"
-    return f"{certificate.name}: FAIL in {len(certificate.failed)} of {judged} figures"
+        return f"{certificate.name}: NOT DECIDED, though none of {judged} figures failed"
+    return f"{certificate.name}: PASS, all {judged} figures lie within what other samples of the material differ by"
 
 
 def sentences(certificate: Certificate) -> list[str]:
-    """What matches, and of every group that fails what is wrong and by how much; nothing where nothing was judged."""
+    """Return why nothing is decided, what matches, and of every group that fails what is wrong and by how much."""
     verdicts = certificate.groups
     matching = [GROUPS[group].lower() for group, passed in verdicts.items() if passed]
-    found = [f"Matches real material in: {', '.join(matching)}."] if matching else []
+    found = [f"Not decided: {reason}." for reason in certificate.undecided]
+    found += [f"Matches real material in: {', '.join(matching)}."] if matching else []
     for group, passed in verdicts.items():
         if passed is False:
             wrong = [name for name in certificate.failed if figure_of(name).group == group]
             lead = GROUPS[group]
             if _BROKEN & {stem_of(name) for name in wrong}:
                 lead += ": BROKEN, though its two-point function matches" if verdicts.get("two-point") else ": BROKEN"
+            elif _UNEVEN & {stem_of(name) for name in wrong}:
+                lead += ": UNEVEN, its density differs from place to place unlike the exemplar's"
             elif group == "copying":
                 lead += ": COPIED from the exemplar"
             found.append(f"{lead}: {'; '.join(_wrong(name, certificate.metrics[name]) for name in wrong)}.")

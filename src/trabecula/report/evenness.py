@@ -1,0 +1,236 @@
+"""Evenness in the certificate: which figures there are, and the bands that another sample of the material keeps.
+
+Window means of one size are compared, so no size has to be extrapolated; what differs is how many windows an image holds.
+Windows overlap: a row of length S of means over windows of edge w holds as many independent ones as the squared
+autocorrelation (1 - u / w)^2 of such means says. The ratio of two sample variances then follows Fisher's F, with kurtosis
+taken off the degrees of freedom. A trend through the whole is that of white noise with the variance of the largest
+windows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.engine.slabs import Slabs
+from trabecula.measure.evenness import (
+    Evenness,
+    Spread,
+    cell_for,
+    depth_of,
+    evenness_of,
+    labels_of,
+    window_counts,
+    window_means,
+    windows_for,
+)
+from trabecula.measure.tallies.cells import Cells
+from trabecula.report.band import CONFIDENCE
+from trabecula.report.quantiles import student, variance_ratio
+
+SIZES = ("small", "medium", "large")
+"""Of windows, as the names of figures end."""
+
+LEAST_FREEDOM = 4.0
+"""Fewer independent windows in the exemplar know no spread."""
+
+STATIONARY = 0.9995
+"""One-sided confidence from which a trend of the exemplar itself is no chance."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Where local figures are taken: one for all images that are compared."""
+
+    cell: int
+    """Voxels a side of a cell."""
+    edges: tuple[float, ...]
+    """Of the windows, in the images' unit, smallest first."""
+
+
+def phases_of(image: Image | Slabs) -> dict[str, list[int]]:
+    """Return the labels that are judged together, by the suffix of their figures: the solid, or every phase of several."""
+    if image.kind != "labels" or len(image.phases) == 2:
+        return {"": labels_of(image, None if "void" in image.phases or image.kind != "labels" else 1)}
+    return {f"_{name}": [label] for label, name in enumerate(image.phases)}
+
+
+def measure_evenness(cells: Cells, windows: Windows, phases: Mapping[str, Sequence[int]]) -> dict[str, Evenness]:
+    """Return the evenness of every phase, by the suffix of its figures."""
+    counts = window_counts(cells, windows.edges)
+    return {suffix: evenness_of(cells, counts, labels=labels) for suffix, labels in phases.items()}
+
+
+def merge_evenness(found: Sequence[Evenness]) -> Evenness:
+    """Return the evenness of several images of one size, such as slices: root mean squares, means and extremes."""
+    first = found[0]
+
+    def merge(spreads: Sequence[Spread]) -> Spread:
+        return replace(
+            spreads[0],
+            mean=float(np.mean([each.mean for each in spreads])),
+            deviation=float(np.sqrt(np.mean([each.deviation**2 for each in spreads]))),
+            lowest=min(each.lowest for each in spreads),
+            highest=max(each.highest for each in spreads),
+            kurtosis=float(np.mean([each.kurtosis for each in spreads])),
+        )
+
+    def merge_all(name: str) -> tuple[Spread, ...]:
+        return tuple(merge(spreads) for spreads in zip(*(getattr(each, name) for each in found), strict=True))
+
+    def mean(name: str) -> dict[str, float]:
+        return {axis: float(np.mean([getattr(each, name)[axis] for each in found])) for axis in getattr(first, name)}
+
+    return Evenness(
+        merge_all("fraction"),
+        merge_all("surface"),
+        merge_all("direction"),
+        mean("trend"),
+        mean("surface_trend"),
+        first.extents,
+        len(found),
+    )
+
+
+def evenness_numbers(found: Evenness, suffix: str = "") -> dict[str, float]:
+    """Return every figure of evenness by the name that the certificate gives it."""
+    numbers: dict[str, float] = {}
+    names = SIZES[-len(found.fraction) :]
+    for what in ("fraction", "surface", "direction"):
+        for size, spread in zip(names, getattr(found, what), strict=True):
+            numbers[f"{what}_spread_{size}{suffix}"] = spread.deviation
+            if what != "direction":
+                numbers[f"{what}_lowest_{size}{suffix}"] = spread.lowest
+                numbers[f"{what}_highest_{size}{suffix}"] = spread.highest
+    for what, trend in (("fraction", found.trend), ("surface", found.surface_trend)):
+        numbers |= {f"{what}_trend_{axis}{suffix}": value for axis, value in trend.items()}
+    return numbers
+
+
+def evenness_bands(exemplar: Evenness, image: Evenness, suffix: str = "") -> dict[str, tuple[float, float]]:
+    """Return the band of every figure of evenness of an image that the exemplar has windows enough for.
+
+    Parameters
+    ----------
+    exemplar, image : Evenness
+        Of windows of the same edges.
+    suffix : str
+        Of the names.
+    """
+    bands: dict[str, tuple[float, float]] = {}
+    names = SIZES[-len(exemplar.fraction) :]
+    for what in ("fraction", "surface", "direction"):
+        for size, own in zip(names, getattr(exemplar, what), strict=True):
+            freedom = _freedom(exemplar, own, own.kurtosis)
+            if freedom < LEAST_FREEDOM:
+                continue
+            low, high = _deviation_band(exemplar, image, own, freedom)
+            bands[f"{what}_spread_{size}{suffix}"] = low, high
+            if what != "direction":
+                far = high * _farthest(image, own)
+                floor = 0.0 if own.lowest >= 0 else -math.inf
+                bands[f"{what}_lowest_{size}{suffix}"] = (max(floor, min(own.lowest, own.mean - far)), own.mean)
+                bands[f"{what}_highest_{size}{suffix}"] = (own.mean, max(own.highest, own.mean + far))
+    for what, trend in (("fraction", exemplar.trend), ("surface", exemplar.surface_trend)):
+        limits = _trend_limits(exemplar, image.extents, getattr(exemplar, what)[-1], (1 + CONFIDENCE) / 2)
+        for axis, value in trend.items():
+            if axis in limits:
+                far = max(abs(value), limits[axis])
+                bands[f"{what}_trend_{axis}{suffix}"] = (-far, far)
+    return bands
+
+
+def find_trends(exemplar: Evenness) -> dict[str, float]:
+    """Return the trends of the local fraction that are no chance, by axis."""
+    limits = _trend_limits(exemplar, exemplar.extents, exemplar.fraction[-1], STATIONARY)
+    return {axis: value for axis, value in exemplar.trend.items() if axis in limits and abs(value) > limits[axis]}
+
+
+def _deviation_band(exemplar: Evenness, image: Evenness, own: Spread, freedom: float) -> tuple[float, float]:
+    """Band of the standard deviation over windows; both samples are too even by what their own means take away."""
+    expected = own.deviation * math.sqrt(_unbiased(image, own.edge) / _unbiased(exemplar, own.edge))
+    upper = max(1.0, _freedom(image, own, own.kurtosis))
+    ratios = [variance_ratio(round(upper, 1), round(freedom, 1), (1 + sign * CONFIDENCE) / 2) for sign in (-1, 1)]
+    low, high = (expected * math.sqrt(ratio) for ratio in ratios)
+    return min(low, own.deviation), max(high, own.deviation)
+
+
+def _trend_limits(exemplar: Evenness, extents: Sequence[float], largest: Spread, level: float) -> dict[str, float]:
+    """How large a trend chance makes in a sample of these extents, by axis."""
+    freedom = _freedom(exemplar, largest, 3.0)
+    if freedom < LEAST_FREEDOM:
+        return {}
+    variance = largest.deviation**2 / _unbiased(exemplar, largest.edge)
+    ratio = math.prod(min(1.0, largest.edge / length) for length in extents)  # of the window's volume to the sample's
+    noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio)
+    names = ("z", "y", "x")[3 - len(extents) :]
+    # A line through white noise of variance v a unit volume changes by sqrt(12 v / V) from end to end; what runs to the centre
+    # has the variance of the depth instead of 1 / 12.
+    grid = [max(3, round(24 * length / max(extents))) for length in extents]
+    depth = float(depth_of((1,) * (3 - len(extents)) + tuple(grid)).std())
+    return {**dict.fromkeys(names, math.sqrt(12) * noise), "centre": noise / depth}
+
+
+def _freedom(image: Evenness, spread: Spread, kurtosis: float) -> float:
+    """Degrees of freedom of the variance over windows.
+
+    Means over windows that touch are kin as well, over about the material's own correlation: the smallest windows are about three
+    correlation lengths wide, so two thirds of their edge stand for it. Without that a quarter of independent Gaussian
+    fields left the band of the smallest windows, with it one in a hundred.
+    """
+    reach = spread.edge + image.fraction[0].edge * 2 / 3
+    count = math.prod(_independent(length - spread.edge, reach, 2) for length in image.extents)
+    return image.images * (count - 1) * 2 / (min(max(kurtosis, 1.5), 12.0) - 1)
+
+
+def _unbiased(image: Evenness, edge: float) -> float:
+    """Share of the variance that windows of one sample show around their own mean."""
+    return 1 - 1 / max(1.01, math.prod(_independent(length - edge, edge, 1) for length in image.extents))
+
+
+def _independent(span: float, edge: float, power: int) -> float:
+    """Independent means along a line over which a window of `edge` slides; of their squares with power 2."""
+    if span <= 0:
+        return 1.0
+    u = (np.arange(256) + 0.5) / 256 * min(span, edge)
+    weight = (1 - u / span) * (1 - u / edge) ** power
+    return 1 / (2 / span * float(weight.mean()) * min(span, edge))
+
+
+def _farthest(image: Evenness, own: Spread) -> float:
+    """Standard deviations that the farthest of all windows reaches, 99 times in 100; further where the exemplar's own does."""
+    count = image.images * math.prod(max(1.0, 2 * length / own.edge) for length in image.extents)
+    normal = NormalDist().inv_cdf(CONFIDENCE ** (1 / count))
+    skew = max(own.mean - own.lowest, own.highest - own.mean) / max(own.deviation, 1e-12)
+    return max(normal, skew)
+
+
+def shared_windows(exemplar: Image, images: Sequence[Image]) -> Windows | None:
+    """Return windows that suit the exemplar and fit into every image; None where one is too small for any."""
+    if min(min(image.shape) for image in (exemplar, *images)) < 4 * cell_for((8, *exemplar.shape)):
+        return None
+    sides = [
+        side * step for image in (exemplar, *images) for side, step in zip(image.shape, image.spacing, strict=True)
+    ]
+    return Windows(cell_for(exemplar.shape), tuple(windows_for(exemplar, shortest=min(sides))))
+
+
+def local_fractions(measured: Any) -> dict[str, np.ndarray]:
+    """Return maps of the local fraction over the smallest windows, in the middle plane across every axis, by axis."""
+    cells, found = measured.cells, next(iter(measured.evenness.values()))
+    counts = window_counts(cells, [found.fraction[0].edge])[0]
+    means = window_means(cells.shares[-1], counts)
+    names = [(axis, name) for axis, name in enumerate("zyx") if cells.shape[axis] > 1 or means.shape[axis] == 1]
+    return {name: means.take(means.shape[axis] // 2, axis) for axis, name in names}
+
+
+def windows_note(found: Mapping[str, Evenness], unit: str) -> str:
+    """Return which windows the local figures are of."""
+    edges = ", ".join(f"{spread.edge:.4g}" for spread in next(iter(found.values())).fraction)
+    return f"Local figures are of windows of {edges} {unit} a side (small to large)."
