@@ -140,7 +140,7 @@ def _file(folder):
 
 def test_figures_of_axes_and_phases_know_their_own():
     assert figure_of("diffusivity_z").title.endswith("along z") and figure_of("diffusivity_z").group == "physics"
-    assert figure_of("fraction_binder_2").title == "Fraction, of binder_2"
+    assert figure_of("fraction_binder_2").title == "Fraction of binder_2"
     assert in_order(["coherence", "permeability_x", "porosity", "permeability"]) == [
         *("porosity", "permeability_x", "permeability", "coherence")
     ]

@@ -26,6 +26,7 @@ from trabecula.measure.correlation import (
 )
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.distance import distance_transform, signed_distance
+from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
 from trabecula.measure.mechanics import Stiffness, stiffness
@@ -40,6 +41,7 @@ from trabecula.measure.transport import Effective, conductivity, diffusivity, pe
 
 __all__ = [
     "Effective",
+    "Evenness",
     "Minkowski",
     "SkeletonGraph",
     "Stiffness",
@@ -66,6 +68,7 @@ __all__ = [
     "diversity",
     "euler",
     "euler_density",
+    "evenness",
     "fabric",
     "floating",
     "floating_voxels",

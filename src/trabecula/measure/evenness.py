@@ -23,8 +23,8 @@ from trabecula.measure.correlation.length import correlation_length
 from trabecula.measure.grey import autocorrelation
 from trabecula.measure.tallies.cells import CELL, Cells, cells_of
 
-LENGTHS = (3.0, 8.0, 20.0)
-"""Edges of the windows in correlation lengths."""
+SMALLEST, WIDEST = 3.0, 20.0
+"""Edges of the smallest and of the largest window in correlation lengths; the middle one is their geometric mean."""
 
 LARGEST = 0.4
 """Largest edge of a window, of the shortest side: fewer than two and a half windows a side tell no spread."""
@@ -81,8 +81,8 @@ def evenness(
     phase : str or int, optional
         Of labels. Default: "solid", every phase but "void".
     windows : sequence of float, optional
-        Edges of the windows in the image's unit, rounded to whole cells of 4 voxels. Default: 3, 8 and 20 correlation
-        lengths, at most 0.4 of the shortest side.
+        Edges of the windows in the image's unit, rounded to whole cells of 4 voxels. Default: 3 and 20 correlation
+        lengths and their geometric mean, at most 0.4 of the shortest side.
 
     Returns
     -------
@@ -133,9 +133,11 @@ def windows_for(image: Image, *, shortest: float | None = None) -> list[float]:
     most = LARGEST * min(own, own if shortest is None else shortest)
     length = _correlation_length(image)
     least = 2 * cell_for(image.shape) * max(image.spacing)
-    if not math.isfinite(length) or length * LENGTHS[1] > most:  # no room for three: as wide apart as there is
-        return sorted({max(least, most * share) for share in (0.25, 0.5, 1.0)})
-    return sorted({min(max(least, length * count), most) for count in LENGTHS})
+    small = max(least, SMALLEST * length)
+    if not small < most / 2:  # little room: as wide apart as there is
+        return sorted({min(most, max(least, most * share)) for share in (0.25, 0.5, 1.0)})
+    large = min(most, max(WIDEST * length, 4 * small))
+    return [small, math.sqrt(small * large), large]
 
 
 def labels_of(image: Any, phase: str | int | None) -> list[int]:

@@ -119,16 +119,22 @@ def distance_limit(values: Sequence[float], sizes: tuple[float, float, float]) -
     """
     part, whole, image = sizes
     count = len(values)
-    further = student(count - 1, CONFIDENCE) * float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
+    # Some distances are of a single number, and scatter like a folded normal: the two-sided quantile covers them as well.
+    further = student(count - 1, (1 + CONFIDENCE) / 2) * float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
     scale = math.sqrt((1 / image + 1 / whole) / (1 / part - 1 / whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
 
 
-def draw_limit(values: Sequence[float]) -> float:
-    """Return what one more draw of the same size stays below, 99 times in 100: of figures that no size changes."""
-    count = len(values)
+def draw_limit(values: Sequence[float], noise: float) -> float:
+    """Return what one more figure that no size changes stays below: three standard deviations above the mean of those known.
+
+    Parameters
+    ----------
+    values : sequence of float
+        Two at least as a rule, too few to know their own scatter.
+    noise : float
+        Standard deviation that measuring alone gives.
+    """
     known = np.asarray(values, np.float64)
-    if count < 2:
-        return float(known.max())
-    further = student(count - 1, CONFIDENCE) * float(known.std(ddof=1)) * math.sqrt(1 + 1 / count)
-    return max(float(known.mean()) + further, float(known.max()))
+    deviation = max(noise, float(known.std(ddof=1)) if len(known) > 1 else 0.0)
+    return max(float(known.mean()) + 3 * deviation, float(known.max()))

@@ -222,9 +222,9 @@ def shared_windows(exemplar: Image, images: Sequence[Image]) -> Windows | None:
 
 
 def local_fractions(measured: Any) -> dict[str, np.ndarray]:
-    """Return maps of the local fraction over the smallest windows, in the middle plane across every axis, by axis."""
+    """Return maps of the local fraction over windows of medium size, in the middle plane across every axis, by axis."""
     cells, found = measured.cells, next(iter(measured.evenness.values()))
-    counts = window_counts(cells, [found.fraction[0].edge])[0]
+    counts = window_counts(cells, [found.fraction[len(found.fraction) // 2].edge])[0]
     means = window_means(cells.shares[-1], counts)
     names = [(axis, name) for axis, name in enumerate("zyx") if cells.shape[axis] > 1 or means.shape[axis] == 1]
     return {name: means.take(means.shape[axis] // 2, axis) for axis, name in names}

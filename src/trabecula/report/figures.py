@@ -86,7 +86,7 @@ FIGURES = (
     Figure("floating_voxels", "Floating parts, voxels", "connectivity", COUNT, of="the solid"),
     Figure("largest_fraction", "Largest component, share", "connectivity", AT_LEAST, share=True, of="the solid"),
     Figure("percolating_fraction", "Share that spans the image", "connectivity", AT_LEAST, share=True, of="the solid"),
-    Figure("percolates", "Percolates along", "connectivity", AXES, of="the solid"),
+    Figure("percolates", "Percolates", "connectivity", AXES, of="the solid"),
     Figure("euler_density", "Euler number per volume", "connectivity", power=-3, of="the solid"),
     Figure("euler", "Euler number of the image as cut", "connectivity", TOLD),
     Figure("diffusivity", "Effective diffusivity of the void", "physics", share=True),

@@ -50,7 +50,7 @@ h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.1rem; margin: 2.2
 .verdict b { display: inline-block; min-width: 4.5rem; font-size: 1.35rem; letter-spacing: .04em; }
 .verdict.pass { border-color: #2b6b4f; } .verdict.fail { border-color: #a3341f; border-left-style: double; }
 .verdict.open { border-style: dashed; border-color: #8a5a00; }
-.maps { display: flex; flex-wrap: wrap; gap: 1rem 2rem; } .maps svg { image-rendering: pixelated; }
+.maps { display: flex; flex-wrap: wrap; gap: 1rem 2rem; margin: .8rem 0; } .maps svg { image-rendering: pixelated; }
 .about { color: #55524b; margin: .1rem 0; } .notes li { margin: .25rem 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th { text-align: left; font-weight: 600; border-bottom: 2px solid #1c1b19; }
@@ -254,14 +254,16 @@ def _maps(certificates: Sequence[Certificate]) -> str:
     largest = max(max(plane.shape) for plane in planes)
     drawn = []
     for who, maps in rows.items():
+        drawn.append('<div class="maps">')
         for axis, plane in maps.items():
             svg = density_map(plane, low=low, high=high, side=170 * max(plane.shape) / largest)
             drawn.append(f"<figure>{svg}<figcaption>{escape(who)}, middle across {axis}</figcaption></figure>")
+        drawn.append("</div>")
     of = first.about["exemplar"]["phases"]
     what = f"fraction of {of[-1]}" if of else "mean value"
     return (
-        f'<h2>Where it is dense</h2><p class="soft">Local {escape(what)} over the smallest windows: {low:.2g} (white) to '
-        f'{high:.2g} (dark), one scale for all.</p><div class="maps">{"".join(drawn)}</div>'
+        f'<h2>Where it is dense</h2><p class="soft">Local {escape(what)} over windows of medium size: {low:.2g} (white) to '
+        f"{high:.2g} (dark), one scale for all.</p>{''.join(drawn)}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -68,7 +69,8 @@ class Reference:
         known = [number for number in self.spread["coherence"] if number is not None]
         if not known:
             return Metric(share)
-        band = (0.0, min(1.0, draw_limit(known)))
+        noise = math.sqrt(max(0.02, float(np.mean(known))) / SAMPLES)
+        band = (0.0, min(1.0, draw_limit(known, noise)))
         return Metric(share, band, None if share is None else share <= band[1])
 
     def judged(self, measured: Measured) -> dict[str, Metric]:
@@ -86,7 +88,7 @@ class Reference:
         found: dict[str, Metric] = {}
         for suffix, own in self.own.evenness.items():
             image = measured.evenness[suffix]
-            bands = evenness_bands(own, image, suffix)
+            bands = evenness_bands(own, image, suffix) if len(self.parts) >= LEAST_COUNT else {}
             known = evenness_numbers(own, suffix)
             for name, value in evenness_numbers(image, suffix).items():
                 band = bands.get(name)

@@ -10,6 +10,9 @@ from trabecula.report.metric import Certificate, Metric
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}
 
+MOST = 4
+"""Figures of a group that fail and are named in a sentence; the table has the rest."""
+
 _UNEVEN = {"fraction_spread", "fraction_lowest", "fraction_highest", "fraction_trend"}
 _BROKEN = {"floating", "floating_voxels", "components", "largest_fraction", "percolates", "percolating_fraction"}
 
@@ -40,7 +43,9 @@ def sentences(certificate: Certificate) -> list[str]:
                 lead += ": UNEVEN, its density differs from place to place unlike the exemplar's"
             elif group == "copying":
                 lead += ": COPIED from the exemplar"
-            found.append(f"{lead}: {'; '.join(_wrong(name, certificate.metrics[name]) for name in wrong)}.")
+            more = f"; and {len(wrong) - MOST} more" if len(wrong) > MOST else ""
+            told = "; ".join(_wrong(name, certificate.metrics[name]) for name in wrong[:MOST])
+            found.append(f"{lead}: {told}{more}.")
     return found
 
 

@@ -1,0 +1,128 @@
+"""Evenness in the certificate: what is hollow, graded or of two halves fails, what is another sample passes."""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.measure import signed_distance
+from trabecula.measure.evenness import depth_of
+from trabecula.measure.tallies.cells import cells_of
+from trabecula.report.evenness import (
+    evenness_bands,
+    evenness_numbers,
+    find_trends,
+    measure_evenness,
+    phases_of,
+    shared_windows,
+)
+
+SIDE = 96
+
+
+def gaussian(seed: int, shape=(SIDE,) * 3, share=0.3) -> np.ndarray:
+    """A periodic smooth field above a fixed level: porosity scatters as that of samples does."""
+    noise = np.random.default_rng(seed).standard_normal(shape)
+    for axis in range(len(shape)):
+        for _ in range(3):
+            noise = noise + np.roll(noise, 1, axis) + np.roll(noise, 2, axis)
+    weights = np.convolve(np.convolve([1, 1, 1], [1, 1, 1]), [1, 1, 1])
+    scale = np.sqrt((weights**2).sum()) ** len(shape)
+    return (noise / scale > 0.5244).astype(np.uint8)
+
+
+def shift_density(image: tb.Image, profile: np.ndarray, amount: float) -> tb.Image:
+    """Thicken the solid where the profile is high and thin it where it is low; the porosity stays."""
+    field = signed_distance(image.values == image.values.max()) + amount * profile
+    level = np.quantile(field, tb.measure.porosity(image))
+    return tb.Image(
+        (field > level).astype(np.uint8), "labels", spacing=image.spacing, unit=image.unit, phases=image.phases
+    )
+
+
+def fakes(image: tb.Image, amount: float) -> dict[str, tb.Image]:
+    """Three uneven materials of about the same porosity; the profiles run from 0 to 1."""
+    place = np.indices(image.shape)[0] / image.shape[0]
+    profiles = {
+        "hollow": -np.minimum(2 * depth_of(image.shape), 1),
+        "graded": place,
+        "halves": (place > 0.5).astype(float),
+    }
+    return {name: shift_density(image, profile, amount) for name, profile in profiles.items()}
+
+
+def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
+    """What fails, by the functions that the certificate calls."""
+    windows = shared_windows(exemplar, [image])
+    found = [
+        measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each)) for each in (exemplar, image)
+    ]
+    wrong = []
+    for suffix in found[0]:
+        numbers = evenness_numbers(found[1][suffix], suffix)
+        bands = evenness_bands(found[0][suffix], found[1][suffix], suffix)
+        wrong += [name for name, (low, high) in bands.items() if not low <= numbers[name] <= high]
+    return wrong
+
+
+def test_other_samples_of_a_material_seldom_fail():
+    """Forty figures of ten pairs: one in a hundred may leave its band."""
+    wrong = [failed_evenness(tb.Image(gaussian(n), "labels"), tb.Image(gaussian(n + 50), "labels")) for n in range(10)]
+    assert sum(map(len, wrong)) <= 4
+
+
+@pytest.mark.parametrize("name", ["hollow", "graded", "halves"])
+def test_an_uneven_sample_fails(name):
+    exemplar, other = tb.Image(gaussian(1), "labels"), tb.Image(gaussian(2), "labels")
+    fake = fakes(other, 1.5)[name]
+    assert tb.measure.porosity(fake) == pytest.approx(tb.measure.porosity(other), abs=0.03)
+    assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake))
+
+
+@pytest.mark.parametrize("name", ["bone", "foam"])
+def test_uneven_samples_of_the_package_fail(name):
+    exemplar = tb.sample(name)
+    for what, fake in fakes(exemplar, 1.5).items():
+        assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake)), what
+    assert failed_evenness(exemplar, exemplar) == []
+
+
+def test_uneven_scans_fail(data):
+    for name in ("trabecular_bone_a", "trabecular_bone_b", "berea_sandstone_a", "nmc_electrode_a"):
+        scan = tb.crop(tb.read(data / f"{name}.tif"), 120)
+        for what, fake in fakes(scan, 3.0).items():
+            assert any(figure.startswith("fraction") for figure in failed_evenness(scan, fake)), (name, what)
+
+
+def test_the_certificate_says_it_at_every_level_and_for_every_kind():
+    exemplar = tb.Image(gaussian(1), "labels")
+    hollow = fakes(tb.Image(gaussian(2), "labels"), 1.5)["hollow"]
+    found = tb.verify(exemplar, hollow, level="quick")
+    assert found.groups["evenness"] is False and found.verdict == "fail"
+    assert "Evenness in space: UNEVEN" in repr(found) and "Where it is dense" in found.to_html()
+    assert set(found.local_fractions["image"]) == set("zyx")
+    rng = np.random.default_rng(0)
+    flat = tb.Image(rng.integers(100, 120, (128, 128)).astype(np.uint8), "grey")
+    ramp = tb.Image((flat.values + np.linspace(-5, 5, 128)[:, None]).astype(np.uint8), "grey")
+    found = tb.verify(flat, ramp)
+    assert {"fraction_trend_y", "fraction_spread_large"} <= set(found.failed)
+
+
+def test_phases_are_judged_one_by_one():
+    """Binder on one side only, with all fractions right."""
+    rng = np.random.default_rng(3)
+    solid = rng.random((64, 64, 64)) < 0.5
+    even = solid * np.where(rng.random(solid.shape) < 0.2, 2, 1)
+    sided = solid * np.where(rng.random(solid.shape) < np.where(np.arange(64) < 32, 0.4, 0.0)[:, None, None], 2, 1)
+    images = [tb.Image(each.astype(np.uint8), "labels", phases=("void", "active", "binder")) for each in (even, sided)]
+    wrong = failed_evenness(*images)
+    assert {"fraction_trend_z_binder", "fraction_trend_z_active"} <= set(wrong)
+    assert "fraction_trend_z_void" not in wrong
+
+
+def test_an_exemplar_with_a_trend_decides_nothing():
+    graded = fakes(tb.Image(gaussian(1), "labels"), 1.5)["graded"]
+    windows = shared_windows(graded, [graded])
+    found = measure_evenness(cells_of(graded, cell=windows.cell), windows, phases_of(graded))[""]
+    assert set(find_trends(found)) == {"z"}
+    certificate = tb.verify(graded, graded, level="quick")
+    assert certificate.failed == () and any("not stationary" in reason for reason in certificate.undecided)
