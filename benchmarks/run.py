@@ -19,6 +19,7 @@ import big_whole
 import bubbles
 import bubbles_figures
 import bubbles_fit
+import certificate_fakes
 import gan
 import gan_ablation
 import graded
@@ -102,6 +103,7 @@ CASES: dict[str, Callable[[], None]] = {
     "large": large,
     "descriptors": descriptors,
     "certificate": certificate,
+    "certificate_fakes": certificate_fakes.certificate_fakes,
 }
 
 

@@ -1,9 +1,10 @@
 """What real material differs by: equal parts of the exemplar, and the band in which another sample of it would lie.
 
 The spread between parts is that of small samples. The variance of a mean over a volume V falls as 1 / V once V is many
-correlation lengths wide (Matheron 1971; Lantuejoul 1991, doi:10.1111/j.1365-2818.1991.tb03111.x), so the spread of
-samples as large as the judged image follows from that of the parts. The exemplar is a sample as well, and its own
-uncertainty is added.
+correlation lengths wide (Matheron 1971; Lantuejoul 1991, doi:10.1111/j.1365-2818.1991.tb03111.x), and more slowly, as V to the
+power -a, where density also varies over long distances, as in bone (the exponent of Dirrenberger, Forest, Jeulin 2014,
+doi:10.1016/j.ijsolstr.2014.06.006). The exemplar's own windows tell a. So the spread of samples as large as the judged image
+follows from that of the parts. The exemplar is a sample as well, and its own uncertainty is added.
 
 Faces cut pores and struts, which moves the mean of small samples by a share that falls with their side. The parts and the
 whole exemplar say how far; the same law gives the mean at the image's size.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -60,7 +62,26 @@ def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Im
         )
 
 
-def expected_value(values: Sequence[float], own: float, sizes: tuple[float, float, float], ndim: int) -> float:
+@dataclass(frozen=True)
+class Sizes:
+    """How large the samples are that a band is about."""
+
+    part: float
+    """Voxels of a part of the exemplar."""
+    whole: float
+    """Voxels of the exemplar."""
+    image: float
+    """Voxels of the image, or of all images that its figures are means of."""
+    ndim: int = 3
+    exponent: float = 1.0
+    """By which the variance of a mean falls with the volume, 0 to 1."""
+
+    def variance(self, voxels: float) -> float:
+        """Return the variance of a mean over so many voxels, over that of a mean over a part."""
+        return (self.part / voxels) ** self.exponent
+
+
+def expected_value(values: Sequence[float], own: float, sizes: Sizes) -> float:
     """Return the mean of samples as large as the image, by the law that faces bias in proportion to 1 / side.
 
     Parameters
@@ -69,23 +90,19 @@ def expected_value(values: Sequence[float], own: float, sizes: tuple[float, floa
         Of the parts.
     own : float
         Of the whole exemplar.
-    sizes : three floats
-        Voxels of a part, of the exemplar, of the image.
-    ndim : int
+    sizes : Sizes
     """
-    part, whole, image = (size ** (-1 / ndim) for size in sizes)
+    part, whole, image = (size ** (-1 / sizes.ndim) for size in (sizes.part, sizes.whole, sizes.image))
     share = (image - whole) / (part - whole)
     return own + (float(np.mean(values)) - own) * min(share, 1.0)
 
 
-def value_band(
-    values: Sequence[float], own: float, sizes: tuple[float, float, float], ndim: int
-) -> tuple[float, float]:
+def value_band(values: Sequence[float], own: float, sizes: Sizes) -> tuple[float, float]:
     """Return where a figure of another sample of the image's size lies, 99 times in 100.
 
     Parameters
     ----------
-    values, own, sizes, ndim
+    values, own, sizes
         As of `expected_value`; `LEAST_COUNT` values at least.
 
     Returns
@@ -93,35 +110,36 @@ def value_band(
     low, high : float
         The exemplar's own value lies between them. Not below 0 where no part is.
     """
-    part, whole, image = sizes
     count = len(values)
-    deviation = float(np.std(values, ddof=1))
-    reach = student(count - 1, (1 + CONFIDENCE) / 2) * deviation * math.sqrt(part / image + part / whole)
-    expected = expected_value(values, own, sizes, ndim)
+    # Parts scatter around the mean of the exemplar that they lie in, not around that of the material.
+    seen = count / (count - 1) * (1 - sizes.variance(sizes.whole))
+    deviation = float(np.std(values, ddof=1)) / math.sqrt(seen)
+    further = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
+    reach = student(count - 1, (1 + CONFIDENCE) / 2) * deviation * further
+    expected = expected_value(values, own, sizes)
     low, high = min(own, expected) - reach, max(own, expected) + reach
     # Quantities that cannot be negative stay so; a solver may leave a hair below 0 where nothing bears.
     positive = min(*values, own) >= -1e-6 * max(abs(value) for value in values)
     return (max(low, 0.0) if positive else low), high
 
 
-def distance_limit(values: Sequence[float], sizes: tuple[float, float, float]) -> float:
+def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
     """Return how far from the exemplar another sample of the image's size lies at most, 99 times in 100.
 
-    A part lies inside the exemplar, so that its squared distance to the whole is 1 / part - 1 / whole of the variance of a unit
-    volume; that of an independent sample is 1 / image + 1 / whole.
+    A part lies inside the exemplar, so that its squared distance to the whole has the variance of a part less that of the whole;
+    that of an independent sample has its own variance and that of the whole.
 
     Parameters
     ----------
     values : sequence of float
         Distances of the parts to the whole, `LEAST_COUNT` at least.
-    sizes : three floats
-        Voxels of a part, of the exemplar, of the image.
+    sizes : Sizes
     """
-    part, whole, image = sizes
     count = len(values)
     # Some distances are of a single number, and scatter like a folded normal: the two-sided quantile covers them as well.
     further = student(count - 1, (1 + CONFIDENCE) / 2) * float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
-    scale = math.sqrt((1 / image + 1 / whole) / (1 / part - 1 / whole))
+    whole = sizes.variance(sizes.whole)
+    scale = math.sqrt((sizes.variance(sizes.image) + whole) / (1 - whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
 
 

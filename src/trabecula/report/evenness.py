@@ -40,6 +40,9 @@ SIZES = ("small", "medium", "large")
 LEAST_FREEDOM = 4.0
 """Fewer independent windows in the exemplar know no spread."""
 
+SLOWEST = 0.3
+"""Least exponent that is believed: two window sizes of one scan do not know it well."""
+
 STATIONARY = 0.9995
 """One-sided confidence from which a trend of the exemplar itself is no chance."""
 
@@ -138,7 +141,8 @@ def evenness_bands(exemplar: Evenness, image: Evenness, suffix: str = "") -> dic
                 bands[f"{what}_lowest_{size}{suffix}"] = (max(floor, min(own.lowest, own.mean - far)), own.mean)
                 bands[f"{what}_highest_{size}{suffix}"] = (own.mean, max(own.highest, own.mean + far))
     for what, trend in (("fraction", exemplar.trend), ("surface", exemplar.surface_trend)):
-        limits = _trend_limits(exemplar, image.extents, getattr(exemplar, what)[-1], (1 + CONFIDENCE) / 2)
+        largest = getattr(exemplar, what)[-1]
+        limits = _trend_limits(exemplar, image.extents, largest, (1 + CONFIDENCE) / 2, scaling_exponent(exemplar))
         for axis, value in trend.items():
             if axis in limits:
                 far = max(abs(value), limits[axis])
@@ -147,9 +151,25 @@ def evenness_bands(exemplar: Evenness, image: Evenness, suffix: str = "") -> dic
 
 
 def find_trends(exemplar: Evenness) -> dict[str, float]:
-    """Return the trends of the local fraction that are no chance, by axis."""
-    limits = _trend_limits(exemplar, exemplar.extents, exemplar.fraction[-1], STATIONARY)
+    """Return the trends of the local fraction that no material without long waves would have by chance, by axis."""
+    limits = _trend_limits(exemplar, exemplar.extents, exemplar.fraction[-1], STATIONARY, 1.0)
     return {axis: value for axis, value in exemplar.trend.items() if axis in limits and abs(value) > limits[axis]}
+
+
+def scaling_exponent(exemplar: Evenness) -> float:
+    """Return the exponent a by which the variance of window means falls with the window's volume, `SLOWEST` to 1.
+
+    It is 1 where windows are many correlation lengths wide and the material has no longer waves. Less says that density
+    varies over distances as long as the windows.
+    """
+    if len(exemplar.fraction) < 2:
+        return 1.0
+    one, other = exemplar.fraction[-2:]
+    if not other.deviation > 0 or other.edge <= one.edge:
+        return 1.0
+    variances = [each.deviation**2 / _unbiased(exemplar, each.edge) for each in (one, other)]
+    volumes = len(exemplar.extents) * math.log(other.edge / one.edge)
+    return min(1.0, max(SLOWEST, math.log(variances[0] / variances[1]) / volumes))
 
 
 def _deviation_band(exemplar: Evenness, image: Evenness, own: Spread, freedom: float) -> tuple[float, float]:
@@ -161,14 +181,16 @@ def _deviation_band(exemplar: Evenness, image: Evenness, own: Spread, freedom: f
     return min(low, own.deviation), max(high, own.deviation)
 
 
-def _trend_limits(exemplar: Evenness, extents: Sequence[float], largest: Spread, level: float) -> dict[str, float]:
+def _trend_limits(
+    exemplar: Evenness, extents: Sequence[float], largest: Spread, level: float, exponent: float
+) -> dict[str, float]:
     """How large a trend chance makes in a sample of these extents, by axis."""
     freedom = _freedom(exemplar, largest, 3.0)
     if freedom < LEAST_FREEDOM:
         return {}
     variance = largest.deviation**2 / _unbiased(exemplar, largest.edge)
     ratio = math.prod(min(1.0, largest.edge / length) for length in extents)  # of the window's volume to the sample's
-    noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio)
+    noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio**exponent)
     names = ("z", "y", "x")[3 - len(extents) :]
     # A line through white noise of variance v a unit volume changes by sqrt(12 v / V) from end to end; what runs to the centre
     # has the variance of the depth instead of 1 / 12.

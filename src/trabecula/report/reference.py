@@ -12,8 +12,8 @@ from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
-from trabecula.report.band import LEAST_COUNT, distance_limit, draw_limit, parts, value_band
-from trabecula.report.evenness import evenness_bands, evenness_numbers
+from trabecula.report.band import LEAST_COUNT, Sizes, distance_limit, draw_limit, parts, value_band
+from trabecula.report.evenness import evenness_bands, evenness_numbers, scaling_exponent
 from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order
 from trabecula.report.metric import Metric
 from trabecula.report.sticks import Measured, Stick
@@ -43,6 +43,7 @@ class Reference:
         self.exemplar, self.stick, self.copying = exemplar, stick, copying
         pieces = list(parts(exemplar, shape=shape))
         self.own = stick.measure(exemplar)
+        self.exponent = min(map(scaling_exponent, self.own.evenness.values()), default=1.0)
         self.parts = [
             stick.measure(piece, part=True) for piece in progress.track(pieces, "measuring the exemplar's parts")
         ]
@@ -96,12 +97,13 @@ class Reference:
                 found[name] = Metric(value, band, passed, known[name])
         return found
 
-    def _sizes(self, measured: Measured) -> tuple[float, float, float]:
-        """Voxels of a part, of the exemplar, and of the image with all the images that its figures are means of."""
-        return (
+    def _sizes(self, measured: Measured) -> Sizes:
+        return Sizes(
             float(np.prod(self.parts[0].shape)),
             float(np.prod(self.exemplar.shape)),
             float(np.prod(measured.shape)) * measured.samples,
+            self.exemplar.ndim,
+            self.exponent,
         )
 
     def _judged_distance(self, name: str, value: float, measured: Measured) -> Metric:
@@ -125,8 +127,7 @@ class Reference:
         shown = None if own is None else own * scale / whole
         if rule == TOLD or len(known) < LEAST_COUNT or own is None:
             return Metric(value, None, None, shown)
-        sizes, ndim = self._sizes(measured), self.exemplar.ndim
-        low, high = (float(edge * scale) for edge in value_band(known, own / whole, sizes, ndim))
+        low, high = (float(edge * scale) for edge in value_band(known, own / whole, self._sizes(measured)))
         band = (min(low, 1.0), min(high, 1.0)) if figure.share else (low, high)
         if value is None:
             return Metric(value, band, None if rule == AT_MOST else False, shown)
