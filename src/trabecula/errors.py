@@ -11,6 +11,7 @@ from trabecula.core.errors import (
     TrabeculaError,
     TrainingError,
     UnknownNameError,
+    UnnamedVoidError,
 )
 
 __all__ = [
@@ -24,4 +25,5 @@ __all__ = [
     "TrabeculaError",
     "TrainingError",
     "UnknownNameError",
+    "UnnamedVoidError",
 ]

@@ -6,6 +6,8 @@ user is a bug.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class TrabeculaError(Exception):
     """Root of everything this package raises on purpose."""
@@ -21,6 +23,33 @@ class RequestError(InputError):
 
 class UnknownNameError(InputError):
     """A method, option, sample, phase or format that does not exist."""
+
+
+class UnnamedVoidError(InputError):
+    """An image of which no phase is named void, where pores have to be told from the solid.
+
+    Parameters
+    ----------
+    phases : sequence of str
+        The names that the image has.
+
+    Attributes
+    ----------
+    what : str
+        What is missing, without the advice: what helps has other names in Python and on the command line.
+    """
+
+    def __init__(self, phases: Sequence[str]) -> None:
+        self.what = f"no phase of {', '.join(phases)} is named void, so it is open what is solid"
+        super().__init__(
+            f"{self.what}: name one of them void (phases=... of the image), or give the phase where a function takes one "
+            "(phase=...)"
+        )
+        self.phases = tuple(phases)
+
+    # Workers send their errors: what is called again there is this class, with its own argument and not the message.
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        return type(self), (self.phases,)
 
 
 class FileError(TrabeculaError, OSError):

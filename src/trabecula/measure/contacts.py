@@ -102,7 +102,9 @@ def _areas(
     wraps = as_periodic(periodic, image.ndim)
     values, region = extended(image.values, wraps), as_mask(mask, image.shape)
     where = None if region is None else extended(region, wraps)
-    counts = {label: count_cubes(values == label, where) for label in sorted({label for pair in pairs for label in pair})}
+    counts = {
+        label: count_cubes(values == label, where) for label in sorted({label for pair in pairs for label in pair})
+    }
     if not next(iter(counts.values())).any():
         raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
 
