@@ -89,7 +89,7 @@ def _run(words: list[str]) -> int:
         with terminal.progress_shown():
             return chosen(options)
     except UnnamedVoidError as error:
-        terminal.fail(f"{error.what}: {_void_advice(options)}")
+        terminal.fail(f"{error.what}: {_void_advice(options, error.phase_helps)}")
     except TrabeculaError as error:
         terminal.fail(str(error))
     except MemoryError:
@@ -104,9 +104,9 @@ def _run(words: list[str]) -> int:
     return 2
 
 
-def _void_advice(options: argparse.Namespace) -> str:
+def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
     """What helps where no phase is named void, by the options that the verb has."""
-    ways = ["give the phase (--phase NAME)"] if hasattr(options, "phase") else []
+    ways = ["give the phase (--phase NAME)"] if phase_helps and hasattr(options, "phase") else []
     if hasattr(options, "phases"):
         ways.append("name one of them void (--phases NAME ...)")
     return ", or ".join(ways or ["write the file with one of its phases named void"])

@@ -6,7 +6,8 @@ user is a bug.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 
 class TrabeculaError(Exception):
@@ -32,6 +33,8 @@ class UnnamedVoidError(InputError):
     ----------
     phases : sequence of str
         The names that the image has.
+    phase_helps : bool
+        Whether it is enough to say which phase is meant.
 
     Attributes
     ----------
@@ -39,17 +42,15 @@ class UnnamedVoidError(InputError):
         What is missing, without the advice: what helps has other names in Python and on the command line.
     """
 
-    def __init__(self, phases: Sequence[str]) -> None:
+    def __init__(self, phases: Sequence[str], *, phase_helps: bool = True) -> None:
         self.what = f"no phase of {', '.join(phases)} is named void, so it is open what is solid"
-        super().__init__(
-            f"{self.what}: name one of them void (phases=... of the image), or give the phase where a function takes one "
-            "(phase=...)"
-        )
-        self.phases = tuple(phases)
+        advice = ", or give the phase where a function takes one (phase=...)" if phase_helps else ""
+        super().__init__(f"{self.what}: name one of them void (phases=... of the image){advice}")
+        self.phases, self.phase_helps = tuple(phases), phase_helps
 
-    # Workers send their errors: what is called again there is this class, with its own argument and not the message.
-    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        return type(self), (self.phases,)
+    # Workers send their errors: this class is made again there from the names, not from the message.
+    def __reduce__(self) -> tuple[Callable[..., UnnamedVoidError], tuple[object, ...]]:
+        return partial(UnnamedVoidError, phase_helps=self.phase_helps), (self.phases,)
 
 
 class FileError(TrabeculaError, OSError):
