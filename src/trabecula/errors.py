@@ -11,7 +11,6 @@ from trabecula.core.errors import (
     TrabeculaError,
     TrainingError,
     UnknownNameError,
-    UnnamedVoidError,
 )
 
 __all__ = [
@@ -25,5 +24,4 @@ __all__ = [
     "TrabeculaError",
     "TrainingError",
     "UnknownNameError",
-    "UnnamedVoidError",
 ]

@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.errors import InputError, UnnamedVoidError
+from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.measure import (
     chord_length,
     component_sizes,
@@ -85,6 +85,9 @@ def test_pairs_and_triples(three):
         assert told["cross_correlation"] == cross_correlation(three, first=pair[0], second=pair[1], r_max=6).tolist()
     (line,) = triple_phase_lines(three).values()
     assert found["triples"] == {"void-active-binder": {"line_density": line.density, "active_share": line.active}}
+    solid = np.array(describe(three, level="quick", r_max=6)["two_point"]["radial"])
+    own = sum(np.array(found["phases"][name]["two_point"]["radial"]) for name in ("active", "binder"))
+    assert found["pairs"]["active-binder"]["cross_correlation"] == pytest.approx((solid - own) / 2, abs=1e-6)
     everything = sum(np.array(figures["two_point"]["radial"]) for figures in found["phases"].values())
     everything = everything + 2 * sum(np.array(pair["cross_correlation"]) for pair in found["pairs"].values())
     assert everything == pytest.approx(np.ones(7), abs=1e-6)
@@ -211,6 +214,9 @@ def test_flat_names_for_lists_of_figures(three):
     assert curves["lineal_path_void"].tolist() == told["phases"]["void"]["lineal_path"]
     assert curves["cross_active_binder"].tolist() == told["pairs"]["active-binder"]["cross_correlation"]
     assert "two_point_void" not in curves
+    assert set(curves) - set(phase_curves(three, r_max=5, cross=False)) == {
+        *("cross_void_active", "cross_void_binder", "cross_active_binder"),
+    }
 
 
 def test_flat_names_of_two_phases_repeat_nothing(two):

@@ -31,7 +31,7 @@ LEFT_OUT = (*SLOW, "two_point_cluster")
 PHASES_LEFT_OUT = ("cross_correlation", "triples")
 """What of three phases or more needs it as well."""
 
-_IN_CORE = {"quick": 20, "default": 45, "full": 45}
+_IN_CORE = {"quick": 26, "default": 45, "full": 45}
 """Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own forecast)."""
 
 

@@ -152,11 +152,11 @@ def repeated(phases: Sequence[str], only: str | None) -> Sequence[str]:
     return ("void" if "void" in phases else phases[0],)
 
 
-def measure_numbers(image: Image, *, level: str, known: Known, only: str | None) -> PhaseFigures:
+def measure_numbers(image: Image, *, level: str, known: Known, only: str | None = None) -> PhaseFigures:
     """Measure the numbers; one labelling and one count of configurations a phase."""
     names = image.phases
     wanted = names if only is None else (only,)
-    pairs = [pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)]
+    pairs = _pairs(names, only)
     touched = {name for pair in pairs for name in pair} | set(wanted)
     triples = only is None and len(names) > 2
     spans = np.zeros(image.shape, bool)
@@ -164,7 +164,7 @@ def measure_numbers(image: Image, *, level: str, known: Known, only: str | None)
     phases: dict[str, dict[str, Any]] = {}
     for label, name in enumerate(names):
         given = known.get(name, {})
-        if name in touched and not ("components" in given and not triples):
+        if name in touched and (triples or "components" not in given):
             inside = image.values == label
             cubes[name] = count_cubes(inside, None)
             if name in wanted:
@@ -208,22 +208,28 @@ def _contact(image: Image, pair: tuple[str, str], cubes: Mapping[str, np.ndarray
     return contact_area(cubes[pair[0]], cubes[pair[1]], joint, image.spacing)
 
 
-def measure_curves(image: Image, *, r_max: int, known: Known, only: str | None) -> PhaseCurves:
-    """Measure the curves."""
+def measure_curves(
+    image: Image, *, r_max: int, known: Known, only: str | None = None, cross: bool = True
+) -> PhaseCurves:
+    """Measure the curves, r = 0 .. r_max voxels; cross-correlations of pairs where `cross`."""
     names = image.phases
     phases: dict[str, dict[str, Any]] = {}
     for name in names if only is None else (only,):
-        given = known.get(name, {})
-        repeats = name in repeated(names, only)
-        two = given["two_point"] if "two_point" in given else None if repeats else _two_point(image, name, r_max)
-        path = (
-            given.get("lineal_path") if "lineal_path" in given else _listed(lineal_path(image, phase=name, r_max=r_max))
-        )
-        phases[name] = {"two_point": two, "lineal_path": path}
-    pairs = [pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)]
+        found = dict(known.get(name, {}))
+        if "two_point" not in found:
+            found["two_point"] = None if name in repeated(names, only) else _two_point(image, name, r_max)
+        if "lineal_path" not in found:
+            found["lineal_path"] = _listed(lineal_path(image, phase=name, r_max=r_max))
+        phases[name] = {curve: found[curve] for curve in CURVES}
+    pairs = _pairs(names, only) if cross else []
     return PhaseCurves(
         phases, {pair: cross_correlation(image, first=pair[0], second=pair[1], r_max=r_max) for pair in pairs}
     )
+
+
+def _pairs(names: Sequence[str], only: str | None) -> list[tuple[str, str]]:
+    """The pairs of phases that are told: none of two phases, and with `only` those of that one."""
+    return [pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)]
 
 
 def _two_point(image: Image, name: str, r_max: int) -> dict[str, list[float]]:

@@ -53,9 +53,8 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     """
     image = checked(image, level)
     told = _told_elsewhere(image.phases)
-    found = measure_numbers(
-        image, level=level, known={name: dict.fromkeys(keys) for name, keys in told.items()}, only=None
-    )
+    known = {name: dict.fromkeys(keys) for name, keys in told.items()}
+    found = measure_numbers(image, level=level, known=known)
     numbers: dict[str, Any] = {}
     for phase, figures in found.phases.items():
         kept = {name: value for name, value in figures.items() if name not in told.get(phase, ())}
@@ -71,7 +70,7 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     return numbers
 
 
-def phase_curves(image: Image | ArrayLike, *, r_max: int) -> dict[str, np.ndarray]:
+def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) -> dict[str, np.ndarray]:
     """Return the curves of every phase and pair by flat names, r = 0 .. r_max voxels, to stand beside those of `describe`.
 
     Nothing comes twice: S2 of a phase named void, or of one of two phases, follows from that of the others together.
@@ -81,6 +80,9 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int) -> dict[str, np.ndarra
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     r_max : int
         Largest distance, below every side.
+    cross : bool
+        Tell cross-correlations, which take longer than all else. Of the two solid phases of three it is half of what S2
+        of both together is above the sum of theirs.
 
     Returns
     -------
@@ -95,9 +97,8 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int) -> dict[str, np.ndarra
     """
     image = checked(image, "quick")
     told = _told_elsewhere(image.phases)
-    found = measure_curves(
-        image, r_max=r_max, known={name: dict.fromkeys(keys) for name, keys in told.items()}, only=None
-    )
+    known = {name: dict.fromkeys(keys) for name, keys in told.items()}
+    found = measure_curves(image, r_max=r_max, known=known, cross=cross)
     curves: dict[str, np.ndarray] = {}
     for phase, figures in found.phases.items():
         for along, curve in (figures["two_point"] or {}).items():
