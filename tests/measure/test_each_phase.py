@@ -94,7 +94,7 @@ def test_pairs_and_triples(three):
 
 
 def test_where_the_image_is_periodic_pairs_sum_up_to_the_fraction(three):
-    """What `pairs` tell is one sum short of this, which the faces cut."""
+    """sum_j S_ij(r) = phi_i; without periodic faces it holds for the pairs that fit alone."""
     reach = {"r_max": 8, "periodic": True}
     for name in NAMES:
         pairs = [cross_correlation(three, first=name, second=other, **reach) for other in NAMES if other != name]

@@ -71,7 +71,7 @@ def test_a_straight_line_along_an_axis_is_exact(axis):
     assert triple_phase_active_share(image, axis=axis) == 1.0
 
 
-def test_lines_of_random_direction_are_four_percent_high():
+def test_lines_of_random_direction_are_three_percent_high():
     rng = np.random.default_rng(3)
     side, ratios = 32, []
     for _ in range(25):

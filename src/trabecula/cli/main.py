@@ -105,7 +105,7 @@ def _run(words: list[str]) -> int:
 
 
 def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
-    """What helps where no phase is named void, by the options that the verb has."""
+    """Advise on an image without a void, by the options that the verb has."""
     ways = ["give the phase (--phase NAME)"] if phase_helps and hasattr(options, "phase") else []
     if hasattr(options, "phases"):
         ways.append("name one of them void (--phases NAME ...)")

@@ -59,7 +59,7 @@ def _described(options: argparse.Namespace) -> dict[str, Any]:
         return _in_core(volume.centre(shared.integers(options.crop, name="--crop")), options)
     _check_phase(volume.phases, options.phase)
     found = describe_slabs(volume, memory=options.memory, level=options.level, box=options.box)
-    return found if options.phase is None else _chosen(found, options.phase)
+    return found if options.phase is None else _select(found, options.phase)
 
 
 def _in_core(image: Any, options: argparse.Namespace) -> dict[str, Any]:
@@ -81,8 +81,8 @@ def _check_phase(phases: Sequence[str], name: str | None) -> None:
         check_name(name, (*phases, "all"), name="phase")
 
 
-def _chosen(found: Mapping[str, Any], phase: str) -> dict[str, Any]:
-    """What `describe_slabs` found of one phase, or of all of them."""
+def _select(found: Mapping[str, Any], phase: str) -> dict[str, Any]:
+    """Select from the result of `describe_slabs` what is of one phase, or of any."""
     kept = {name: found[name] for name in ("shape", "spacing", "unit", "notes", *EACH)}
     if phase == "all":
         return kept
@@ -93,7 +93,7 @@ def _chosen(found: Mapping[str, Any], phase: str) -> dict[str, Any]:
 
 
 def _show(found: Mapping[str, Any]) -> None:
-    """A line a figure, and below them a table with a column for every phase."""
+    """Print a line a figure, and below them a table with a column for every phase."""
     terminal.show_mapping({name: value for name, value in found.items() if name not in EACH})
     columns = found.get("phases")
     if not columns:

@@ -139,7 +139,7 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 
 
 def add_phase(parser: argparse.ArgumentParser) -> None:
-    """One phase, or each of them."""
+    """Add the choice of one phase, or of each of them."""
     parser.add_argument(
         "--phase",
         metavar="NAME",

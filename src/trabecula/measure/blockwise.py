@@ -17,8 +17,8 @@ from trabecula.engine.slabs import Slabs, depth_within
 from trabecula.measure.box import box_sides
 from trabecula.measure.correlation.separations import Radial, steps_of
 from trabecula.measure.correlation.window import Window
-from trabecula.measure.describe import LEVELS, SLOW, known_figures, void_notes, without_solid
-from trabecula.measure.each_phase import beside_solid, told_once
+from trabecula.measure.describe import LEVELS, SLOW, figures_from, outline_without_solid, void_notes
+from trabecula.measure.each_phase import drop_redundant, redundant_beside_solid
 from trabecula.measure.phases import indicator
 from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.runs import RUN_BYTES
@@ -90,9 +90,9 @@ def describe_slabs(
         found = count_slabs(volume, r_max=reach, depth=depth, phases=True)[0] | dict.fromkeys((*LEFT_OUT, *PHYSICS))
     else:
         found = _count_phases(volume, r_max=reach, depth=depth)
-    known = known_figures(volume.phases, found)
+    known = figures_from(volume.phases, found)
     told = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
-    found["phases"] = told_once(told, beside_solid(volume.phases))
+    found["phases"] = drop_redundant(told, redundant_beside_solid(volume.phases))
     if level == "full" and "void" in volume.phases:
         found |= describe_physics(volume.centre(box_sides(box, volume.shape)), halving=True)
     notes = [*void_notes(volume.phases), *_notes(level, volume.phases), *physics_notes(found)]
@@ -156,12 +156,12 @@ def count_slabs(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) 
 
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:
-    """As `count_slabs`, where no phase is named void."""
+    """Count every phase in one pass over all planes, where no phase is named void."""
     each, counts = _each_phase(volume, _radial(volume, r_max)), np.zeros(len(volume.phases), np.int64)
     for slab in _tracked(volume, depth):
         counts += np.bincount(slab.values.ravel(), minlength=len(counts))
         each.add(slab)
-    return without_solid(volume, counts, r_max=r_max) | each.result()
+    return outline_without_solid(volume, counts, r_max=r_max) | each.result()
 
 
 def _each_phase(volume: Slabs, pairs: Radial) -> PhaseTallies:
@@ -205,7 +205,8 @@ def forecast(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) -> 
     """
     plane = math.prod(volume.shape[1:])
     pairs = _radial(volume, r_max)
-    tallies = 1 + len(volume.phases) * phases
+    # Of two phases the void alone is counted besides the solid.
+    tallies = 1 + phases * (len(volume.phases) if len(volume.phases) > 2 else 1)
     numbering = RUN_BYTES * depth * plane // 2  # two voxels hold one run at most
     return Plan(
         {

@@ -109,7 +109,7 @@ def _areas(
         raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
 
     def joint(a: int, b: int) -> np.ndarray:
-        """The configurations of two phases together: with a third alone beside them, those of that one turned over."""
+        """Count the configurations of two phases together; of three phases they are those of the third, turned over."""
         rest = set(counts) - {a, b}
         if len(image.phases) == 3 and len(rest) == 1:
             return counts[rest.pop()][::-1]

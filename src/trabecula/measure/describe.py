@@ -13,7 +13,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.slabs import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
-from trabecula.measure.each_phase import CURVES, LEVELS, NUMBERS, all_phases, beside_solid, told_once
+from trabecula.measure.each_phase import CURVES, LEVELS, NUMBERS, collect_phases, drop_redundant, redundant_beside_solid
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
 from trabecula.measure.morphometry import morphometry
@@ -82,13 +82,13 @@ def describe(
         found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
     else:
         counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
-        found = without_solid(image, counts, r_max=r_max)
-    found |= all_phases(image, level=level, r_max=r_max, known=known_figures(image.phases, found))
-    found["phases"] = told_once(found["phases"], beside_solid(image.phases))
+        found = outline_without_solid(image, counts, r_max=r_max)
+    found |= collect_phases(image, level=level, r_max=r_max, known=figures_from(image.phases, found))
+    found["phases"] = drop_redundant(found["phases"], redundant_beside_solid(image.phases))
     return found | {"level": level, "notes": [*void_notes(image.phases), *physics_notes(found)]}
 
 
-def known_figures(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the figures of single phases that `found`, by the names of `describe`, holds already."""
     if "void" not in phases:
         return {}
@@ -100,7 +100,7 @@ def known_figures(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, 
     return known
 
 
-def without_solid(image: Image | Slabs, counts: np.ndarray, *, r_max: int) -> dict[str, Any]:
+def outline_without_solid(image: Image | Slabs, counts: np.ndarray, *, r_max: int) -> dict[str, Any]:
     """Return the keys of `describe` for an image of which nobody knows what is solid; `counts` are voxels of every phase."""
     outline = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
     solid = dict.fromkeys((*SOLID_NUMBERS, *SLOW, *CURVES, "two_point_cluster", *PHYSICS))

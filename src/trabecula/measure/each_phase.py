@@ -96,22 +96,22 @@ def describe_phases(
     InputError
         Not labels, a side of one voxel, r_max below 1, an unknown level, or no such phase.
     """
-    image = checked(image, level)
+    image = as_labels(image, level)
     r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     only = None if phase is None else image.phases[phase_index(image, phase, default="")]
-    return all_phases(image, level=level, r_max=max(1, min(r_max, min(image.shape) // 2)), only=only)
+    return collect_phases(image, level=level, r_max=max(1, min(r_max, min(image.shape) // 2)), only=only)
 
 
-def all_phases(
+def collect_phases(
     image: Image, *, level: str, r_max: int, known: Known | None = None, only: str | None = None
 ) -> dict[str, Any]:
-    """As `describe_phases`, with figures that are `known` instead of measured ones; r_max has to fit every side."""
+    """Describe as `describe_phases` does, taking figures that are `known`; r_max has to fit every side."""
     known = known or {}
     numbers = measure_numbers(image, level=level, known=known, only=only)
     curves = measure_curves(image, r_max=r_max, known=known, only=only)
     phases = {name: numbers.phases[name] | curves.phases[name] for name in numbers.phases}
     return {
-        "phases": told_once(phases, repeated(image.phases, only)),
+        "phases": drop_redundant(phases, redundant_phases(image.phases, only)),
         "pairs": {
             "-".join(pair): {"contact": area, "cross_correlation": curves.pairs[pair].tolist()}
             for pair, area in numbers.contacts.items()
@@ -123,7 +123,7 @@ def all_phases(
     }
 
 
-def told_once(phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]) -> dict[str, dict[str, Any]]:
+def drop_redundant(phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]) -> dict[str, dict[str, Any]]:
     """Return the figures of phases; those that repeat another's without what two phases have in common."""
     return {
         name: {key: value for key, value in figures.items() if name not in repeating or key not in SAME_FOR_TWO}
@@ -131,12 +131,12 @@ def told_once(phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]
     }
 
 
-def beside_solid(image_phases: Sequence[str]) -> Sequence[str]:
+def redundant_beside_solid(image_phases: Sequence[str]) -> Sequence[str]:
     """Return the phases that repeat another's figures in `describe`, which tells the solid's: of two, both."""
-    return image_phases if len(image_phases) == 2 and "void" in image_phases else repeated(image_phases, None)
+    return image_phases if len(image_phases) == 2 and "void" in image_phases else redundant_phases(image_phases, None)
 
 
-def checked(image: Image | ArrayLike, level: str) -> Image:
+def as_labels(image: Image | ArrayLike, level: str) -> Image:
     """Return an image of labels that has an interior; raise where it is none, or the level is unknown."""
     image = as_image(image)
     check_labels(image)
@@ -145,7 +145,7 @@ def checked(image: Image | ArrayLike, level: str) -> Image:
     return image
 
 
-def repeated(phases: Sequence[str], only: str | None) -> Sequence[str]:
+def redundant_phases(phases: Sequence[str], only: str | None) -> Sequence[str]:
     """Return, of two phases, the one whose interface and S2 are told with the other: the void, or the first."""
     if len(phases) != 2 or only is not None:
         return ()
@@ -217,7 +217,7 @@ def measure_curves(
     for name in names if only is None else (only,):
         found = dict(known.get(name, {}))
         if "two_point" not in found:
-            found["two_point"] = None if name in repeated(names, only) else _two_point(image, name, r_max)
+            found["two_point"] = None if name in redundant_phases(names, only) else _two_point(image, name, r_max)
         if "lineal_path" not in found:
             found["lineal_path"] = _listed(lineal_path(image, phase=name, r_max=r_max))
         phases[name] = {curve: found[curve] for curve in CURVES}
@@ -228,7 +228,7 @@ def measure_curves(
 
 
 def _pairs(names: Sequence[str], only: str | None) -> list[tuple[str, str]]:
-    """The pairs of phases that are told: none of two phases, and with `only` those of that one."""
+    """Return the pairs to describe: none of two phases, and with `only` those of that one."""
     return [pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)]
 
 

@@ -13,10 +13,10 @@ from trabecula.measure.each_phase import (
     CURVES,
     NUMBERS,
     SAME_FOR_TWO,
-    checked,
+    as_labels,
     measure_curves,
     measure_numbers,
-    repeated,
+    redundant_phases,
 )
 
 VOID_TOLD = ("specific_surface", "mean_curvature", "thickness", "two_point")
@@ -51,8 +51,8 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     InputError
         As `describe_phases`.
     """
-    image = checked(image, level)
-    told = _told_elsewhere(image.phases)
+    image = as_labels(image, level)
+    told = _redundant_figures(image.phases)
     known = {name: dict.fromkeys(keys) for name, keys in told.items()}
     found = measure_numbers(image, level=level, known=known)
     numbers: dict[str, Any] = {}
@@ -95,8 +95,8 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) ->
     InputError
         As `two_point` and `lineal_path`.
     """
-    image = checked(image, "quick")
-    told = _told_elsewhere(image.phases)
+    image = as_labels(image, "quick")
+    told = _redundant_figures(image.phases)
     known = {name: dict.fromkeys(keys) for name, keys in told.items()}
     found = measure_curves(image, r_max=r_max, known=known, cross=cross)
     curves: dict[str, np.ndarray] = {}
@@ -108,11 +108,11 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) ->
     return curves | {f"cross_{'_'.join(pair)}": curve for pair, curve in found.pairs.items()}
 
 
-def _told_elsewhere(phases: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """The figures of each phase that those of the other phase, or of the solid phases together, tell as well."""
+def _redundant_figures(phases: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the figures of each phase that follow from those of the other, or of the solid phases together."""
     if len(phases) != 2:
         return {"void": VOID_TOLD} if "void" in phases else {}
-    first = repeated(phases, None)[0]
+    first = redundant_phases(phases, None)[0]
     if first != "void":
         return {first: DERIVED_FROM_OTHER}
     solid = next(name for name in phases if name != "void")

@@ -10,9 +10,9 @@ The edges themselves are too long by half on average for lines of random directi
 field divides by a constant for that (about 1.5, which makes a line along an axis a third too short), or smooths the
 line: the centroid method of Iwai et al. 2010 (J. Power Sources 195, 955-961) draws it through the means of three
 neighbouring edges. On the errors of either: Jorgensen et al. 2014 (J. Power Sources 261, 198-205). Here the window is
-five edges. Three leave 7 % too much on straight lines of random direction, five 4 % (phases that meet at 120 degrees;
-5 % at 90, 10 % where one is a wedge of 60 degrees, whose rim the voxels tear), seven 2 %, but more is cut off where the
-line bends: of a circle of radius 3 voxels five edges lose 6 %, seven 12 %.
+five edges. Measured on straight lines of random direction, three leave 7 % too much and five 3 % where phases meet at
+120 degrees; five leave 6 % at 90, and 11 % where one phase is a wedge of 60 degrees, whose rim the voxels tear. Seven would
+leave 2 %, but cut off more where the line bends: of a circle of radius 3 voxels the chords lose 6 % (five) or 11 % (seven).
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def triple_phase_line_density(image: Image | ArrayLike, *, phases: Sequence[str 
     Returns
     -------
     density : float
-        1 / length^2, 0 with two phases; in 2-D triple points per area. For lines of random direction 4 % high where
-        phases meet at 120 degrees, 10 % where one is a wedge of 60 degrees; exact along an axis (see the module).
+        1 / length^2, 0 with two phases; in 2-D triple points per area. Exact for lines along an axis; for lines of random
+        direction 3 % high where phases meet at 120 degrees, 11 % where one is a wedge of 60 degrees.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def lines_of(
     connected = np.ascontiguousarray(spans.reshape(labels.shape))
     spacing = np.array((1.0,) * lift + image.spacing)
     triples = list(combinations(range(len(image.phases)), 3)) if only is None else [only]
-    met = _sets_met(labels) if len(triples) > 1 else None
+    met = _find_sets(labels) if len(triples) > 1 else None
     found = {}
     for triple in triples:
         wanted = sum(1 << label for label in triple)
@@ -180,7 +180,7 @@ def _checked(image: Image | ArrayLike) -> Image:
 
 
 def _three(image: Image, phases: Sequence[str | int]) -> tuple[int, int, int]:
-    """The labels of three different phases, in order."""
+    """Return the labels of three different phases, in order."""
     given = () if isinstance(phases, str) else tuple(phases)
     found = sorted({phase_index(image, phase, default="") for phase in given})
     if len(given) != 3 or len(found) != 3:
@@ -201,8 +201,8 @@ def _line(labels: np.ndarray, spans: np.ndarray, spacing: np.ndarray, wanted: in
     return TripleLine(float(total), float(active / total) if total else None)
 
 
-def _sets_met(labels: np.ndarray) -> np.ndarray:
-    """Which sets of labels, as bits, lie around voxel edges."""
+def _find_sets(labels: np.ndarray) -> np.ndarray:
+    """Return the sets of labels, as bits, that lie around voxel edges."""
     seen = np.zeros(1 << 16, bool)
     for_slabs(lambda a, b: see_sets(labels, seen, a, b), len(labels))
     return np.flatnonzero(seen)
