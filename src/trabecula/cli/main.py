@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from trabecula.core.errors import TrabeculaError
+    from trabecula.core.errors import TrabeculaError, UnnamedVoidError
 
     if words and not words[0].startswith("-") and words[0] not in VERBS:
         near = difflib.get_close_matches(words[0], VERBS, n=1)
@@ -88,6 +88,8 @@ def _run(words: list[str]) -> int:
     try:
         with terminal.progress_shown():
             return chosen(options)
+    except UnnamedVoidError as error:
+        terminal.fail(f"{error.what}: {_void_advice(options, error.phase_helps)}")
     except TrabeculaError as error:
         terminal.fail(str(error))
     except MemoryError:
@@ -100,6 +102,14 @@ def _run(words: list[str]) -> int:
             f"{error.filename or 'input or output'}: {error.strerror or error}; check the path and the device"
         )
     return 2
+
+
+def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
+    """Advise on an image without a void, by the options that the verb has."""
+    ways = ["give the phase (--phase NAME)"] if phase_helps and hasattr(options, "phase") else []
+    if hasattr(options, "phases"):
+        ways.append("name one of them void (--phases NAME ...)")
+    return ", or ".join(ways or ["write the file with one of its phases named void"])
 
 
 def _parser(verb: str | None):

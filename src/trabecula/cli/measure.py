@@ -1,18 +1,25 @@
-"""`trabecula measure FILE [--quick | --full] [--memory GIB] [--json]`."""
+"""`trabecula measure FILE [--phase NAME|all] [--quick | --full] [--memory GIB] [--json]`."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+
+EACH = ("phases", "pairs", "triples")
+CURVES = ("two_point", "lineal_path", "cross_correlation")
+"""What only JSON prints."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The file and how it is read."""
     parser.add_argument("file", metavar="FILE", help="volume or 2-D picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON, curves included")
+    shared.add_phase(parser)
     parser.add_argument(
         "--memory",
         type=shared.gibibytes,
@@ -24,28 +31,99 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print every descriptor."""
+    """Print every descriptor, or those of one phase or of each."""
+    from trabecula.core.errors import InputError
+
+    if options.phase is not None and options.level == "full":
+        raise InputError("--full solves transport and stiffness of the whole material: leave out --full, or --phase")
     found = _described(options)
     if options.json:
         terminal.show_json(found)
     else:
-        terminal.show_mapping(found)
+        _show(found)
     return 0
 
 
 def _described(options: argparse.Namespace) -> dict[str, Any]:
     """Of the whole where that fits into memory, else slab by slab; of a crop of what does not fit only that is read."""
     from trabecula.flow import slabs_if_large
-    from trabecula.measure import describe
     from trabecula.measure.blockwise import describe_slabs, in_core_bytes
 
-    wanted = {"level": options.level, "box": options.box}
     volume = None
     if options.threshold in (None, "auto", "none"):
         given = {"memory": options.memory, **shared.reading(options)}
         volume = slabs_if_large(options.file, need=lambda shape: in_core_bytes(shape, options.level), **given)
     if volume is None:
-        return describe(shared.load_exemplar(options.file, options), **wanted)
+        return _in_core(shared.load_exemplar(options.file, options), options)
     if options.crop:
-        return describe(volume.centre(shared.integers(options.crop, name="--crop")), **wanted)
-    return describe_slabs(volume, memory=options.memory, **wanted)
+        return _in_core(volume.centre(shared.integers(options.crop, name="--crop")), options)
+    _check_phase(volume.phases, options.phase)
+    found = describe_slabs(volume, memory=options.memory, level=options.level, box=options.box)
+    return found if options.phase is None else _select(found, options.phase)
+
+
+def _in_core(image: Any, options: argparse.Namespace) -> dict[str, Any]:
+    from trabecula.core.image import check_labels
+    from trabecula.measure import describe, describe_phases
+
+    if options.phase is None:
+        return describe(image, level=options.level, box=options.box)
+    check_labels(image)
+    _check_phase(image.phases, options.phase)
+    found = describe_phases(image, level=options.level, phase=None if options.phase == "all" else options.phase)
+    return {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit, **found}
+
+
+def _check_phase(phases: Sequence[str], name: str | None) -> None:
+    from trabecula.core.checks import check_name
+
+    if name is not None:
+        check_name(name, (*phases, "all"), name="phase")
+
+
+def _select(found: Mapping[str, Any], phase: str) -> dict[str, Any]:
+    """Select from the result of `describe_slabs` what is of one phase, or of any."""
+    kept = {name: found[name] for name in ("shape", "spacing", "unit", "notes", *EACH)}
+    if phase == "all":
+        return kept
+    pairs = {"-".join(pair) for pair in combinations(found["fractions"], 2) if phase in pair}
+    kept["phases"] = {phase: found["phases"][phase]}
+    kept["pairs"] = {name: value for name, value in found["pairs"].items() if name in pairs}
+    return {**kept, "triples": {}}
+
+
+def _show(found: Mapping[str, Any]) -> None:
+    """Print a line a figure, and below them a table with a column for every phase."""
+    terminal.show_mapping({name: value for name, value in found.items() if name not in EACH})
+    columns = found.get("phases")
+    if not columns:
+        return
+    rows: dict[str, dict[str, Any]] = {}
+    for phase, figures in columns.items():
+        for name, value in figures.items():
+            if name == "percolates":
+                rows.setdefault(name, {})[phase] = [axis for axis, through in value.items() if through]
+            elif name not in CURVES:
+                for axis, part in value.items() if isinstance(value, Mapping) else (("", value),):
+                    rows.setdefault(f"{name} {axis}".strip(), {})[phase] = part
+    print()
+    terminal.show_rows(
+        [
+            ("each phase", *columns),
+            *((name, *(terminal.brief(cells.get(phase)) for phase in columns)) for name, cells in rows.items()),
+        ]
+    )
+    for kind in ("pairs", "triples"):
+        numbers = {
+            name: {key: value for key, value in figures.items() if key not in CURVES}
+            for name, figures in (found[kind] or {}).items()
+        }
+        if numbers:
+            print()
+            keys = list(next(iter(numbers.values())))
+            terminal.show_rows(
+                [
+                    (kind, *keys),
+                    *((name, *(terminal.brief(figures[key]) for key in keys)) for name, figures in numbers.items()),
+                ]
+            )

@@ -138,6 +138,16 @@ def add_level(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(level="default")
 
 
+def add_phase(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of one phase, or of each of them."""
+    parser.add_argument(
+        "--phase",
+        metavar="NAME",
+        help="measure this phase for itself, or all: every phase, the contacts of pairs, triple-phase lines "
+        "(default: the solid, every phase but void, and then all)",
+    )
+
+
 def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     """The exemplar as the options say; a grey one is segmented."""
     from trabecula.flow import load

@@ -85,7 +85,7 @@ def show_rows(rows: Sequence[Sequence[Any]]) -> None:
 
 def show_mapping(values: Mapping[str, Any]) -> None:
     """A name and a value per line; tables in a table one a line, curves by their length alone."""
-    show_rows([(name, _brief(value)) for name, value in _opened(values)])
+    show_rows([(name, brief(value)) for name, value in _opened(values)])
 
 
 def _opened(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[str, Any]]:
@@ -96,7 +96,8 @@ def _opened(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[st
             yield f"{inside}{name}", value
 
 
-def _brief(value: Any) -> str:
+def brief(value: Any) -> str:
+    """Return a value in a few words."""
     if value is None or value == []:
         return "-"
     if isinstance(value, float):
@@ -108,5 +109,5 @@ def _brief(value: Any) -> str:
             return f"{len(value)} x {len(value[0])} values (--json prints them)"
         return f"{len(value)} values (--json prints them)" if len(value) > 4 else str(value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_brief(part)}" for key, part in value.items())
+        return ", ".join(f"{key} {brief(part)}" for key, part in value.items())
     return str(value)

@@ -6,6 +6,9 @@ user is a bug.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 
 class TrabeculaError(Exception):
     """Root of everything this package raises on purpose."""
@@ -21,6 +24,33 @@ class RequestError(InputError):
 
 class UnknownNameError(InputError):
     """A method, option, sample, phase or format that does not exist."""
+
+
+class UnnamedVoidError(InputError):
+    """An image of which no phase is named void, where pores have to be told from the solid.
+
+    Parameters
+    ----------
+    phases : sequence of str
+        The names that the image has.
+    phase_helps : bool
+        Whether it is enough to say which phase is meant.
+
+    Attributes
+    ----------
+    what : str
+        What is missing, without the advice: what helps has other names in Python and on the command line.
+    """
+
+    def __init__(self, phases: Sequence[str], *, phase_helps: bool = True) -> None:
+        self.what = f"no phase of {', '.join(phases)} is named void, so it is open what is solid"
+        advice = ", or give the phase where a function takes one (phase=...)" if phase_helps else ""
+        super().__init__(f"{self.what}: name one of them void (phases=... of the image){advice}")
+        self.phases, self.phase_helps = tuple(phases), phase_helps
+
+    # Workers send their errors: this class is made again there from the names, not from the message.
+    def __reduce__(self) -> tuple[Callable[..., UnnamedVoidError], tuple[object, ...]]:
+        return partial(UnnamedVoidError, phase_helps=self.phase_helps), (self.phases,)
 
 
 class FileError(TrabeculaError, OSError):

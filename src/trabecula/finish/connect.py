@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, phase_index, with_values
+from trabecula.core.errors import InputError, UnnamedVoidError
+from trabecula.core.image import Image, as_image, check_labels, phase_index, with_values
 from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
 from trabecula.finish.joins import shortest_join
@@ -93,7 +93,7 @@ def connect_in_place(
     connectivity: int | None,
 ) -> dict[str, int]:
     """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
-    member, background = members(image, phase), background_of(image, phase)
+    background, member = background_of(image, phase), members(image, phase)
     _check_settings(reach, brush, min_size)
     neighbours = as_connectivity(connectivity, image.ndim)
     joins = added = 0
@@ -122,7 +122,18 @@ def _check_settings(reach: int, brush: int, min_size: int) -> None:
 
 
 def background_of(image: Image, phase: str | int | None) -> int:
-    """The label of what joins run through, and of what is left where a part is removed."""
+    """Return the label of what joins run through, and of what is left where a part is removed.
+
+    Raises
+    ------
+    UnnamedVoidError
+        No phase is named void; of two phases the other one is meant where `phase` is given.
+    """
+    check_labels(image)
+    if "void" not in image.phases:
+        if phase is None or len(image.phases) > 2:
+            raise UnnamedVoidError(image.phases, phase_helps=len(image.phases) == 2)
+        return 1 - phase_index(image, phase, default="solid")
     void = phase_index(image, None, default="void")
     if phase is None or phase_index(image, phase, default="solid") != void:
         return void

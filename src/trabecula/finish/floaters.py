@@ -70,7 +70,7 @@ def remove_floaters_in_place(
     """As `remove_floaters`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
     if smaller_than is not None:
         smaller_than = int(as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True))
-    member, background = members(image, phase), background_of(image, phase)
+    background, member = background_of(image, phase), members(image, phase)
     runs = runs_of(values, member, as_connectivity(connectivity, image.ndim))
     sizes = runs.sizes
     if not len(sizes):

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, with_values
+from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.recipe import Recipe
 from trabecula.finish.branches import Anatomy, FreeEnd, anatomy, cell_perimeters
 from trabecula.finish.connect import background_of
@@ -95,11 +95,11 @@ def prune(
     >>> report["ends_before"], report["removed"], report["grown"], report["ends_after"]
     (1, 0, 1, 0)
     """
+    background = background_of(as_image(image), phase)
     image, inside = indicator(image, phase)
     theta = as_number(theta, name="theta", low=0, high=10)
     if not inside.any():
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to prune")
-    background = background_of(image, phase)
     source = None if exemplar is None else _source(exemplar, image)
     # Lengths from here on in the smallest edge: the same voxels then whatever the unit.
     scale = min(image.spacing)

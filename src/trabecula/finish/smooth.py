@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, with_values
+from trabecula.core.image import Image, as_image, with_values
 from trabecula.finish.connect import background_of
 from trabecula.finish.labels import repainted
 from trabecula.measure.phases import indicator
@@ -46,12 +46,12 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     >>> int(even[9, 8]), int(even[10, 21])
     (0, 1)
     """
+    background = background_of(as_image(image), phase)
     image, inside = indicator(image, phase)
     extent = max(side * edge for side, edge in zip(image.shape, image.spacing, strict=True))
     sigma = as_number(sigma, name="sigma", low=0, high=extent)
     if sigma == 0:
         raise InputError("sigma 0 smooths nothing: give a length above 0, in the image's unit")
-    background = background_of(image, phase)
     if not inside.any():
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to smooth")
     level = gaussian(inside, [sigma / edge for edge in image.spacing])

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, with_values
+from trabecula.core.image import Image, as_image, with_values
 from trabecula.finish.connect import background_of
 from trabecula.finish.labels import repainted
 from trabecula.finish.struts import balls, thin_cores
@@ -55,12 +55,12 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     >>> int(thicken(wire, thickness=5).values[:, 5, 15].sum())
     5
     """
+    background = background_of(as_image(image), phase)
     image, inside = indicator(image, phase)
     extent = max(side * edge for side, edge in zip(image.shape, image.spacing, strict=True))
     thickness = as_number(thickness, name="thickness", low=0, high=extent)
     if thickness == 0:
         raise InputError("thickness 0 thickens nothing: give a length above 0, in the image's unit")
-    background = background_of(image, phase)
     if not inside.any():
         raise InputError(
             f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to thicken"

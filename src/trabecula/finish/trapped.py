@@ -90,6 +90,7 @@ def fill_trapped(image: Image | ArrayLike, *, phase: str | int | None = None, co
         As `trapped`.
     """
     image = as_image(image)
+    background = background_of(image, phase)
     values = np.array(image.values, order="C")
     lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
     settings: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
@@ -98,7 +99,7 @@ def fill_trapped(image: Image | ArrayLike, *, phase: str | int | None = None, co
     else:
         pores = _pores(image, phase, connectivity)
         after = pores.inside | np.concatenate([[False], pores.closed])[pores.labels]
-        values = repainted(image, pores.inside, after, background_of(image, phase))
+        values = repainted(image, pores.inside, after, background)
         report = {"filled_pores": np.count_nonzero(pores.closed), "filled": int(pores.sizes[pores.closed].sum())}
     recipe = image.recipe.then("finish", values, operation="fill_trapped", settings=settings, report=report)
     return with_values(image, values, recipe=recipe)
@@ -114,6 +115,7 @@ def fill_trapped_in_place(
     InputError
         The phase has several labels here, of which the nearest would have to be found.
     """
+    background = background_of(image, phase)
     labels = _present(values, image, phase)
     if len(labels) > 1:
         names = ", ".join(image.phases[label] for label in labels)
@@ -121,7 +123,7 @@ def fill_trapped_in_place(
             f"pores among {names} take the nearest of them, which needs the whole volume in memory: name one --phase, or "
             "raise --memory"
         )
-    void = np.arange(256) == background_of(image, phase)
+    void = np.arange(256) == background
     runs = runs_of(values, void, as_connectivity(connectivity, image.ndim))
     closed = ~runs.at_faces(tuple(range(3 - image.ndim, 3)))
     if len(labels):
@@ -142,8 +144,9 @@ def _present(values: np.ndarray, image: Image, phase: str | int | None) -> np.nd
 
 
 def _pores(image: Image | ArrayLike, phase: str | int | None, connectivity: int | None) -> _Pores:
+    background = background_of(as_image(image), phase)
     image, inside = indicator(image, phase)
-    void = image.values == background_of(image, phase)
+    void = image.values == background
     labels, sizes = label_components(void, connectivity=connectivity)
     closed = np.ones(len(sizes) + 1, bool)
     for axis in range(labels.ndim):

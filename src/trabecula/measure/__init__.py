@@ -14,6 +14,7 @@ from trabecula.measure.components import (
     largest_fraction,
     size_distribution,
 )
+from trabecula.measure.contacts import contact, contacts
 from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
 from trabecula.measure.correlation import (
     axis_preference,
@@ -26,6 +27,7 @@ from trabecula.measure.correlation import (
 )
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.distance import distance_transform, signed_distance
+from trabecula.measure.each_phase import describe_phases
 from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
@@ -34,10 +36,17 @@ from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_cu
 from trabecula.measure.morphometry import connectivity_density, morphometry
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
+from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.physics import describe_physics
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph, thin
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
 from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, tortuosity
+from trabecula.measure.triple_lines import (
+    TripleLine,
+    triple_phase_active_share,
+    triple_phase_line_density,
+    triple_phase_lines,
+)
 
 __all__ = [
     "Effective",
@@ -45,6 +54,7 @@ __all__ = [
     "Minkowski",
     "SkeletonGraph",
     "Stiffness",
+    "TripleLine",
     "anisotropy",
     "autocorrelation",
     "axis_preference",
@@ -56,10 +66,13 @@ __all__ = [
     "components",
     "conductivity",
     "connectivity_density",
+    "contact",
+    "contacts",
     "correlation_length",
     "covariance_form",
     "cross_correlation",
     "describe",
+    "describe_phases",
     "describe_physics",
     "describe_slabs",
     "describe_texture",
@@ -85,6 +98,8 @@ __all__ = [
     "percolates",
     "percolating_fraction",
     "permeability",
+    "phase_curves",
+    "phase_numbers",
     "pore_size",
     "porosity",
     "signed_distance",
@@ -98,6 +113,9 @@ __all__ = [
     "thickness",
     "thin",
     "tortuosity",
+    "triple_phase_active_share",
+    "triple_phase_line_density",
+    "triple_phase_lines",
     "two_point",
     "two_point_cluster",
     "volume_fractions",

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
+from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.engine.plan import Plan
 from trabecula.engine.slabs import Slabs, depth_within
 from trabecula.measure.box import box_sides
-from trabecula.measure.correlation.paths import segments_that_fit
-from trabecula.measure.correlation.separations import Radial, Ray, probability, steps_of
+from trabecula.measure.correlation.separations import Radial, steps_of
 from trabecula.measure.correlation.window import Window
-from trabecula.measure.describe import LEVELS, SLOW
-from trabecula.measure.percolation import AXES
+from trabecula.measure.describe import LEVELS, SLOW, figures_from, outline_without_solid, void_notes
+from trabecula.measure.each_phase import drop_redundant, redundant_beside_solid
 from trabecula.measure.phases import indicator
 from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.runs import RUN_BYTES
-from trabecula.measure.tallies import Lines, Numbers, PieceSizes, RadialPairs
+from trabecula.measure.tallies import Numbers, PieceSizes
 from trabecula.measure.tallies.pairs import pairs_bytes
+from trabecula.measure.tallies.phases import CurveTally, PhaseTallies
 
 LEFT_OUT = (*SLOW, "two_point_cluster")
 """What needs the whole volume in memory."""
+PHASES_LEFT_OUT = ("cross_correlation", "triples")
+"""What of three phases or more needs it as well."""
 
-_IN_CORE = {"quick": 20, "default": 45, "full": 45}
+_IN_CORE = {"quick": 26, "default": 45, "full": 45}
 """Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own forecast)."""
 
 
@@ -61,7 +66,8 @@ def describe_slabs(
     descriptors : dict
         The keys of `describe`, with its values; the radial curve of large volumes within the rounding errors of float32
         (1e-7 of the pairs). `None` for `pore_size`, `thickness`, `morphometry`, `anisotropy` and `two_point_cluster`, which
-        need the whole volume: `notes` names what was left out.
+        need the whole volume, and with three phases or more for `triples` and the `cross_correlation` of pairs: `notes`
+        names what was left out.
 
     Raises
     ------
@@ -78,16 +84,22 @@ def describe_slabs(
     reach = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     reach = max(1, min(reach, min(volume.shape) // 2))
     if depth is None:
-        depth = fitting_depth(volume, r_max=reach, memory=memory)
+        depth = fitting_depth(volume, r_max=reach, memory=memory, phases=True)
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
-    found = count_slabs(volume, r_max=reach, depth=depth)[0]
-    found |= dict.fromkeys((*LEFT_OUT, *PHYSICS))
-    if level == "full":
+    if "void" in volume.phases:
+        found = count_slabs(volume, r_max=reach, depth=depth, phases=True)[0] | dict.fromkeys((*LEFT_OUT, *PHYSICS))
+    else:
+        found = _count_phases(volume, r_max=reach, depth=depth)
+    known = figures_from(volume.phases, found)
+    told = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
+    found["phases"] = drop_redundant(told, redundant_beside_solid(volume.phases))
+    if level == "full" and "void" in volume.phases:
         found |= describe_physics(volume.centre(box_sides(box, volume.shape)), halving=True)
-    return found | {"level": level, "notes": [*_notes(level), *physics_notes(found)]}
+    notes = [*void_notes(volume.phases), *_notes(level, volume.phases), *physics_notes(found)]
+    return found | {"level": level, "notes": notes}
 
 
-def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None) -> int:
+def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None, phases: bool = False) -> int:
     """Planes of the deepest slab with which `count_slabs` fits into memory.
 
     Raises
@@ -97,12 +109,15 @@ def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None) -> in
     """
     advice = "measure a smaller box (--crop)"
     return depth_within(
-        volume, lambda planes: forecast(volume, r_max=r_max, depth=planes), memory=memory, advice=advice
+        volume,
+        lambda planes: forecast(volume, r_max=r_max, depth=planes, phases=phases),
+        memory=memory,
+        advice=advice,
     )
 
 
 def count_slabs(
-    volume: Slabs, *, r_max: int, depth: int, tallies: Sequence[Any] = ()
+    volume: Slabs, *, r_max: int, depth: int, phases: bool = False, tallies: Sequence[Any] = ()
 ) -> tuple[dict[str, Any], PieceSizes]:
     """What one pass over all planes tells, by the names of `describe`, and the components of the solid.
 
@@ -113,54 +128,82 @@ def count_slabs(
         Largest distance of the curves; it has to fit every side.
     depth : int
         Planes of a slab.
+    phases : bool
+        Tell `phases` and `pairs` as well. Every phase is a pass of its own over each slab.
     tallies : sequence, optional
         Further objects whose `add` takes every slab, so that planes are read once for them as well.
+
+    Raises
+    ------
+    InputError
+        No phase is named void.
     """
     pairs = _radial(volume, r_max)
-    numbers = Numbers(volume.shape, volume.spacing, volume.phases)
-    lines, radial = Lines(r_max), RadialPairs(pairs)
-    for slab in track(volume.slabs(depth), "slabs", total=-(-volume.shape[0] // depth)):
+    numbers, curves = Numbers(volume.shape, volume.spacing, volume.phases), CurveTally(pairs)
+    each = _each_phase(volume, pairs) if phases else None
+    for slab in _tracked(volume, depth):
         inside = indicator(slab, None)[1]
         numbers.add(slab)
-        lines.add(inside)
-        radial.add(inside)
+        curves.add(inside)
+        if each is not None:
+            each.add(slab)
         for tally in tallies:
             tally.add(slab)
-    rays = [Ray(pairs.window, r_max, tuple(float(along == axis) for along in range(3))) for axis in range(3)]
-    curves = {name: probability(lines.pairs[axis], rays[axis].fits()).tolist() for axis, name in enumerate(AXES)}
-    fits = sum(segments_that_fit(volume.shape, r_max, axis, False) for axis in range(3))
     found = {
         "shape": list(volume.shape),
         "spacing": list(volume.spacing),
         "unit": volume.unit,
         **numbers.result(),
         "r_max": r_max,
-        "two_point": {**curves, "radial": radial.result().tolist()},
-        "lineal_path": (lines.segments.sum(axis=0) / fits).tolist(),
+        "two_point": curves.two_point(),
+        "lineal_path": curves.lineal_path(),
     }
-    return found, numbers.pieces()
+    return found | (each.result() if each is not None else {}), numbers.pieces()
+
+
+def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:
+    """Count every phase in one pass over all planes, where no phase is named void."""
+    each, counts = _each_phase(volume, _radial(volume, r_max)), np.zeros(len(volume.phases), np.int64)
+    for slab in _tracked(volume, depth):
+        counts += np.bincount(slab.values.ravel(), minlength=len(counts))
+        each.add(slab)
+    return outline_without_solid(volume, counts, r_max=r_max) | each.result()
+
+
+def _each_phase(volume: Slabs, pairs: Radial) -> PhaseTallies:
+    solid = [name for name in volume.phases if name != "void"]
+    # With two phases the solid is the phase that is not void, and counted anyway.
+    skipped = solid if len(volume.phases) == 2 and len(solid) == 1 else ()
+    return PhaseTallies(volume.spacing, volume.phases, pairs, skipped=skipped)
+
+
+def _tracked(volume: Slabs, depth: int) -> Iterable[Image]:
+    return track(volume.slabs(depth), "slabs", total=-(-volume.shape[0] // depth))
 
 
 def _radial(volume: Slabs, r_max: int) -> Radial:
     return Radial(Window(volume.shape, (False,) * 3), r_max, steps_of(volume.spacing))
 
 
-def _notes(level: str) -> list[str]:
-    if level == "quick":
+def _notes(level: str, phases: Sequence[str]) -> list[str]:
+    left_out = [*(LEFT_OUT if level != "quick" else ()), *(PHASES_LEFT_OUT if len(phases) > 2 else ())]
+    if not left_out:
         return []
     return [
-        f"Measured slab by slab: {', '.join(LEFT_OUT)} need the whole volume in memory and were left out; measure them in a "
+        f"Measured slab by slab: {', '.join(left_out)} need the whole volume in memory and were left out; measure them in a "
         "box (--crop), or at a coarser level of the store."
     ]
 
 
-def forecast(volume: Slabs, *, r_max: int, depth: int) -> Plan:
-    """What `describe_slabs` will need with slabs of `depth` planes; `r_max` has to fit every side.
+def forecast(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) -> Plan:
+    """What `count_slabs` will need with slabs of `depth` planes; `r_max` has to fit every side.
 
     Parameters
     ----------
     volume : Slabs
     r_max, depth : int
+    phases : bool
+        Whether every phase is told for itself.
 
     Returns
     -------
@@ -168,11 +211,13 @@ def forecast(volume: Slabs, *, r_max: int, depth: int) -> Plan:
     """
     plane = math.prod(volume.shape[1:])
     pairs = _radial(volume, r_max)
+    # Of two phases the void alone is counted besides the solid.
+    tallies = 1 + phases * (len(volume.phases) if len(volume.phases) > 2 else 1)
     numbering = RUN_BYTES * depth * plane // 2  # two voxels hold one run at most
     return Plan(
         {
             "slab": 3 * depth * plane,
-            "planes before it": (2 * pairs.reach[0] + 40) * plane,
+            "planes before it": (2 * pairs.reach[0] + 40) * plane * tallies,
             "work": max(numbering, pairs_bytes(pairs, depth)),
         }
     )

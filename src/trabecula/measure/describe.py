@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,18 +11,19 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.slabs import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
+from trabecula.measure.each_phase import CURVES, LEVELS, NUMBERS, collect_phases, drop_redundant, redundant_beside_solid
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
 from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
-from trabecula.measure.phases import indicator
+from trabecula.measure.phases import check_sides, indicator
 from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
-from trabecula.measure.tallies.numbers import Numbers
+from trabecula.measure.tallies.numbers import SOLID_NUMBERS, Numbers, fractions_of
 from trabecula.measure.thickness import pore_size, thickness
 
-LEVELS = ("quick", "default", "full")
 SLOW = ("pore_size", "thickness", "morphometry", "anisotropy")
 """What needs distances and directions."""
 
@@ -31,7 +33,8 @@ def describe(
 ) -> dict[str, Any]:
     """Every descriptor of a material, as plain JSON values.
 
-    Where one number is needed, it is that of the solid: every phase but "void". Neighbours share a face.
+    Where one number is needed, it is that of the solid: every phase but "void". Every phase for itself stands under
+    `phases`. Neighbours share a face.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def describe(
     Raises
     ------
     InputError
-        No phase named "void", a side of one voxel, r_max below 1, an unknown level.
+        A side of one voxel, r_max below 1, an unknown level.
     MemoryBudgetError
         At level "full", transport or stiffness would take more memory than there is: give a smaller `box`.
     """
@@ -72,10 +75,46 @@ def describe(
     if image.kind != "labels":
         return describe_texture(image, lags=r_max)
     r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
-    found = describe_numbers(image, level=level)
-    found |= describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)), level=level)
-    found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
-    return found | {"level": level, "notes": physics_notes(found)}
+    check_sides(image.shape, what="has no surface inside")
+    r_max = max(1, min(r_max, min(image.shape) // 2))
+    if "void" in image.phases:
+        found = describe_numbers(image, level=level) | describe_curves(image, r_max=r_max, level=level)
+        found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
+    else:
+        counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
+        found = outline_without_solid(image, counts, r_max=r_max)
+    found |= collect_phases(image, level=level, r_max=r_max, known=figures_from(image.phases, found))
+    found["phases"] = drop_redundant(found["phases"], redundant_beside_solid(image.phases))
+    return found | {"level": level, "notes": [*void_notes(image.phases), *physics_notes(found)]}
+
+
+def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the figures of single phases that `found`, by the names of `describe`, holds already."""
+    if "void" not in phases:
+        return {}
+    known: dict[str, dict[str, Any]] = {"void": {"thickness": found["pore_size"]}}
+    if len(phases) == 2:
+        solid = next(name for name in phases if name != "void")
+        known[solid] = {name: found[name] for name in NUMBERS if name != "fraction"}
+        known[solid] |= {"fraction": found["fractions"][solid], "lineal_path": found["lineal_path"], "two_point": None}
+    return known
+
+
+def outline_without_solid(image: Image | Slabs, counts: np.ndarray, *, r_max: int) -> dict[str, Any]:
+    """Return the keys of `describe` for an image of which nobody knows what is solid; `counts` are voxels of every phase."""
+    outline = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
+    solid = dict.fromkeys((*SOLID_NUMBERS, *SLOW, *CURVES, "two_point_cluster", *PHYSICS))
+    return {**outline, "fractions": fractions_of(counts, image.phases), "r_max": r_max, **solid}
+
+
+def void_notes(phases: Sequence[str]) -> list[str]:
+    """Return what has to be known where no phase is named void."""
+    if "void" in phases:
+        return []
+    return [
+        f"No phase of {', '.join(phases)} is named void, so it is open what is solid: figures of pores and of the solid are "
+        "left out, those of every phase stand under phases. Name one of the phases void to have both."
+    ]
 
 
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:

@@ -88,7 +88,7 @@ def minkowski(
     neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     check_sides(image.shape, what="has no surface inside")
-    counts = count_cubes(_extended(inside, wraps), None if region is None else _extended(region, wraps))
+    counts = count_cubes(extended(inside, wraps), None if region is None else extended(region, wraps))
     if not counts.any():
         raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
     return densities(counts, image.spacing, neighbours)
@@ -184,7 +184,7 @@ def euler(
     neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     margin = [(0, 0) if wrap else (1, 1) for wrap in wraps]
-    counts = count_cubes(_extended(np.pad(inside, margin), wraps), None)
+    counts = count_cubes(extended(np.pad(inside, margin), wraps), None)
     return euler_of(counts, neighbours)
 
 
@@ -218,8 +218,8 @@ def euler_density(
     return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).euler_density
 
 
-def _extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
-    """One more layer along every periodic axis: the first again."""
+def extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
+    """Repeat the first layer behind the last one along every periodic axis."""
     if not any(wraps):
         return values
     return np.pad(values, [(0, int(wrap)) for wrap in wraps], mode="wrap")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.errors import InputError
+from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
 
 
@@ -46,10 +46,7 @@ def _meant(image: Image, phase: str | int | None, default: str) -> tuple[int, bo
     """A label, and whether the phase is everything but that."""
     check_labels(image)
     if phase is None and "void" not in image.phases:
-        raise InputError(
-            f"no phase of {', '.join(image.phases)} is named void, so it is open what is solid: give the phase (--phase), "
-            "or name one of them void (--phases)"
-        )
+        raise UnnamedVoidError(image.phases)
     if phase is None and default == "solid":
         return phase_index(image, None, default="void"), True
     return phase_index(image, phase, default=default), False

@@ -152,7 +152,7 @@ def _box(certificate: Certificate) -> str:
 def _unexamined(certificate: Certificate) -> str:
     """What the level left out."""
     return {
-        "quick": "Not examined: thickness, pore size, directions, clusters, copying, transport, stiffness.",
+        "quick": "Not examined: thickness, pore size, phases one by one, clusters, copying, transport, stiffness.",
         "default": "Not examined: transport and stiffness (--full).",
     }.get(str(certificate.about.get("level")), "")
 
@@ -278,7 +278,7 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     lines = {name: _with_covariance(curves) for name, curves in lines.items()}
     parts = [_with_covariance(part) for part in first.curves["parts"]]
     figures = []
-    for name, title in _CURVES.items():
+    for name, title in (_CURVES | _phase_curves(lines["exemplar"])).items():
         if name in lines["exemplar"]:
             spread = np.array([part[name] for part in parts])
             figures.append(
@@ -295,6 +295,17 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     return (
         f'<h2>Curves</h2>{key(list(lines), band=told, baseline=baseline)}<div class="figures">{"".join(figures)}</div>'
     )
+
+
+def _phase_curves(curves: Mapping[str, Any]) -> dict[str, str]:
+    """Titles of the curves of single phases and of pairs of them, without those along an axis."""
+    stems = {"two_point": "Two-point function", "lineal_path": "Lineal path", "cross": "Cross-correlation"}
+    found = {}
+    for name in curves:
+        stem = next((known for known in stems if name.startswith(f"{known}_")), None)
+        if stem and name not in _CURVES and "_axis_" not in name and name[-2:] not in ("_z", "_y", "_x"):
+            found[name] = f"{stems[stem]} of {name[len(stem) + 1 :]}"
+    return found
 
 
 def _with_covariance(curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

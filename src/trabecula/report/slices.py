@@ -16,6 +16,7 @@ from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
 from trabecula.report.evenness import merge_evenness
 from trabecula.report.faces import slices_of
+from trabecula.report.figures import COUNT, figure_of, stem_of
 from trabecula.report.sticks import Measured, Stick, TextureStick
 
 _NOT_OF_SLICES = ("percolates", "euler")
@@ -40,7 +41,7 @@ class SliceStick:
     def measure(self, image: Image, *, part: bool = False) -> Measured:
         """A picture, a part of one, or one slice."""
         found = self.inner.measure(image, part=part)
-        numbers = {name: value for name, value in found.numbers.items() if name not in _NOT_OF_SLICES}
+        numbers = {name: value for name, value in found.numbers.items() if stem_of(name) not in _NOT_OF_SLICES}
         curves = {**found.curves, **self._diagonal(image)}
         return replace(found, numbers={**numbers, **self._preference(curves)}, curves=curves)
 
@@ -55,8 +56,8 @@ class SliceStick:
         """The mean of several, counts scaled to the size of the first."""
         sizes = [float(np.prod(each.shape)) for each in found]
         numbers = {name: _mean([each.numbers.get(name) for each in found]) for name in found[0].numbers}
-        for name in ("components", "floating", "floating_voxels"):
-            if name in numbers:
+        for name in numbers:
+            if figure_of(name).rule == COUNT:
                 counts = [each.numbers[name] for each in found]
                 numbers[name] = float(np.mean([n * sizes[0] / size for n, size in zip(counts, sizes, strict=True)]))
         curves = {name: np.mean([each.curves[name] for each in found], axis=0) for name in found[0].curves}

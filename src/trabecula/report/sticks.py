@@ -20,6 +20,7 @@ from trabecula.measure.describe import autocorrelation_lines, describe_curves, d
 from trabecula.measure.evenness import Evenness
 from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten_bins
 from trabecula.measure.orientation import orientation
+from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.phases import as_inside, indicator
 from trabecula.measure.physics import describe_physics, finite
 from trabecula.measure.tallies import Lines
@@ -33,6 +34,14 @@ BINS = 64
 """Of the histograms that are compared."""
 
 NOTHING = np.empty(0)
+
+_CURVE_STEMS = {
+    "two_point_cluster": "two_point_cluster_distance",
+    "two_point": "two_point_covariance",
+    "lineal_path": "lineal_path_distance",
+    "cross": "cross_correlation_distance",
+}
+"""Beginnings of the curves' names, each with that of its distance; an axis, a phase or a pair of phases follows."""
 
 _SLOW = ("pore_size", "thickness", "anisotropy")  # None at level "quick": not measured, and not missing
 
@@ -95,11 +104,16 @@ class LabelStick:
         physics = describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
         lines = _Axes(image.ndim, self.r_max)
         lines.add(image)
+        each_numbers: dict[str, Any] = {}
+        each_curves: dict[str, np.ndarray] = {}
+        if self.level != "quick":
+            each_numbers = phase_numbers(image, level=self.level)
+            each_curves = phase_curves(image, r_max=self.r_max)
         local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
         return Measured(
             image.shape,
-            numbers_of(found, physics, self.level) | lines.numbers(found["porosity"], image.spacing),
-            _curves_of(curves) | lines.curves(image.shape),
+            numbers_of(found, physics, self.level) | lines.numbers(found["porosity"], image.spacing) | each_numbers,
+            _curves_of(curves) | lines.curves(image.shape) | each_curves,
             component_sizes(image) / image.values.size,
             physics,
             self._evenness(local, image),
@@ -138,16 +152,15 @@ class LabelStick:
         }
         for name, own in exemplar.curves.items():
             curve = image.curves[name]
-            stem, _, suffix = name.partition("_axis_")
-            ending = f"_{suffix}" if suffix else ""
+            stem = next((known for known in _CURVE_STEMS if name == known or name.startswith(f"{known}_")), None)
+            if stem is None:
+                continue
+            ending = name[len(stem) :].replace("_axis_", "_")
             if stem == "two_point":
-                if not suffix:
+                if not ending:
                     found["two_point_relative"] = _relative(curve[1:], own[1:])
-                form = covariance_form(curve), covariance_form(own)
-                found[f"two_point_covariance{ending}"] = _relative(*form)
-            elif stem in ("two_point_cluster", "lineal_path", "lineal_path_void"):
-                void = "_void" if stem.endswith("_void") else ""
-                found[f"{stem.removesuffix('_void')}_distance{void}{ending}"] = _relative(curve, own)
+                curve, own = covariance_form(curve), covariance_form(own)
+            found[_CURVE_STEMS[stem] + ending] = _relative(curve, own)
         return found
 
 

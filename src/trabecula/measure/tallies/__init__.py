@@ -5,10 +5,21 @@ A *tally* takes whole planes along z, from the first to the last, and keeps what
 measures in memory, where the whole image is one slab.
 """
 
-from trabecula.measure.tallies.components import Pieces, PieceSizes
+from trabecula.measure.tallies.components import Pieces, PieceSizes, pieces_of
 from trabecula.measure.tallies.cubes import Cubes
 from trabecula.measure.tallies.lines import Crossings, Lines
-from trabecula.measure.tallies.numbers import Numbers
+from trabecula.measure.tallies.numbers import Numbers, PhaseNumbers, phase_figures
 from trabecula.measure.tallies.pairs import RadialPairs
 
-__all__ = ["Crossings", "Cubes", "Lines", "Numbers", "PieceSizes", "Pieces", "RadialPairs"]
+__all__ = [
+    "Crossings",
+    "Cubes",
+    "Lines",
+    "Numbers",
+    "PhaseNumbers",
+    "PieceSizes",
+    "Pieces",
+    "RadialPairs",
+    "phase_figures",
+    "pieces_of",
+]

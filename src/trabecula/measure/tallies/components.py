@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,22 @@ class PieceSizes:
         both = _FIRST[axis] | _LAST[axis]
         spans = self.faces & both == both
         return int(self.size[spans] @ self.count[spans])
+
+    def spans(self, axes: Iterable[int]) -> np.ndarray:
+        """(n,) bool: whether components of each row touch both ends of one of the axes (0 z, 1 y, 2 x)."""
+        found = np.zeros(len(self.faces), bool)
+        for axis in axes:
+            both = _FIRST[axis] | _LAST[axis]
+            found |= self.faces & both == both
+        return found
+
+
+def pieces_of(runs: Runs) -> PieceSizes:
+    """Return the components of a whole volume, one a row, in the order of their labels."""
+    faces = _lateral_faces(runs)
+    for at, bits in ((0, _FIRST), (-1, _LAST)):
+        faces[_layer(runs, 0, at)] |= bits[0]
+    return PieceSizes(runs.sizes, faces[1:], np.ones(len(runs.sizes), np.int64))
 
 
 class Pieces:
