@@ -37,6 +37,9 @@ from trabecula.report.quantiles import student, variance_ratio
 SIZES = ("small", "medium", "large")
 """Of windows, as the names of figures end."""
 
+WHATS = ("fraction", "surface", "direction")
+"""What is local."""
+
 LEAST_FREEDOM = 4.0
 """Fewer independent windows in the exemplar know no spread."""
 
@@ -101,34 +104,46 @@ def merge_evenness(found: Sequence[Evenness]) -> Evenness:
     )
 
 
-def evenness_numbers(found: Evenness, suffix: str = "") -> dict[str, float]:
-    """Return every figure of evenness by the name that the certificate gives it."""
+def evenness_numbers(found: Evenness, suffix: str = "", *, whats: Sequence[str] = WHATS) -> dict[str, float]:
+    """Return every figure of evenness by the name that the certificate gives it.
+
+    Parameters
+    ----------
+    found : Evenness
+    suffix : str
+        Of the names: the phase.
+    whats : sequence of {"fraction", "surface", "direction"}
+        Surface and direction are those of all phases, so that they are asked once.
+    """
     numbers: dict[str, float] = {}
     names = SIZES[-len(found.fraction) :]
-    for what in ("fraction", "surface", "direction"):
+    for what in whats:
         for size, spread in zip(names, getattr(found, what), strict=True):
             numbers[f"{what}_spread_{size}{suffix}"] = spread.deviation
             if what != "direction":
                 numbers[f"{what}_lowest_{size}{suffix}"] = spread.lowest
                 numbers[f"{what}_highest_{size}{suffix}"] = spread.highest
-    for what, trend in (("fraction", found.trend), ("surface", found.surface_trend)):
-        numbers |= {f"{what}_trend_{axis}{suffix}": value for axis, value in trend.items()}
+        if what != "direction":
+            trend = found.trend if what == "fraction" else found.surface_trend
+            numbers |= {f"{what}_trend_{axis}{suffix}": value for axis, value in trend.items()}
     return numbers
 
 
-def evenness_bands(exemplar: Evenness, image: Evenness, suffix: str = "") -> dict[str, tuple[float, float]]:
+def evenness_bands(
+    exemplar: Evenness, image: Evenness, suffix: str = "", *, whats: Sequence[str] = WHATS
+) -> dict[str, tuple[float, float]]:
     """Return the band of every figure of evenness of an image that the exemplar has windows enough for.
 
     Parameters
     ----------
     exemplar, image : Evenness
         Of windows of the same edges.
-    suffix : str
-        Of the names.
+    suffix, whats
+        As of `evenness_numbers`.
     """
     bands: dict[str, tuple[float, float]] = {}
     names = SIZES[-len(exemplar.fraction) :]
-    for what in ("fraction", "surface", "direction"):
+    for what in whats:
         for size, own in zip(names, getattr(exemplar, what), strict=True):
             freedom = _freedom(exemplar, own, own.kurtosis)
             if freedom < LEAST_FREEDOM:
@@ -140,13 +155,14 @@ def evenness_bands(exemplar: Evenness, image: Evenness, suffix: str = "") -> dic
                 floor = 0.0 if own.lowest >= 0 else -math.inf
                 bands[f"{what}_lowest_{size}{suffix}"] = (max(floor, min(own.lowest, own.mean - far)), own.mean)
                 bands[f"{what}_highest_{size}{suffix}"] = (own.mean, max(own.highest, own.mean + far))
-    for what, trend in (("fraction", exemplar.trend), ("surface", exemplar.surface_trend)):
-        largest = getattr(exemplar, what)[-1]
-        limits = _trend_limits(exemplar, image.extents, largest, (1 + CONFIDENCE) / 2, scaling_exponent(exemplar))
-        for axis, value in trend.items():
-            if axis in limits:
-                far = max(abs(value), limits[axis])
-                bands[f"{what}_trend_{axis}{suffix}"] = (-far, far)
+        if what != "direction":
+            trend = exemplar.trend if what == "fraction" else exemplar.surface_trend
+            largest, exponent = getattr(exemplar, what)[-1], scaling_exponent(exemplar)
+            limits = _trend_limits(exemplar, image.extents, largest, (1 + CONFIDENCE) / 2, exponent)
+            for axis, value in trend.items():
+                if axis in limits:
+                    far = max(abs(value), limits[axis])
+                    bands[f"{what}_trend_{axis}{suffix}"] = (-far, far)
     return bands
 
 

@@ -12,8 +12,9 @@ from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
+from trabecula.measure.evenness import Evenness
 from trabecula.report.band import LEAST_COUNT, Sizes, distance_limit, draw_limit, parts, value_band
-from trabecula.report.evenness import evenness_bands, evenness_numbers, scaling_exponent
+from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
 from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order
 from trabecula.report.metric import Metric
 from trabecula.report.sticks import Measured, Stick
@@ -87,14 +88,21 @@ class Reference:
     def judged_evenness(self, measured: Measured) -> dict[str, Metric]:
         """Return local figures and trends of every phase, with bands and verdicts."""
         found: dict[str, Metric] = {}
+        first = next(iter(self.own.evenness), "")
         for suffix, own in self.own.evenness.items():
-            image = measured.evenness[suffix]
-            bands = evenness_bands(own, image, suffix) if len(self.parts) >= LEAST_COUNT else {}
-            known = evenness_numbers(own, suffix)
-            for name, value in evenness_numbers(image, suffix).items():
-                band = bands.get(name)
-                passed = None if band is None else _passes(value, band, figure_of(name).rule)
-                found[name] = Metric(value, band, passed, known[name])
+            found |= self._judged_local(own, measured.evenness[suffix], suffix, WHATS[:1])
+        if first in self.own.evenness:
+            found |= self._judged_local(self.own.evenness[first], measured.evenness[first], "", WHATS[1:])
+        return found
+
+    def _judged_local(self, own: Evenness, image: Evenness, suffix: str, whats: Sequence[str]) -> dict[str, Metric]:
+        bands = evenness_bands(own, image, suffix, whats=whats) if len(self.parts) >= LEAST_COUNT else {}
+        known = evenness_numbers(own, suffix, whats=whats)
+        found = {}
+        for name, value in evenness_numbers(image, suffix, whats=whats).items():
+            band = bands.get(name)
+            passed = None if band is None else _passes(value, band, figure_of(name).rule)
+            found[name] = Metric(value, band, passed, known[name])
         return found
 
     def _sizes(self, measured: Measured) -> Sizes:
