@@ -21,15 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    shared.add_lengths(parser, spacing=False)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what was found. A part that would be refused is a result, not an error: status 0."""
     from trabecula.finish import print_check
+    from trabecula.flow import with_lengths
 
     limits = shared.settings(options.set)
-    image = shared.load_exemplar(options.file, options)
+    image = with_lengths(shared.load_exemplar(options.file, options), scale=shared.scale_factor(options))
     found = print_check(image, printer=options.printer, phase=options.phase, **limits)
     if options.json:
         terminal.show_json(found.to_json())
