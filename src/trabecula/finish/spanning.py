@@ -5,7 +5,7 @@
 2. Boruvka's rounds: every component takes the cheapest way to another one, and both belong together from then on. A way runs
    where two numbers meet; that such ways hold a minimum spanning tree of all ways is theorem 1 of Mehlhorn 1988,
    doi:10.1016/0020-0190(88)90066-X.
-3. Follow every way to both its ends.
+3. Follow every way to both its ends, and draw it straight between them where that is as short and nothing lies in between.
 
 All passes go by slabs along z one after the other, and the arrays may lie in scratch files.
 """
@@ -44,8 +44,7 @@ def cheapest_joins(
     Returns
     -------
     ways : list of (n, 3) int64
-        The first voxel is one of the smaller of two components, which the second voxel touches; the last one touches the
-        other component.
+        The first voxel is one of the smaller of two components, the others are open; the last one touches the other component.
     """
     numbers = np.zeros(len(runs.sizes) + 1, np.int32)
     numbers[1:][worth] = np.arange(1, np.count_nonzero(worth) + 1)
@@ -59,7 +58,7 @@ def cheapest_joins(
     in_order(lambda start, stop: _seed(*seeds, start, stop), len(values))
     _spread_owners(owner, far, open_to)
     sizes = np.concatenate([[0], runs.sizes[worth]])
-    found = [_follow(owner, far, place, axis, sizes) for place, axis in _tree(owner, far, count)]
+    found = [_straight(_follow(owner, far, place, axis, sizes), open_to) for place, axis in _tree(owner, far, count)]
     return sorted(found, key=len)
 
 
@@ -119,14 +118,30 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
 
 
 def _follow(owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray) -> np.ndarray:
-    """A way from the smaller of its two components to the larger."""
+    """A way from a voxel of the smaller of its two components to one of the larger."""
     here = np.array(np.unravel_index(place, owner.shape), np.int64)
     there = here.copy()
     there[axis] += 1
     if sizes[owner[tuple(here)]] > sizes[owner[tuple(there)]]:
         here, there = there, here
     first, last = _descend(owner, far, here), _descend(owner, far, there)
-    return np.concatenate([first[::-1], last[:-1]])
+    return np.concatenate([first[::-1], last])
+
+
+def _straight(way: np.ndarray, open_to: np.ndarray) -> np.ndarray:
+    """A way without its last voxel: along the straight line between its ends where all of that is open and no longer."""
+    apart = way[-1] - way[0]
+    count = int(np.abs(apart).sum())
+    if count != len(way) - 1:
+        return way[:-1]
+    line, lag = np.repeat(way[:1], count, axis=0), np.zeros(3)
+    for n in range(1, count):
+        lag += np.abs(apart) / count
+        axis = int(np.argmax(lag))
+        lag[axis] -= 1
+        line[n] = line[n - 1]
+        line[n, axis] += np.sign(apart[axis])
+    return line if open_to[tuple(line[1:].T)].all() else way[:-1]
 
 
 @kernel
@@ -213,25 +228,18 @@ def _unite(owner, parent, place, axis):
 
 @kernel
 def _descend(owner, far, voxel):
-    """Voxels (n, 3) from `voxel` to its component, by the axis gone along least so far: about a straight line."""
+    """Voxels (n, 3) from `voxel` to its component."""
     length = np.int64(far[voxel[0], voxel[1], voxel[2]])
     path = np.empty((length + 1, 3), np.int64)
     path[0] = voxel
-    gone = np.zeros(3, np.int64)
     for n in range(1, length + 1):
         z, y, x = path[n - 1]
-        best = -1
         for side in range(6):
-            step = 1 if side % 2 else -1
-            axis = side // 2
+            step, axis = 2 * (side % 2) - 1, side // 2
             k, j, i = z + step * (axis == 0), y + step * (axis == 1), x + step * (axis == 2)
             if not (0 <= k < far.shape[0] and 0 <= j < far.shape[1] and 0 <= i < far.shape[2]):
                 continue
-            nearer = far[k, j, i] == length - n and owner[k, j, i] == owner[z, y, x]
-            if nearer and (best < 0 or gone[axis] < gone[best // 2]):
-                best = side
-        step, axis = 1 if best % 2 else -1, best // 2
-        path[n] = path[n - 1]
-        path[n, axis] += step
-        gone[axis] += 1
+            if far[k, j, i] == length - n and owner[k, j, i] == owner[z, y, x]:
+                path[n, 0], path[n, 1], path[n, 2] = k, j, i
+                break
     return path
