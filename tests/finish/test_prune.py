@@ -346,9 +346,7 @@ def test_a_form_is_recorded_and_a_missing_one_is_said():
     step = prune(material, mask=inside).recipe.steps[-1]
     assert step["mask"][0]["verb"] == "array" and "mask" not in step["settings"]
     request = {"shape": list(material.shape), "mask": [{"verb": "array"}]}
-    filled = tb.Image(
-        material.values, "labels", recipe=tb.Recipe().then("generate", material.values, request=request)
-    )
+    filled = tb.Image(material.values, "labels", recipe=tb.Recipe().then("generate", material.values, request=request))
     said = []
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
         prune(material)
