@@ -22,7 +22,7 @@ from trabecula.finish.questions import Finding
 from trabecula.io.units import to_metres
 from trabecula.measure.phases import indicator
 
-_PER_VOXEL = 24
+_PER_VOXEL = 14
 """Bytes of the question that needs most, a voxel of the part with its margin."""
 
 _SMALLER = "check a crop (--crop N), or a coarser level of a .zarr (--level 1)"
