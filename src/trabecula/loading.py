@@ -173,6 +173,11 @@ def load_mask(
         surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
     else:
         both = has_length(surface.unit) and has_length(exemplar.unit)
+        if has_length(surface.unit) and not has_length(exemplar.unit):
+            say(
+                f"{os.fspath(source)} is in {surface.unit}, the exemplar in {exemplar.unit}: one {surface.unit} is taken for one "
+                "unit of the exemplar's spacing; give its spacing and unit (--spacing, --unit), or a factor (--mask-scale)"
+            )
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
         surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
     return voxelise(surface, spacing=edges, shape=shape)
