@@ -122,6 +122,7 @@ def test_the_size_is_written_and_made_again(scan, tmp_path):
 def test_a_method_without_an_exemplar_takes_the_forms_size():
     mask = tb.Image(ball(), "labels", 0.5, "mm")
     alone = [name for name in tb.methods() if tb.method(name).spec.alone and "mask" in tb.method(name).spec.honours]
+    assert alone == ["bubbles", "noise"]
     for name in alone:
         image = tb.method(name).fit().generate(None, mask=mask)
         assert (image.spacing, image.unit) == ((0.5,) * 3, "mm")

@@ -183,7 +183,9 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
     say(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
     if options.mask is not None:
         raise InputError("--mask needs the whole volume in memory: leave it out, or raise --memory")
-    volume = with_lengths(open_slabs(options.file, level=options.level), **shared.lengths(options))
+    given = shared.lengths(options)
+    scale = given.pop("scale")
+    volume = with_lengths(with_lengths(open_slabs(options.file, level=options.level), **given), scale=scale)
     if mask_steps(volume.recipe) is not None:
         say("slab by slab joins are not kept inside of the form that it fills: raise --memory where they should be")
     chosen = [(name, {"phase": options.phase, **settings}) for name, settings in steps]
