@@ -172,15 +172,25 @@ def load_mask(
     if scale is None and shape is not None:
         surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
     else:
+        _say_units(os.fspath(source), surface.unit, exemplar.unit, scale)
         both = has_length(surface.unit) and has_length(exemplar.unit)
-        if has_length(surface.unit) and not has_length(exemplar.unit):
-            say(
-                f"{os.fspath(source)} is in {surface.unit}, the exemplar in {exemplar.unit}: one {surface.unit} is taken for one "
-                "unit of the exemplar's spacing; give its spacing and unit (--spacing, --unit), or a factor (--mask-scale)"
-            )
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
         surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
     return voxelise(surface, spacing=edges, shape=shape)
+
+
+def _say_units(source: str, unit: str, wanted: str, scale: float | None) -> None:
+    """Say what a surface's lengths are taken for where its unit and the exemplar's do not tell."""
+    if has_length(unit) and not has_length(wanted):
+        say(
+            f"{source} is in {unit}, the exemplar in {wanted}: one {unit} is taken for one unit of the exemplar's spacing; give "
+            "its spacing and unit (--spacing, --unit), or a factor (--mask-scale)"
+        )
+    elif not has_length(unit) and scale is None:
+        say(
+            f"{source} states no unit: its lengths are taken for {wanted}, as the exemplar's are; --mask-scale is a factor on "
+            "them, --shape makes it fit"
+        )
 
 
 def load_fixed(

@@ -86,7 +86,7 @@ def test_a_surface_keeps_its_size_in_python_as_on_the_command_line(scan, tmp_pat
     exemplar = model(scan, 40, "um")
     image = exemplar.generate(None, mask=tb.voxelise(surface, spacing=0.04))
     assert (image.shape, image.spacing, image.unit) == ((14,) * 3, (40.0,) * 3, "um")
-    with pytest.raises(RequestError, match="mask's voxels are 0.02 x 0.02 x 0.02 mm"):
+    with pytest.raises(RequestError, match=r"mask's voxels are 0\.02 x 0\.02 x 0\.02 mm"):
         exemplar.generate(None, mask=tb.voxelise(surface, spacing=0.02))
     plain = model(scan)
     found = plain.generate(None, mask=tb.voxelise(surface, spacing=0.02))
@@ -135,3 +135,13 @@ def test_a_unit_that_is_known_is_no_reason_for_a_word(scan):
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
         model(scan, 40, "um").generate(None, mask=tb.Image(ball(), "labels", 40, "um"))
     assert not [line for line in said if "mask" in line]
+
+
+def test_bare_numbers_of_a_surface_are_said(scan, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tb.export(tb.Image(ball(), "labels"), "plain.obj")
+    tb.write(tb.Image(scan, "labels", 1, "um"), "scan.zarr")
+    words = ("generate", "scan.zarr", "--mask", "plain.obj", *SMALL, "--out", "x.zarr")
+    assert any("plain.obj states no unit: its lengths are taken for um" in line for line in trabecula(*words).lines)
+    for more in (("--mask-scale", 1), ("--shape", 14)):
+        assert not any("states no unit" in line for line in trabecula(*words, *more).lines)

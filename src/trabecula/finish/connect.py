@@ -1,14 +1,14 @@
 """Connect: one component out of many, by the cheapest joins; only specks are discarded.
 
 1. Number the components; the largest is the body, those below a stated size are specks.
-2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a reach is given, grow from every
-   component through the background instead until the body is met or `reach` voxels are passed (`finish.joins`), and again, since
-   a component that is joined may bring others within reach.
+2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a reach is given,
+   grow from every component through the background instead until the body is met or `reach` voxels are passed
+   (`finish.joins`), and again, since a component that is joined may bring others within reach.
 3. What is still loose becomes background: specks, and with a reach whatever lies farther.
 
-Components are kept as runs along x. With a reach a component is searched from in its own box, and no array of the image's size is
-needed besides the image and the result; without one three of them. The result may lie in a scratch file, and they do then as well
-(see `finish.slabs`).
+Components are kept as runs along x. With a reach a component is searched from in its own box, and no array of the
+image's size is needed besides the image and the result; without one three of them. The result may lie in a scratch
+file, and they do then as well (see `finish.slabs`).
 """
 
 from __future__ import annotations
@@ -68,13 +68,13 @@ def connect(
     brush : int
         Thickness of a join, in voxels.
     min_size : int, optional
-        Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of the phase's mean chord, but no
-        more than 0.5 % of the phase.
+        Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of the phase's mean
+        chord, but no more than 0.5 % of the phase.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         What counts as connected. Default: voxels that share a face.
     unjoined : {"keep", "remove"}, optional
-        What becomes of components that are no specks and cannot be joined: they lie farther than `reach`, or behind another phase.
-        Default: "remove" where a reach is given, else "keep".
+        What becomes of components that are no specks and cannot be joined, since they lie farther than `reach` or
+        behind another phase. Default: "remove" where a reach is given, else "keep".
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): joins run inside it.
 
@@ -181,13 +181,13 @@ def _say_losses(found: dict[str, int], whole: int) -> None:
     """Say what was discarded where it is much, and what stays loose."""
     if found["removed"] > _MUCH * whole:
         say(
-            f"connect: {found['removed_parts']} components were removed, {found['removed'] / whole:.2%} of the phase; components of "
-            f"{found['min_size']} voxels or more are joined where no reach is given (min_size, --min-size)"
+            f"connect: {found['removed_parts']} components were removed, {found['removed'] / whole:.2%} of the phase; "
+            f"those of {found['min_size']} voxels or more are joined where no reach is given (min_size, --min-size)"
         )
     if found["left_parts"]:
         say(
-            f"connect: {found['left_parts']} components of {found['min_size']} voxels or more ({found['left'] / whole:.2%} of the "
-            "phase) could not be joined and stay loose"
+            f"connect: {found['left_parts']} components of {found['min_size']} voxels or more "
+            f"({found['left'] / whole:.2%} of the phase) could not be joined and stay loose"
         )
 
 

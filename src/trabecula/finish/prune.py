@@ -3,8 +3,8 @@
 Section 4.4 of Zhang, Chen, Wang and Wang 2017. A round:
 
 1. Thin the phase, read the skeleton as a graph, and find the struts that end freely (`finish.branches`).
-2. Of these as many are spurious as there are more, per volume of what is filled, than in the exemplar; the shortest first, but before them
-   any that are longer than all of the exemplar's.
+2. Of these as many are spurious as there are more, per volume of what is filled, than in the exemplar; the shortest
+   first, but before them any that are longer than all of the exemplar's.
 3. One that is shorter than theta times the perimeter of its cell is removed (`finish.cutting`), any other grown
    (`finish.growing`).
 
@@ -67,9 +67,9 @@ def prune(
         that of the shortest loop of the skeleton through the joint from which the free end grows, and no less than the
         median of such loops.
     mask : Image of labels or (Z, Y, X) bool array, optional
-        The form that the image fills (as `Request.mask`): free ends are counted per volume of it, struts that its surface cuts are
-        not judged, and nothing is grown outside of it. Default: the image is filled as a whole, which is said where its recipe
-        tells of a form.
+        The form that the image fills (as `Request.mask`): free ends are counted per volume of it, struts that its
+        surface cuts are not judged, and nothing is grown outside of it. Default: the image is filled as a whole;
+        where its recipe tells of a form, this is said.
 
     Returns
     -------
@@ -77,13 +77,15 @@ def prune(
         With no more components than before: what is removed opens no loop and leaves no piece behind, and what is grown
         makes a loop (or joins two components). New voxels take the label at the free end; what is removed becomes void.
         The recipe's step holds a `report`: `ends_before`, `ends_after`, `ends_exemplar`, `ends_allowed` (the exemplar's
-        number per volume, times the volume of the image or of the form), `removed`, `grown`, `left` (spurious ones for which nothing could be done:
-        nothing within a cell's diameter ahead, or no loops at all), `removed_voxels`, `added`, `rounds`.
+        number per volume, times the volume of the image or of the form), `removed`, `grown`, `left` (spurious ones for
+        which nothing could be done: nothing within a cell's diameter ahead, or no loops at all), `removed_voxels`,
+        `added`, `rounds`.
 
     Raises
     ------
     InputError
-        The phase is empty; theta out of range; an exemplar of another number of axes, or in another unit; a mask of another shape.
+        The phase is empty; theta out of range; an exemplar of another number of axes, or in another unit; a mask of
+        another shape.
 
     Notes
     -----
@@ -111,8 +113,8 @@ def prune(
     form = as_form(mask, image.shape)
     if form is None and fills_form(image.recipe):
         say(
-            "prune: the image fills a form, and free ends are counted as if it filled its box: give the form (mask, --mask), so that "
-            "they are counted per volume of it and struts that its surface cuts are left alone"
+            "prune: the image fills a form, and free ends are counted as if it filled its box: give the form (mask, --mask), "
+            "so that they are counted per volume of it and struts that its surface cuts are left alone"
         )
     # Lengths from here on in the smallest edge: the same voxels then whatever the unit.
     scale = min(image.spacing)
@@ -150,8 +152,8 @@ def _source(exemplar: Image | ArrayLike, image: Image) -> Image:
         )
     if source.unit != image.unit or source.spacing != image.spacing:
         say(
-            f"prune: the image is in {image.unit}, the exemplar in {source.unit}, so one voxel of both is taken for the same length: "
-            "give the spacing and unit of both (--spacing, --unit) where it is not"
+            f"prune: the image is in {image.unit}, the exemplar in {source.unit}, so one voxel of both is taken for the same "
+            "length: give the spacing and unit of both (--spacing, --unit) where it is not"
         )
     return with_values(source, source.values, recipe=recipe, spacing=image.spacing, unit=image.unit)
 

@@ -117,8 +117,8 @@ def finish_slabs(
             if isinstance(error, TrabeculaError):
                 raise
             raise FileError(
-                f"cannot write to {place.parent}: {error.strerror or error}; scratch files of up to six times the voxels lie there "
-                "while a volume is finished: make room, or choose another folder (--scratch)"
+                f"cannot write to {place.parent}: {error.strerror or error}; scratch files of up to six times the voxels lie "
+                "there while a volume is finished: make room, or choose another folder (--scratch)"
             ) from error
         finally:
             remove(place)

@@ -12,11 +12,13 @@ All passes go by slabs along z one after the other, and the arrays may lie in sc
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import in_order
+from trabecula.engine.tiles import in_order, sum_slabs
 from trabecula.measure.runs import Runs
 from trabecula.measure.union import root_of
 
@@ -56,7 +58,8 @@ def cheapest_joins(
     far = scratch.empty(values.shape, np.uint16)
     seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
     in_order(lambda start, stop: _seed(*seeds, start, stop), len(values))
-    _spread_owners(owner, far, open_to)
+    held = int(runs.sizes[worth].sum()) + sum_slabs(lambda a, b: np.count_nonzero(open_to[a:b]), len(values))
+    _spread_owners(owner, far, open_to, again=held < values.size)
     sizes = np.concatenate([[0], runs.sizes[worth]])
     found = [_straight(_follow(owner, far, place, axis, sizes), open_to) for place, axis in _tree(owner, far, count)]
     return sorted(found, key=len)
@@ -82,8 +85,12 @@ def _is_open(
     return free
 
 
-def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray) -> None:
-    """Write the nearest component and the distance to it into every open voxel."""
+def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, again: bool) -> None:
+    """Write the nearest component and the distance to it into every open voxel.
+
+    Where nothing is closed, no shortest way turns back along an axis, and one sweep each way finds all of them; else both are
+    done `again` until nothing changes.
+    """
     depth, changed = len(owner), [True]
     while changed[0]:
         changed[0] = False
@@ -96,6 +103,8 @@ def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray) -> N
 
         in_order(forward, depth)
         in_order(backward, depth)
+        if not again:
+            return
 
 
 def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int]]:
@@ -106,8 +115,7 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
         cost = np.full(count + 1, 2 * NOWHERE, np.int64)
         place = np.full(count + 1, -1, np.int64)
         axis = np.zeros(count + 1, np.int64)
-        found = (owner, far, parent, cost, place, axis)
-        in_order(lambda start, stop, found=found: _cheapest(*found, start, stop), len(owner))
+        in_order(partial(_cheapest, owner, far, parent, cost, place, axis), len(owner))
         before = len(ways)
         # Ways have an order (cost, then place and axis), so that no ring closes; two components may name the same way.
         for tree in np.flatnonzero(place >= 0):

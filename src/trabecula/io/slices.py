@@ -60,8 +60,10 @@ def read(path: Path) -> Content:
         fields = _own(path, shape)
         ignored = first.ignored
         if first.spacing is not None:
-            ignored = f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which says nothing of z: ignored; give "
-            ignored += "the spacing (--spacing, --unit)"
+            ignored = (
+                f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which says nothing of z: ignored; "
+                "give the spacing (--spacing, --unit)"
+            )
         return Content(gathered(values, fields), colour=first.colour, fields=fields, ignored=ignored)
 
 

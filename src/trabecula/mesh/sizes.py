@@ -35,7 +35,8 @@ def size_notes(extent: Sequence[float], unit: str) -> Iterator[str]:
     """Yield what there is to say of a part that is written: a unit that is not known, a size that is hardly meant."""
     text = size_text(extent, unit)
     if metres(unit) is None:
-        yield f"unit unknown: a length of 1 was written as 1 mm, the part is {text}; give its spacing and unit (--spacing, --unit)"
+        known = "give its spacing and unit (--spacing, --unit)"
+        yield f"unit unknown: a length of 1 was written as 1 mm, the part is {text}; {known}"
         return
     longest = max(extent) * (metres(unit) or 0) * 1000
     if longest > LARGEST or 0 < longest < SMALLEST:

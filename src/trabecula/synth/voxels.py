@@ -1,4 +1,4 @@
-"""How large a result's voxels are: the exemplar's, or the form's where the exemplar does not know; never one of two that differ."""
+"""How large a result's voxels are: as the exemplar's, or as the form's where the exemplar states no size."""
 
 from __future__ import annotations
 
