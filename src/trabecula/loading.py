@@ -169,14 +169,17 @@ def load_mask(
         return load(source)
     surface = read_mesh(source)
     edges = voxels_of([exemplar]) if spacing is None else spacing
+    stated = surface.unit
     if scale is None and shape is not None:
         surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
     else:
-        _say_units(os.fspath(source), surface.unit, exemplar.unit, scale)
         both = has_length(surface.unit) and has_length(exemplar.unit)
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
         surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
-    return voxelise(surface, spacing=edges, shape=shape)
+    form = voxelise(surface, spacing=edges, shape=shape)
+    if scale is not None or shape is None:
+        _say_units(os.fspath(source), stated, exemplar.unit, scale)
+    return form
 
 
 def _say_units(source: str, unit: str, wanted: str, scale: float | None) -> None:
