@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -22,13 +23,14 @@ from trabecula.exemplar.samples import sample
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.io.lazy import slabs_if_large, volume_shape
+from trabecula.io.lengths import with_lengths
 from trabecula.loading import load, load_fixed, load_like, load_mask, slabs_like_if_large, voxels_of
 from trabecula.making import generate_to, plan_to
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.slabs import export_slabs
 from trabecula.mesh.surface import mesh
-from trabecula.replay import replay, rerun
+from trabecula.replay import form_of, replay, rerun
 from trabecula.report.certificate import verify
 from trabecula.report.metric import Certificate
 from trabecula.report.page import page
@@ -42,6 +44,7 @@ __all__ = [
     "check_target",
     "demo",
     "export",
+    "form_of",
     "generate_to",
     "load",
     "load_fixed",
@@ -55,6 +58,7 @@ __all__ = [
     "slabs_like_if_large",
     "volume_shape",
     "voxels_of",
+    "with_lengths",
 ]
 
 
@@ -102,7 +106,13 @@ def _png(picture: Image) -> bytes:
 
 
 def export(
-    image: Image | Slabs | ArrayLike, path: str | os.PathLike[str], *, phase: str | int | None = None
+    image: Image | Slabs | ArrayLike,
+    path: str | os.PathLike[str],
+    *,
+    phase: str | int | None = None,
+    spacing: float | Sequence[float] | None = None,
+    unit: str | None = None,
+    scale: float | None = None,
 ) -> Path | Remote:
     """Write an image for another program: the closed surface of a phase (.stl, .3mf, .ply, .obj) or the voxels.
 
@@ -114,21 +124,28 @@ def export(
         The suffix chooses.
     phase : str or int, optional
         Of which phase the surface is taken. Default: every phase but "void".
+    spacing, unit : optional
+        Edge of a voxel, one number or one per axis (z, y, x), and its unit, where the image does not know them or they should be
+        others. A surface whose unit is "voxel" is written as millimetres, which is said (`write_mesh`).
+    scale : float, optional
+        Factor on all lengths: 10 makes the part ten times as large.
 
     Raises
     ------
     UnknownNameError
-        A suffix that is neither a surface's nor a volume's.
+        A suffix that is neither a surface's nor a volume's; an unknown unit.
     InputError, FileError
-        As `mesh`, `write_mesh` and `write`.
+        As `mesh`, `write_mesh` and `write`; a spacing or scale that is not above 0.
     """
     check_target(path, surfaces=True)
+    lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
     if isinstance(image, Slabs):
-        export_slabs(image, path, phase=phase)
+        export_slabs(with_lengths(image, **lengths), path, phase=phase)
         return Path(path)
+    image = with_lengths(as_image(image), **lengths)
     if Path(path).suffix.lower() in SURFACES:
         return write_mesh(mesh(image, phase=phase), path)
-    return files.write(as_image(image), path)
+    return files.write(image, path)
 
 
 def check_target(path: str | os.PathLike[str], *, surfaces: bool = False, size: int = 0, goes_on: bool = False) -> None:

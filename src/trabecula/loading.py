@@ -169,13 +169,31 @@ def load_mask(
         return load(source)
     surface = read_mesh(source)
     edges = voxels_of([exemplar]) if spacing is None else spacing
+    stated = surface.unit
     if scale is None and shape is not None:
         surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
     else:
         both = has_length(surface.unit) and has_length(exemplar.unit)
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
         surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
-    return voxelise(surface, spacing=edges, shape=shape)
+    form = voxelise(surface, spacing=edges, shape=shape)
+    if scale is not None or shape is None:
+        _say_units(os.fspath(source), stated, exemplar.unit, scale)
+    return form
+
+
+def _say_units(source: str, unit: str, wanted: str, scale: float | None) -> None:
+    """Say what a surface's lengths are taken for where its unit and the exemplar's do not tell."""
+    if has_length(unit) and not has_length(wanted):
+        say(
+            f"{source} is in {unit}, the exemplar in {wanted}: one {unit} is taken for one unit of the exemplar's spacing; give "
+            "its spacing and unit (--spacing, --unit), or a factor (--mask-scale)"
+        )
+    elif not has_length(unit) and scale is None:
+        say(
+            f"{source} states no unit: its lengths are taken for {wanted}, as the exemplar's are; --mask-scale is a factor on "
+            "them, --shape makes it fit"
+        )
 
 
 def load_fixed(

@@ -120,6 +120,33 @@ def _places(folder: Path, exemplar: AnyPath | Sequence[AnyPath] | None, parts: M
     return Places(folder, {"exemplar": several, **{name: [part] for name, part in parts.items() if part is not None}})
 
 
+def form_of(recipe: Recipe, *, folder: Path, mask: AnyPath | None = None) -> Image | None:
+    """Make the form again that an image was made to fill, as its recipe tells; None where it tells of none.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Of the image.
+    folder : Path
+        Where the image lies.
+    mask : path, optional
+        Where the form's file lies now, if it has moved.
+
+    Raises
+    ------
+    FileError
+        The form's file is not there.
+    NotReproducedError
+        It is another form.
+    InputError
+        The form was an array in memory, or the recipe is damaged.
+    """
+    steps = finish.mask_steps(recipe)
+    if steps is None:
+        return None
+    return _replayed(Recipe.from_json(steps), _places(folder, None, {"mask": mask}).of("mask"))
+
+
 @contextmanager
 def _undamaged(verb: str) -> Iterator[None]:
     """The parameters come from a file, and anybody may have written it."""
@@ -273,6 +300,8 @@ def _finish_again(image: Image | None, step: Mapping[str, Any], places: Places) 
     settings = dict(step["settings"])
     for steps in step.get("exemplars", ()):
         settings["exemplar"] = _replayed(Recipe.from_json(steps), places.of("exemplar"))
+    if "mask" in step:
+        settings["mask"] = _replayed(Recipe.from_json(step["mask"]), places.of("mask"))
     return finish.OPERATIONS[step["operation"]](_given(image), **settings)
 
 

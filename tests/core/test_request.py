@@ -213,3 +213,11 @@ def test_fixed_voxels_have_the_spacing_of_the_result():
         else:
             with pytest.raises(RequestError, match="spacing"):
                 check_exemplar(request, picture, spacing=(2.0,) * 3)
+
+
+def test_a_mask_states_the_size_of_its_voxels():
+    form = np.ones((4, 4, 4), np.uint8)
+    assert tb.Request(None, mask=form.astype(bool)).voxel is None
+    assert tb.Request(None, mask=tb.Image(form, "labels")).voxel is None
+    assert tb.Request(None, mask=tb.Image(form, "labels", (3, 2, 2), "um")).voxel == ((3.0, 2.0, 2.0), "um")
+    assert tb.Request(None, mask=tb.Image(form, "labels", 0.5)).voxel == ((0.5,) * 3, "voxel")

@@ -229,3 +229,61 @@ def test_refusals(options, says):
         print_check(tb.Image(np.eye(4, dtype=int), "labels", spacing=0.5, unit="mm"))
     with pytest.raises(InputError, match="nothing to print"):
         print_check(tb.Image(np.zeros((4, 4, 4), int), "labels", spacing=0.5, unit="mm"))
+
+
+def rough(seed, shape=(26, 31, 22)):
+    """A part with halls behind narrow necks."""
+    from scipy.ndimage import gaussian_filter
+
+    noise = gaussian_filter(np.random.default_rng(seed).random(shape), 2.2)
+    return noise > np.quantile(noise, 0.62)
+
+
+@pytest.mark.parametrize("passage", [0.6, 1.5, 3.0, 4.0, 5.5, 6.0, 9.0])
+@pytest.mark.parametrize("spacing", [0.5, (0.5, 0.3, 0.7)])
+def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
+    """The share that is far from every way, with a margin of a whole passage and more around the part."""
+    from trabecula.finish.questions import Part
+    from trabecula.finish.questions import passage as ask
+    from trabecula.measure import label_components
+    from trabecula.measure.distance import distance_transform
+
+    edges = (spacing,) * 3 if isinstance(spacing, float) else spacing
+    for seed in range(3):
+        solid = rough(seed)
+        solid = solid[tuple(slice(axis.min(), axis.max() + 1) for axis in np.nonzero(solid))]
+        margin = [(int(np.ceil(passage / edge)) + 5,) * 2 for edge in edges]
+        void = np.pad(~solid, margin, constant_values=True)
+        wide = distance_transform(void, spacing=edges) - min(edges) / 2 >= passage / 2 * (1 - 1e-6)
+        ways, pores = (label_components(where)[0] for where in (wide, void))
+        far = (distance_transform(ways != ways[0, 0, 0], spacing=edges) > 1.5 * passage) & (pores == pores[0, 0, 0])
+        found = ask(Part(solid, np.pad(solid, 1), edges), passage).figures["far_share"]
+        assert found == pytest.approx(far.sum() / (~solid).sum(), abs=1e-6)
+
+
+@pytest.mark.parametrize("printer", PRINTERS)
+@pytest.mark.parametrize(("spacing", "unit"), [(1.0, "nm"), (1.0, "um"), (0.5, "mm"), (0.5, "m")])
+def test_memory_is_that_of_the_part_whatever_its_unit(printer, spacing, unit):
+    """A passage of 1.5 mm is a million voxels of a nanometre: 10**18 of them around the part."""
+    import tracemalloc
+
+    image = tb.Image(rough(1), "labels", spacing=spacing, unit=unit)
+    print_check(image, printer=printer)  # kernels
+    tracemalloc.start()
+    try:
+        found = print_check(image, printer=printer)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 400 * image.values.size
+    # Nothing is trapped beyond the reach of a passage that is larger than the part.
+    assert unit in ("mm", "m") or all(
+        finding.verdict == "pass" for finding in found.findings if finding.name == "passage"
+    )
+
+
+def test_the_budget_of_a_check_names_what_check_has():
+    with pytest.raises(
+        tb.errors.MemoryBudgetError, match=r"check a crop \(--crop N\), or a coarser level .* or raise --memory"
+    ):
+        print_check(tb.Image(rough(1), "labels", 0.5, "mm"), memory=1 << 16)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 import trabecula as tb
+from trabecula.core.progress import listen
 from trabecula.finish.branches import cell_perimeters
 from trabecula.finish.prune import prune
 from trabecula.measure import components, euler, skeleton_graph, thickness
@@ -291,3 +292,72 @@ def test_real_bone(data):
         and changes["removed_voxels"] < 0.01 * bone.sum()
     )
     assert thickness(part) == pytest.approx(thickness(bone), rel=0.01)
+
+
+def with_stubs(count: int) -> np.ndarray:
+    """A lattice with short stubs, each in a cell of its own."""
+    solid = lattice(4)
+    starts = [6 + SIDE * k for k in range(1, 4)]
+    places = [(z - SIDE // 2 + 1, y, x) for z in starts for y in starts for x in starts if x < starts[-1]]
+    for z, y, x in places[:count]:
+        solid[z - 1 : z + 2, y : y + THICK, x + THICK : x + THICK + 5] = 1
+    return solid
+
+
+def test_a_form_is_pruned_as_a_box_of_its_size():
+    """Of the exemplar's 4 ends the material has 12, whatever empty room is around it."""
+    material, exemplar = with_stubs(12), with_stubs(4)
+    box = prune(material, exemplar=exemplar)
+    assert report(box)["removed"] == 8 and report(box)["ends_allowed"] == report(box)["ends_after"] == 4
+    room = [(40, 30), (30, 40), (50, 20)]
+    inside = np.pad(np.ones(material.shape, bool), room)
+    form = prune(np.pad(material, room), exemplar=exemplar, mask=inside)
+    assert np.array_equal(form.values, np.pad(box.values, room))
+    assert report(form) == report(box)
+    # The volume of the box around it has room for all of them.
+    assert report(prune(np.pad(material, room), exemplar=exemplar))["removed"] == 0
+
+
+def test_what_the_surface_of_a_form_cuts_is_no_free_end():
+    """A lattice cut by a ball: the cut struts are many, the stub inside of it is one."""
+    solid = with_stub(5, lattice(4), at=6 + SIDE * 2 + SIDE // 2 + 1)
+    grid = np.indices(solid.shape) - (np.array(solid.shape) - 1)[:, None, None, None] / 2
+    ball = (grid**2).sum(axis=0) < 30.5**2
+    cut = np.where(ball, solid, 0).astype(np.uint8)
+    whole, part = prune(cut), prune(cut, mask=ball)
+    assert report(whole)["ends_before"] > 10
+    assert (report(part)["ends_before"], report(part)["removed"], report(part)["ends_after"]) == (1, 1, 0)
+    assert np.array_equal(part.values, prune(solid).values * ball)
+
+
+def test_nothing_is_grown_out_of_a_form():
+    solid = lattice()
+    solid[ALONG - 5 : ALONG + 6, MIDDLE, MIDDLE.stop + SIDE - THICK : MIDDLE.stop + SIDE] = 1
+    stub = with_stub(10, solid)
+    form = np.ones(stub.shape, bool)
+    form[ALONG - 3 : ALONG + 4, MIDDLE.start - 3 : MIDDLE.stop + 3, MIDDLE.stop + 11 : MIDDLE.stop + 12] = False
+    assert report(prune(stub))["grown"] == 1
+    assert report(prune(stub, mask=form))["grown"] == 0
+
+
+def test_a_form_is_recorded_and_a_missing_one_is_said():
+    material = tb.Image(with_stubs(2), "labels")
+    inside = tb.Image(np.ones(material.shape, np.uint8), "labels")
+    step = prune(material, mask=inside).recipe.steps[-1]
+    assert step["mask"][0]["verb"] == "array" and "mask" not in step["settings"]
+    request = {"shape": list(material.shape), "mask": [{"verb": "array"}]}
+    filled = tb.Image(material.values, "labels", recipe=tb.Recipe().then("generate", material.values, request=request))
+    said = []
+    with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
+        prune(material)
+        prune(filled, mask=inside)
+        assert not said
+        prune(filled)
+    assert len(said) == 1 and "give the form (mask, --mask)" in said[0]
+
+
+def test_voxels_taken_for_alike_are_said():
+    said = []
+    with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
+        prune(tb.Image(with_stubs(2), "labels"), exemplar=tb.Image(with_stubs(1), "labels", 25, "um"))
+    assert len(said) == 1 and "the image is in voxel, the exemplar in um" in said[0]

@@ -21,16 +21,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    parser.add_argument(
+        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
+    )
+    shared.add_lengths(parser, spacing=False)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what was found. A part that would be refused is a result, not an error: status 0."""
     from trabecula.finish import print_check
+    from trabecula.flow import with_lengths
+    from trabecula.io.units import to_metres
+    from trabecula.mesh.sizes import say_size
 
     limits = shared.settings(options.set)
-    image = shared.load_exemplar(options.file, options)
-    found = print_check(image, printer=options.printer, phase=options.phase, **limits)
+    image = with_lengths(shared.load_exemplar(options.file, options), scale=shared.scale_factor(options))
+    found = print_check(image, printer=options.printer, phase=options.phase, memory=options.memory, **limits)
+    say_size([side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]], image.unit)
     if options.json:
         terminal.show_json(found.to_json())
     else:

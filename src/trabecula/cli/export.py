@@ -14,6 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="volume")
     parser.add_argument("--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format")
     parser.add_argument("--phase", help="phase whose surface is taken (default: every phase but void)")
+    shared.add_lengths(parser)
     parser.add_argument(
         "--memory",
         type=shared.gibibytes,
@@ -26,18 +27,19 @@ def run(options: argparse.Namespace) -> int:
     """Write the surface or the voxels; for a surface, print what a check of it says."""
     from pathlib import Path
 
-    from trabecula.flow import check_target
+    from trabecula.flow import check_target, with_lengths
     from trabecula.io.files import read, write
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
+    from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
 
     check_target(options.out, surfaces=True)
     volume = _too_large(options)
     if volume is not None:
         return _in_slabs(volume, options)
-    image = read(options.file)
+    image = with_lengths(read(options.file), **shared.lengths(options))
     if Path(options.out).suffix.lower() not in FORMATS:
         write(image, options.out)
         print(f"{options.out}: {image!r}")
@@ -45,8 +47,20 @@ def run(options: argparse.Namespace) -> int:
     surface = mesh(image, phase=options.phase)
     write_mesh(surface, options.out)
     print(f"{options.out}: {len(surface.vertices)} vertices, {len(surface.faces)} triangles")
+    print(f"size {_size(extent_of(surface), surface.unit, options.out)}")
     terminal.show_mapping(vars(check(surface)))
     return 0
+
+
+def _size(extent: Any, unit: str, out: str) -> str:
+    """The size in millimetres, and the unit that is in the file where it is another."""
+    from pathlib import Path
+
+    from trabecula.mesh.sizes import size_text
+
+    # STL is in millimetres, 3MF names its unit; the others leave it to their reader.
+    other = Path(out).suffix.lower() in (".ply", ".obj") and unit not in ("mm", "voxel")
+    return size_text(extent, unit) + (f"; its coordinates are in {unit}" if other else "")
 
 
 def _too_large(options: argparse.Namespace) -> Any:
@@ -63,9 +77,12 @@ def _too_large(options: argparse.Namespace) -> Any:
 
 def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     """Write the surface slab by slab. A check would need all of it at once."""
+    from trabecula.flow import with_lengths
     from trabecula.mesh.slabs import export_slabs
 
+    volume = with_lengths(volume, **shared.lengths(options))
     found = export_slabs(volume, options.out, phase=options.phase, memory=options.memory)
     print(f"{options.out}: {found.vertices.sum()} vertices, {found.faces.sum()} triangles")
+    print(f"size {_size(found.extent, volume.unit, options.out)}")
     print("closed by construction; not checked, since the surface was never in memory as a whole")
     return 0

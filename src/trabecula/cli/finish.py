@@ -21,7 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="FILE", help="volume to write")
     group = parser.add_argument_group("what to do, in this order whatever the order of the words")
     group.add_argument("--prune", action="store_true", help="remove short struts that end freely, grow long ones on")
-    group.add_argument("--connect", action="store_true", help="join near parts, remove loose ones: one piece is left")
+    group.add_argument(
+        "--connect", action="store_true", help="join all but specks, which are removed: one piece is left"
+    )
     group.add_argument(
         "--smooth", metavar="S", help="smooth the surface at the same volume: sigma, in the image's unit"
     )
@@ -30,6 +32,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--fill", action="store_true", help="fill pores that no way leads out of")
     parser.add_argument("--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault")
     parser.add_argument("--phase", help="phase that is finished (default: every phase but void)")
+    parser.add_argument(
+        "--mask",
+        metavar="FILE",
+        help="for --prune and --connect: the form that the volume fills, a surface or a volume (default: what its recipe names)",
+    )
+    group = parser.add_argument_group("for --connect")
+    group.add_argument(
+        "--reach", metavar="N", help="longest join in voxels; what is farther is removed (default: no limit)"
+    )
+    group.add_argument(
+        "--min-size", metavar="N", help="voxels of the smallest component that is joined (default: more than a speck)"
+    )
+    shared.add_lengths(parser)
     group = parser.add_argument_group("large volumes")
     group.add_argument(
         "--memory",
@@ -53,6 +68,11 @@ def run(options: argparse.Namespace) -> int:
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
+    if options.mask is not None and not (options.prune or options.connect):
+        raise InputError("--mask is the form for --prune and --connect: give one of them as well")
+    for name in ("reach", "min_size"):
+        if getattr(options, name) is not None and not options.connect:
+            raise InputError(f"--{name.replace('_', '-')} is for --connect: give --connect as well")
     steps = list(_steps(options))
     if not steps:
         words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
@@ -72,15 +92,53 @@ def run(options: argparse.Namespace) -> int:
 def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
     """Read, finish and write the whole; the result in a line, and the steps of its recipe."""
     from trabecula.finish import OPERATIONS
+    from trabecula.flow import load_like, with_lengths
     from trabecula.io.files import read, write
 
-    part = read(options.file, level=options.level)
+    given = shared.lengths(options)
+    scale = given.pop("scale")
+    part = with_lengths(read(options.file, level=options.level), **given)
+    more: dict[str, dict[str, Any]] = {"prune": {}, "connect": {}}
+    if options.like is not None:
+        more["prune"]["exemplar"] = with_lengths(load_like(options.like, part), scale=scale)
+    form = _form(part, options)
+    if form is not None:
+        more["prune"]["mask"] = more["connect"]["mask"] = form
+    part = with_lengths(part, scale=scale)
     for name, settings in steps:
-        if name == "prune" and options.like is not None:
-            settings = {**settings, "exemplar": _exemplar(options.like, part)}
-        part = OPERATIONS[name](part, phase=options.phase, **settings)
+        part = OPERATIONS[name](part, phase=options.phase, **settings, **more.get(name, {}))
     write(part, options.out)
     return repr(part), part.recipe.steps[-len(steps) :]
+
+
+def _form(part: Any, options: argparse.Namespace) -> Any:
+    """The form that a volume fills: as given, or as its recipe tells where its file is there; else None."""
+    from trabecula.core.errors import TrabeculaError
+    from trabecula.core.progress import say
+    from trabecula.engine.locations import located
+    from trabecula.finish import mask_steps
+    from trabecula.flow import form_of, load_mask
+
+    if not (options.prune or options.connect) or options.level:
+        return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
+    folder = located(options.file).folder
+    if options.mask is not None:
+        known = mask_steps(part.recipe) is not None
+        return (
+            form_of(part.recipe, folder=folder, mask=options.mask)
+            if known
+            else load_mask(options.mask, part, shape=part.shape)
+        )
+    try:
+        form = form_of(part.recipe, folder=folder)
+    except TrabeculaError as error:
+        say(f"the form that {options.file} fills is not known ({error}): give it with --mask")
+        return None
+    if form is not None:
+        say(
+            f"{options.file} fills a form, which its recipe names: joins stay inside, and free ends are counted per volume of it"
+        )
+    return form
 
 
 def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
@@ -115,12 +173,21 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
 
 def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
     """Finish a store into a store; the result in a line, and the steps of its recipe."""
+    from trabecula.core.errors import InputError
     from trabecula.core.progress import say
+    from trabecula.finish import mask_steps
     from trabecula.finish.slabs import finish_slabs
+    from trabecula.flow import with_lengths
     from trabecula.io.lazy import open_slabs
 
     say(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
-    volume = open_slabs(options.file, level=options.level)
+    if options.mask is not None:
+        raise InputError("--mask needs the whole volume in memory: leave it out, or raise --memory")
+    given = shared.lengths(options)
+    scale = given.pop("scale")
+    volume = with_lengths(with_lengths(open_slabs(options.file, level=options.level), **given), scale=scale)
+    if mask_steps(volume.recipe) is not None:
+        say("slab by slab joins are not kept inside of the form that it fills: raise --memory where they should be")
     chosen = [(name, {"phase": options.phase, **settings}) for name, settings in steps]
     recipe = finish_slabs(volume, options.out, chosen, memory=options.memory, folder=options.scratch)
     return repr(volume), recipe.steps[-len(steps) :]
@@ -132,7 +199,12 @@ def _steps(options: argparse.Namespace) -> Iterator[Step]:
     if options.prune:
         yield "prune", {}
     if options.connect:
-        yield "connect", {}
+        given = {"reach": options.reach, "min_size": options.min_size}
+        named = {"reach": "--reach", "min_size": "--min-size"}
+        yield (
+            "connect",
+            {name: shared.integer(word, name=named[name]) for name, word in given.items() if word is not None},
+        )
     if options.smooth is not None:
         yield "smooth", {"sigma": shared.numbers([options.smooth], name="--smooth")[0]}
     if options.thicken is not None:
@@ -141,10 +213,3 @@ def _steps(options: argparse.Namespace) -> Iterator[Step]:
         yield "remove_floaters", {}
     if options.fill:
         yield "fill_trapped", {}
-
-
-def _exemplar(source: str, part: Any) -> Any:
-    """The exemplar as the part is: segmented, with the part's spacing where its file states none."""
-    from trabecula.flow import load_like
-
-    return load_like(source, part)

@@ -93,7 +93,7 @@ def _run(words: list[str]) -> int:
     except TrabeculaError as error:
         terminal.fail(str(error))
     except MemoryError:
-        terminal.fail("out of memory: ask for a smaller --shape, or see trabecula plan")
+        terminal.fail(f"out of memory: {_smaller(options)}")
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -110,6 +110,15 @@ def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
     if hasattr(options, "phases"):
         ways.append("name one of them void (--phases NAME ...)")
     return ", or ".join(ways or ["write the file with one of its phases named void"])
+
+
+def _smaller(options: argparse.Namespace) -> str:
+    """Advice to one who is out of memory, by the options that the verb has."""
+    if hasattr(options, "shape"):
+        return "ask for a smaller --shape, or see trabecula plan"
+    if hasattr(options, "crop"):
+        return "keep a smaller box (--crop N), or take a coarser level of a .zarr (--level 1)"
+    return "give a smaller volume, such as a coarser level of a .zarr"
 
 
 def _parser(verb: str | None):

@@ -29,6 +29,31 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_lengths(parser: argparse.ArgumentParser, *, spacing: bool = True) -> None:
+    """Lengths of what is written, or held against a printer's millimetres."""
+    group = parser.add_argument_group("lengths")
+    if spacing:
+        group.add_argument(
+            "--spacing",
+            nargs="+",
+            metavar="S",
+            help="edge of a voxel, where the file states none: one number, or z y x",
+        )
+        group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
+    group.add_argument("--scale", metavar="F", help="factor on all lengths: 10 makes the part ten times as large")
+
+
+def lengths(options: argparse.Namespace) -> dict[str, Any]:
+    """Spacing, unit and scale as `with_lengths` takes them."""
+    spacing = numbers(options.spacing, name="--spacing") if options.spacing else None
+    return {"spacing": spacing, "unit": options.unit, "scale": scale_factor(options)}
+
+
+def scale_factor(options: argparse.Namespace) -> float | None:
+    """The factor of --scale, where it is given."""
+    return None if options.scale is None else numbers([options.scale], name="--scale")[0]
+
+
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """Settings of a method."""
     parser.add_argument("--preset", help="ready settings of the method")

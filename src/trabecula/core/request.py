@@ -33,7 +33,8 @@ class Request:
         Axes along which the result repeats without a seam.
     mask : (Z, Y, X) bool array or Image of labels, optional
         The form to fill; outside it the result is void. Of an Image, everything but the phase "void" (label 0 where none
-        has that name) is filled. Kept as a bool array.
+        has that name) is filled. Kept as a bool array. Where an Image states a spacing or a unit, the result's voxels are of that
+        size: of an exemplar that states another the request is refused, one that states none takes it.
     target : mapping of str to float or (Z, Y, X) float array or grey Image
         Descriptors to have, by name: one number for the whole result, or a field of what each place is to have around it,
         inside the mask where there is one. "porosity" is the share of the phase "void" (label 0 where none has that name),
@@ -49,6 +50,8 @@ class Request:
     ----------
     origins : mapping of str to Recipe
         How mask, fixed and known came to be, for the recipe of the result; fields of `target` as "target.NAME".
+    voxel : (tuple of float, str), optional
+        Spacing and unit of a mask that is an Image and states them.
 
     Raises
     ------
@@ -77,11 +80,13 @@ class Request:
     fixed: Image | None = None
     known: np.ndarray | None = None
     origins: Mapping[str, Recipe] = field(init=False, default_factory=dict)
+    voxel: tuple[tuple[float, ...], str] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}
         origins |= {f"target.{name}": recipe for name, recipe in origins_of(self.target).items()}
         object.__setattr__(self, "origins", {name: recipe for name, recipe in origins.items() if recipe is not None})
+        object.__setattr__(self, "voxel", _stated_voxel(self.mask))
         object.__setattr__(self, "mask", _as_region(self.mask, name="mask"))
         object.__setattr__(self, "known", _as_region(self.known, name="known"))
         if self.shape is None:
@@ -169,6 +174,12 @@ def _origin(part: Image | ArrayLike | None) -> Recipe | None:
         return None if part is None else part.recipe or Recipe().then("array", part.values)
     array = np.asarray(part)
     return Recipe().then("array", array.view(np.uint8) if array.dtype == bool else array)
+
+
+def _stated_voxel(part: Image | ArrayLike | None) -> tuple[tuple[float, ...], str] | None:
+    if not isinstance(part, Image) or (part.unit == "voxel" and all(edge == 1 for edge in part.spacing)):
+        return None
+    return part.spacing, part.unit
 
 
 def _as_region(region: Image | ArrayLike | None, *, name: str) -> np.ndarray | None:

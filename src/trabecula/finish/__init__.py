@@ -6,6 +6,7 @@ from collections.abc import Callable
 from trabecula.core.image import Image
 from trabecula.finish.connect import connect
 from trabecula.finish.floaters import remove_floaters
+from trabecula.finish.forms import mask_steps
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
 from trabecula.finish.slabs import finish_slabs
@@ -29,6 +30,7 @@ __all__ = [
     "connect",
     "fill_trapped",
     "finish_slabs",
+    "mask_steps",
     "print_check",
     "prune",
     "remove_floaters",

@@ -5,7 +5,7 @@ phase that is its own
 
 - sticks out: the void touches at least twice as much of its surface as the rest of the phase does;
 - is not more than twice as wide as thick;
-- is not cut by a face of the image.
+- is not cut by a face of the image, nor by the surface of the form that it fills.
 """
 
 from __future__ import annotations
@@ -55,13 +55,14 @@ class Anatomy:
     ends: list[FreeEnd]
     """Shortest first."""
     volume: float
-    """Of the image without the margin in which ends are not judged, in the unit of the spacing."""
+    """Of the image, or of the form that it fills, without the margin in which ends are not judged; in the unit of the spacing."""
 
 
-def anatomy(inside: np.ndarray, spacing: tuple[float, ...]) -> Anatomy:
+def anatomy(inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | None = None) -> Anatomy:
     """Skeleton, territories and free ends of a phase, a boolean array; lengths are in the unit of `spacing`.
 
-    Ends nearer to a face than the mean thickness of the struts are not judged: the face may have cut a strut there.
+    Ends nearer to a face, or to the surface of a `form` (bool, of the same shape), than the mean thickness of the struts are not
+    judged: it may have cut a strut there.
     """
     graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
     radius = distance_transform(inside, spacing=spacing)
@@ -69,25 +70,62 @@ def anatomy(inside: np.ndarray, spacing: tuple[float, ...]) -> Anatomy:
     territories = Territories(graph, inside, radius)
     girth = np.zeros(len(graph.joints))
     np.maximum.at(girth, graph.joint_of, radius[tuple(graph.joint_voxels.T)])
-    sides = np.array(inside.shape) * np.array(spacing)
+    room = _Room.of(inside.shape, spacing, form)
     found = []
     for branch in np.flatnonzero(graph.kind == END_JOINT):
-        tip = (graph.path(branch)[0] + 0.5) * np.array(spacing)
-        if min(tip.min(), (sides - tip).min()) >= margin:
-            end = _free_end(int(branch), graph, radius, girth[graph.stop[branch]], territories)
+        if room.depth(graph.path(branch)[0]) >= margin:
+            end = _free_end(int(branch), graph, radius, girth[graph.stop[branch]], territories, room)
             found += [] if end is None else [end]
     found.sort(key=lambda end: end.length)  # stable: equal ones stay in the order of the graph
-    return Anatomy(graph, radius, territories, found, float(np.prod(np.maximum(sides - 2 * margin, 0))))
+    return Anatomy(graph, radius, territories, found, room.volume(margin))
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """Where a phase may be: a box, or a form in it."""
+
+    sides: np.ndarray
+    spacing: np.ndarray
+    deep: np.ndarray | None
+    """Of a form: how far the centre of every voxel lies below its surface, a face of a voxel or of the box."""
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], spacing: tuple[float, ...], form: np.ndarray | None) -> _Room:
+        edge = np.array(spacing)
+        deep = None
+        if form is not None:
+            deep = distance_transform(np.pad(form, 1), spacing=spacing)[(slice(1, -1),) * form.ndim] - min(spacing) / 2
+        return cls(np.array(shape) * edge, edge, deep)
+
+    def depth(self, voxel: np.ndarray) -> float:
+        """How far the centre of a voxel lies below the surface."""
+        if self.deep is not None:
+            return float(self.deep[tuple(voxel)])
+        centre = (voxel + 0.5) * self.spacing
+        return float(min(centre.min(), (self.sides - centre).min()))
+
+    def volume(self, margin: float) -> float:
+        """Of what lies deeper than a margin."""
+        if self.deep is not None:
+            return float(np.count_nonzero(self.deep >= margin) * np.prod(self.spacing))
+        return float(np.prod(np.maximum(self.sides - 2 * margin, 0)))
+
+    def cuts(self, space: Territories, places: np.ndarray) -> bool:
+        """Whether any voxel of a branch lies at the surface."""
+        if self.deep is None:
+            return space.at_face(places)
+        at = space.places(places)[:, 3 - self.deep.ndim :] - 1
+        return bool((self.deep[tuple(at.T)] < self.spacing.max()).any())
 
 
 def _free_end(
-    branch: int, graph: SkeletonGraph, radius: np.ndarray, girth: float, space: Territories
+    branch: int, graph: SkeletonGraph, radius: np.ndarray, girth: float, space: Territories, room: _Room
 ) -> FreeEnd | None:
     """The strut that a branch is the middle of; None where it is no strut, or a face cuts it. `girth` is the radius at
     its root."""
     edge, root = space.edge, int(graph.stop[branch])
     own = space.of(branch)
-    if not len(own) or space.at_face(own):
+    if not len(own) or room.cuts(space, own):
         return None
     held, free = space.surface(own)
     if free < _FREE * held:

@@ -1,14 +1,14 @@
-"""Connect: one piece out of many, by the shortest joins.
+"""Connect: one component out of many, by the cheapest joins; only specks are discarded.
 
-1. Number the components; the largest is the body.
-2. From every other component that is worth it, grow outwards through the background, face by face, until the body is
-   met or `reach` voxels are passed; the way back is filled with a brush.
-3. Again from 1, since a part that is joined may bring others within reach; until nothing is joined any more.
-4. What is still loose becomes background.
+1. Number the components; the largest is the body, those below a stated size are specks.
+2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a reach is given,
+   grow from every component through the background instead until the body is met or `reach` voxels are passed
+   (`finish.joins`), and again, since a component that is joined may bring others within reach.
+3. What is still loose becomes background: specks, and with a reach whatever lies farther.
 
-A part is searched from in its own box, so the cost is that of the loose parts and not of the image. Components are kept as
-runs along x: besides the image and the result no array of the image's size is needed. The result may lie in a scratch file, and
-then nothing of the image's size has to be in memory (see `finish.slabs`).
+Components are kept as runs along x. With a reach a component is searched from in its own box, and no array of the
+image's size is needed besides the image and the result; without one three of them. The result may lie in a scratch
+file, and they do then as well (see `finish.slabs`).
 """
 
 from __future__ import annotations
@@ -18,55 +18,93 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.core.image import Image, as_image, check_labels, phase_index, with_values
+from trabecula.core.progress import say
 from trabecula.engine import scratch
 from trabecula.engine.compile import kernel
+from trabecula.engine.tiles import sum_slabs
+from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.joins import shortest_join
+from trabecula.finish.spanning import cheapest_joins
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import Runs, runs_of
 
 _SOME = 32
 """Parts that are joined before pages of scratch files are handed back."""
 
+_SHARE = 0.005
+"""Of the phase: no component of more is a speck, unless `min_size` says so."""
+
+_MUCH = 0.01
+"""Share of the phase above which what is discarded is worth a note."""
+
+UNJOINED = ("keep", "remove")
+"""What can become of components that are not joined."""
+
 
 def connect(
     image: Image | ArrayLike,
     *,
     phase: str | int | None = None,
-    reach: int = 5,
+    reach: int | None = None,
     brush: int = 2,
-    min_size: int = 30,
+    min_size: int | None = None,
     connectivity: int | None = None,
+    unjoined: str | None = None,
+    mask: Image | ArrayLike | None = None,
 ) -> Image:
-    """Make a phase one connected piece: join what is near the largest component, remove the rest.
+    """Make a phase one connected component: join whatever is larger than a speck, discard the specks.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
-    reach : int
-        Longest join, in voxels of background passed from face to face. 0 joins nothing and only removes.
+    reach : int, optional
+        Longest join, in voxels of background passed from face to face; 0 joins nothing. Default: no limit, components are joined
+        along a minimum spanning tree, which fills the fewest voxels.
     brush : int
         Thickness of a join, in voxels.
-    min_size : int
-        Components of fewer voxels are specks: they are removed and not joined.
+    min_size : int, optional
+        Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of the phase's mean
+        chord, but no more than 0.5 % of the phase.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         What counts as connected. Default: voxels that share a face.
+    unjoined : {"keep", "remove"}, optional
+        What becomes of components that are no specks and cannot be joined, since they lie farther than `reach` or
+        behind another phase. Default: "remove" where a reach is given, else "keep".
+    mask : Image of labels or (Z, Y, X) bool array, optional
+        The form that the image fills (as `Request.mask`): joins run inside it.
 
     Returns
     -------
     image : Image
-        The phase is one component, and no voxel of its largest component has changed. Joins take the label they start
-        from, and what is removed becomes void (where the void itself is connected: the other phase). The recipe's step
-        holds a `report`: `joins`, `added` (voxels), `removed_parts`, `removed` (voxels).
+        No voxel of a component that is not removed has changed. Joins take the label they start from, and what is removed becomes
+        void (where the void itself is connected: the other phase). The recipe's step holds a `report`: `joins`, `added` (voxels
+        that the joins fill), `longest` (of the joins, voxels of background on its way), `removed_parts`, `removed` (voxels),
+        `left_parts`, `left` (components that stay loose beside the largest, and their voxels), `min_size`.
 
     Raises
     ------
     InputError
-        The phase is empty; a negative reach or size; the void of an image of several phases, where it is open what a
-        removed pore would be filled with.
+        The phase is empty; a negative reach or size; a mask of another shape; the void of an image of several phases, where it is
+        open what a removed pore would be filled with.
+
+    References
+    ----------
+    Mehlhorn 1988, doi:10.1016/0020-0190(88)90066-X, theorem 1: the minimum spanning tree.
+
+    Examples
+    --------
+    >>> limbs = np.zeros((9, 9, 60), int)
+    >>> limbs[3:6, 3:6, 2:30] = limbs[3:6, 3:6, 50:58] = 1
+    >>> limbs[0, 0, 0] = 1
+    >>> part = connect(limbs)
+    >>> report = part.recipe.steps[-1]["report"]
+    >>> report["joins"], report["longest"], report["added"], report["removed"], report["left"]
+    (1, 20, 80, 1, 0)
     """
     image = as_image(image)
     values = np.array(image.values, order="C")  # a copy: the caller's array stays as it is
@@ -76,9 +114,13 @@ def connect(
         "brush": brush,
         "min_size": min_size,
         "connectivity": connectivity,
+        "unjoined": unjoined,
     }
-    report = connect_in_place(values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings)
-    recipe = image.recipe.then("finish", values, operation="connect", settings=settings, report=report)
+    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
+    form = as_form(mask, image.shape)
+    report = connect_in_place(lifted, image, **settings, inside=None if form is None else form.reshape(lifted.shape))
+    made = form_recipe(mask)
+    recipe = image.recipe.then("finish", values, operation="connect", settings=settings, **made, report=report)
     return with_values(image, values, recipe=recipe)
 
 
@@ -87,37 +129,119 @@ def connect_in_place(
     image: Image,
     *,
     phase: str | int | None,
-    reach: int,
+    reach: int | None,
     brush: int,
-    min_size: int,
+    min_size: int | None,
     connectivity: int | None,
+    unjoined: str | None,
+    inside: np.ndarray | None = None,
 ) -> dict[str, int]:
     """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
     background, member = background_of(image, phase), members(image, phase)
     _check_settings(reach, brush, min_size)
+    unjoined = ("keep" if reach is None else "remove") if unjoined is None else unjoined
+    check_name(unjoined, UNJOINED, name="way with what is not joined")
     neighbours = as_connectivity(connectivity, image.ndim)
-    joins = added = 0
+    runs = _runs(values, member, neighbours, phase)
+    whole = int(runs.sizes.sum())
+    least = _speck_size(values, member, whole) if min_size is None else min_size
+    if reach is None:
+        found = _join_all(values, runs, background, (brush, least), inside)
+        runs = _runs(values, member, neighbours, phase) if found["joins"] else runs
+    else:
+        found, runs = _join_near(values, runs, background, (reach, brush, least), inside, (member, neighbours, phase))
+    loose = np.arange(len(runs.sizes)) != np.argmax(runs.sizes)
+    gone = loose & (runs.sizes < least) if unjoined == "keep" else loose
+    runs.write(values, gone, background)
+    left = loose & ~gone
+    found |= {"removed_parts": int(np.count_nonzero(gone)), "removed": int(runs.sizes[gone].sum())}
+    found |= {"left_parts": int(np.count_nonzero(left)), "left": int(runs.sizes[left].sum()), "min_size": int(least)}
+    _say_losses(found, whole)
+    return found
+
+
+def _runs(values: np.ndarray, member: np.ndarray, neighbours: int, phase: str | int | None) -> Runs:
+    runs = runs_of(values, member, neighbours)
+    if not len(runs.sizes):
+        raise InputError(
+            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
+        )
+    return runs
+
+
+def _speck_size(values: np.ndarray, member: np.ndarray, whole: int) -> int:
+    """Voxels of a cube of the mean chord, over all axes that have more than one voxel, but no more than a share of all."""
+    chords = sum_slabs(lambda start, stop: _count_chords(values, member, start, stop), len(values))
+    axes = [side > 1 for side in values.shape]
+    chord = max(1, sum(axes)) * whole / max(1, int(chords[axes].sum()))
+    return max(2, round(min(chord ** sum(axes), _SHARE * whole)))
+
+
+def _say_losses(found: dict[str, int], whole: int) -> None:
+    """Say what was discarded where it is much, and what stays loose."""
+    if found["removed"] > _MUCH * whole:
+        say(
+            f"connect: {found['removed_parts']} components were removed, {found['removed'] / whole:.2%} of the phase; "
+            f"those of {found['min_size']} voxels or more are joined where no reach is given (min_size, --min-size)"
+        )
+    if found["left_parts"]:
+        say(
+            f"connect: {found['left_parts']} components of {found['min_size']} voxels or more "
+            f"({found['left'] / whole:.2%} of the phase) could not be joined and stay loose"
+        )
+
+
+def _join_all(
+    values: np.ndarray, runs: Runs, background: int, settings: tuple[int, int], inside: np.ndarray | None
+) -> dict[str, int]:
+    """Join all components but specks along a minimum spanning tree, writing into `values`; what it took."""
+    brush, least = settings
+    worth = runs.sizes >= least
+    worth[np.argmax(runs.sizes)] = True
+    filled = longest = 0
+    ways = cheapest_joins(values, runs, worth, background, inside)
+    for number, way in enumerate(ways):
+        filled += int(_fill(values, way, background, brush, _where(inside)))
+        longest = max(longest, len(way) - 1)
+        if number % _SOME == 0:
+            scratch.let_go()
+    return {"joins": len(ways), "added": filled, "longest": longest}
+
+
+def _join_near(
+    values: np.ndarray,
+    runs: Runs,
+    background: int,
+    settings: tuple[int, int, int],
+    inside: np.ndarray | None,
+    again: tuple[np.ndarray, int, str | int | None],
+) -> tuple[dict[str, int], Runs]:
+    """Join what is within reach of the largest component, and again until nothing is; what it took, and the components then."""
+    found = {"joins": 0, "added": 0, "longest": 0}
     while True:
-        runs = runs_of(values, member, neighbours)
-        if not len(runs.sizes):
-            raise InputError(
-                f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
-            )
         body = int(np.argmax(runs.sizes)) + 1
-        done, filled = _join_parts(values, runs, body, background, (reach, brush, min_size))
-        if not done:
-            break
-        joins, added = joins + done, added + filled
+        joins, filled, longest = _join_parts(values, runs, body, background, settings, inside)
+        if not joins:
+            return found, runs
+        found = {
+            "joins": found["joins"] + joins,
+            "added": found["added"] + filled,
+            "longest": max(found["longest"], longest),
+        }
         del runs  # before the next
-    loose = np.arange(1, len(runs.sizes) + 1) != body
-    runs.write(values, loose, background)
-    removed = int(runs.sizes.sum() - runs.sizes[body - 1])
-    return {"joins": joins, "added": added, "removed_parts": len(runs.sizes) - 1, "removed": removed}
+        runs = _runs(values, *again)
 
 
-def _check_settings(reach: int, brush: int, min_size: int) -> None:
+def _where(inside: np.ndarray | None) -> np.ndarray:
+    """Where may be painted, for the kernel: an empty array where that is everywhere."""
+    return np.empty((0, 0, 0), np.bool_) if inside is None else inside
+
+
+def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None:
     for name, value, least in (("reach", reach, 0), ("brush", brush, 1), ("min_size", min_size, 0)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        if value is None and name != "brush":
+            continue
+        if value is None or isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
             raise InputError(f"{name} {value!r} must be a whole number of voxels, at least {least}")
 
 
@@ -146,29 +270,51 @@ def background_of(image: Image, phase: str | int | None) -> int:
 
 
 def _join_parts(
-    values: np.ndarray, runs: Runs, body: int, background: int, settings: tuple[int, int, int]
-) -> tuple[int, int]:
-    """Join every part within reach of the body, writing into `values`; joins, and voxels filled."""
+    values: np.ndarray,
+    runs: Runs,
+    body: int,
+    background: int,
+    settings: tuple[int, int, int],
+    inside: np.ndarray | None,
+) -> tuple[int, int, int]:
+    """Join every part within reach of the body, writing into `values`; joins, voxels filled, and the longest join."""
     reach, brush, min_size = settings
     chosen = runs.sizes >= min_size
     chosen[body - 1] = False
     if not chosen.any() or reach == 0:
-        return 0, 0
+        return 0, 0, 0
     worth = np.concatenate([[False], chosen])
-    joins = filled = 0
+    joins = filled = longest = 0
     for number, (part, bounds) in enumerate(zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)):
-        path = shortest_join(values, runs, bounds, part, body, background, worth, reach)
+        path = shortest_join(values, runs, bounds, part, body, background, worth, reach, inside)
         if len(path):
             joins += 1
-            filled += _fill(values, path, background, brush)
+            filled += int(_fill(values, path, background, brush, _where(inside)))
+            longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             scratch.let_go()
-    return joins, filled
+    return joins, filled, longest
 
 
 @kernel
-def _fill(values, path, background, brush):
-    """Paint the path with a cube of side `brush` in the label of its first voxel; only background is painted over."""
+def _count_chords(values, member, start, stop):
+    """Runs of members along z, y and x that begin in a slab."""
+    height, width = values.shape[1:]
+    found = np.zeros(3, np.int64)
+    for z in range(start, stop):
+        for y in range(height):
+            for x in range(width):
+                if member[values[z, y, x]]:
+                    found[0] += z == 0 or not member[values[z - 1, y, x]]
+                    found[1] += y == 0 or not member[values[z, y - 1, x]]
+                    found[2] += x == 0 or not member[values[z, y, x - 1]]
+    return found
+
+
+@kernel
+def _fill(values, path, background, brush, inside):
+    """Paint the path with a cube of side `brush` in the label of its first voxel; only background is painted over, and nothing
+    outside of a form."""
     label = values[path[0, 0], path[0, 1], path[0, 2]]
     before = (brush - 1) // 2
     filled = 0
@@ -177,7 +323,7 @@ def _fill(values, path, background, brush):
         for z in range(max(first[0], 0), min(first[0] + brush, values.shape[0])):
             for y in range(max(first[1], 0), min(first[1] + brush, values.shape[1])):
                 for x in range(max(first[2], 0), min(first[2] + brush, values.shape[2])):
-                    if values[z, y, x] == background:
+                    if values[z, y, x] == background and (inside.size == 0 or inside[z, y, x]):
                         values[z, y, x] = label
                         filled += 1
     return filled

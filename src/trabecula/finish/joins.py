@@ -34,6 +34,7 @@ def shortest_join(
     background: int,
     worth: np.ndarray,
     reach: int,
+    inside: np.ndarray | None = None,
 ) -> np.ndarray:
     """Voxels (n, 3) of the first of the shortest ways, before them the voxel of the part that it starts from.
 
@@ -53,6 +54,8 @@ def shortest_join(
     worth : (n + 1,) bool
         Of every component and of none: whether it will stay.
     reach : int
+    inside : (Z, Y, X) bool, optional
+        Where ways may run. Default: everywhere.
     """
     best: tuple[tuple[int, ...], np.ndarray] | None = None
     low = np.array(bounds[:3])
@@ -60,6 +63,8 @@ def shortest_join(
     for core in cores:
         box = _around(core, low, reach + 1, values.shape)
         state = _states(runs.labels(box), values[slices_of(box)], part, body, background, worth)
+        if inside is not None:
+            state[(state == _OPEN) & ~inside[slices_of(box)]] = _CLOSED
         path = _shortest_path(state, reach) + np.array([start for start, _ in box])
         if len(cores) > 1:
             scratch.let_go()

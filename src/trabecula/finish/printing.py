@@ -15,11 +15,17 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.engine.plan import Plan, check_budget
 from trabecula.finish import questions
 from trabecula.finish.printers import Printer, printer_of
 from trabecula.finish.questions import Finding
 from trabecula.io.units import to_metres
 from trabecula.measure.phases import indicator
+
+_PER_VOXEL = 14
+"""Bytes of the question that needs most, a voxel of the part with its margin."""
+
+_SMALLER = "check a crop (--crop N), or a coarser level of a .zarr (--level 1)"
 
 VERDICTS = ("pass", "warn", "refuse")
 
@@ -54,7 +60,12 @@ class PrintCheck:
 
 
 def print_check(
-    image: Image | ArrayLike, *, printer: str = "sls", phase: str | int | None = None, **limits: Any
+    image: Image | ArrayLike,
+    *,
+    printer: str = "sls",
+    phase: str | int | None = None,
+    memory: int | None = None,
+    **limits: Any,
 ) -> PrintCheck:
     """What a printer of a process would refuse about a part, or warn of.
 
@@ -66,6 +77,8 @@ def print_check(
         Powder sintered by a laser, resin cured by light, molten filament.
     phase : str or int, optional
         What is printed. Default: "solid", which is every phase but "void" taken together.
+    memory : int, optional
+        Bytes that may be used. Default: what is available.
     **limits
         Limits of the printer other than the typical ones (`trabecula.finish.printers.PRINTERS`), in millimetres: box,
         wall, gap; passage (sls, sla), cup (sla, mm**3), overhang (degrees) and bridge (fdm).
@@ -85,6 +98,8 @@ def print_check(
         Not 3-D, no unit of length, an empty phase, a limit out of range.
     UnknownNameError
         No such printer, limit or phase.
+    MemoryBudgetError
+        The part does not fit into memory with what is asked of it.
 
     Examples
     --------
@@ -102,6 +117,8 @@ def print_check(
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to print")
     factor = 1000 * _metres(image.unit)
     solid = np.ascontiguousarray(solid[_box(solid)])
+    room = int(np.prod([side * 3 / 2 + 8 for side in solid.shape]))
+    check_budget(Plan({"distances and components": _PER_VOXEL * room}), budget=memory, advice=_SMALLER)
     part = questions.Part(solid, np.pad(solid, 1), tuple(edge * factor for edge in image.spacing))
     findings = [
         questions.size(part, machine),

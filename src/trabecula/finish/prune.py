@@ -3,8 +3,8 @@
 Section 4.4 of Zhang, Chen, Wang and Wang 2017. A round:
 
 1. Thin the phase, read the skeleton as a graph, and find the struts that end freely (`finish.branches`).
-2. Of these as many are spurious as there are more, per volume, than in the exemplar; the shortest first, but before them
-   any that are longer than all of the exemplar's.
+2. Of these as many are spurious as there are more, per volume of what is filled, than in the exemplar; the shortest
+   first, but before them any that are longer than all of the exemplar's.
 3. One that is shorter than theta times the perimeter of its cell is removed (`finish.cutting`), any other grown
    (`finish.growing`).
 
@@ -21,9 +21,11 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, with_values
+from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe
 from trabecula.finish.branches import Anatomy, FreeEnd, anatomy, cell_perimeters
 from trabecula.finish.connect import background_of
+from trabecula.finish.forms import as_form, fills_form, form_recipe
 from trabecula.finish.growing import Struts, grow, struts_of
 from trabecula.measure.phases import indicator
 
@@ -46,6 +48,7 @@ def prune(
     exemplar: Image | ArrayLike | None = None,
     phase: str | int | None = None,
     theta: float = 0.11,
+    mask: Image | ArrayLike | None = None,
 ) -> Image:
     """Remove or complete struts that end freely: the connectivity pruning of Zhang, Chen, Wang and Wang 2017, section 4.4.
 
@@ -63,6 +66,10 @@ def prune(
         0..10. A free end shorter than this share of its cell's perimeter is removed, another grown. The perimeter is
         that of the shortest loop of the skeleton through the joint from which the free end grows, and no less than the
         median of such loops.
+    mask : Image of labels or (Z, Y, X) bool array, optional
+        The form that the image fills (as `Request.mask`): free ends are counted per volume of it, struts that its
+        surface cuts are not judged, and nothing is grown outside of it. Default: the image is filled as a whole;
+        where its recipe tells of a form, this is said.
 
     Returns
     -------
@@ -70,13 +77,15 @@ def prune(
         With no more components than before: what is removed opens no loop and leaves no piece behind, and what is grown
         makes a loop (or joins two components). New voxels take the label at the free end; what is removed becomes void.
         The recipe's step holds a `report`: `ends_before`, `ends_after`, `ends_exemplar`, `ends_allowed` (the exemplar's
-        number per volume, times the volume), `removed`, `grown`, `left` (spurious ones for which nothing could be done:
-        nothing within a cell's diameter ahead, or no loops at all), `removed_voxels`, `added`, `rounds`.
+        number per volume, times the volume of the image or of the form), `removed`, `grown`, `left` (spurious ones for
+        which nothing could be done: nothing within a cell's diameter ahead, or no loops at all), `removed_voxels`,
+        `added`, `rounds`.
 
     Raises
     ------
     InputError
-        The phase is empty; theta out of range; an exemplar of another number of axes, or in another unit.
+        The phase is empty; theta out of range; an exemplar of another number of axes, or in another unit; a mask of
+        another shape.
 
     Notes
     -----
@@ -101,25 +110,29 @@ def prune(
     if not inside.any():
         raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to prune")
     source = None if exemplar is None else _source(exemplar, image)
+    form = as_form(mask, image.shape)
+    if form is None and fills_form(image.recipe):
+        say(
+            "prune: the image fills a form, and free ends are counted as if it filled its box: give the form (mask, --mask), "
+            "so that they are counted per volume of it and struts that its surface cuts are left alone"
+        )
     # Lengths from here on in the smallest edge: the same voxels then whatever the unit.
     scale = min(image.spacing)
     spacing = tuple(edge / scale for edge in image.spacing)
     model = _Model(0, 0.0, np.inf, None) if source is None else _model(source, phase, scale)
     values = np.array(image.values, order="C")
-    closed = _lifted((values != background) & ~inside)
-    parts = anatomy(inside, spacing)
+    closed = _lifted(((values != background) & ~inside) | (False if form is None else ~form))
+    parts = anatomy(inside, spacing, form)
     report = {"ends_before": len(parts.ends), "removed": 0, "grown": 0, "removed_voxels": 0, "added": 0, "rounds": 0}
     while report["rounds"] < _ROUNDS and _round(parts, values, background, model, theta, closed, report):
         report["rounds"] += 1
         inside = parts.territories.inside[1:-1, 1:-1, 1:-1].astype(bool).reshape(values.shape)
-        parts = anatomy(inside, spacing)
+        parts = anatomy(inside, spacing, form)
     report |= {"ends_after": len(parts.ends), "left": len(_spurious(parts, model))}
     report |= {"ends_exemplar": model.ends, "ends_allowed": round(model.density * parts.volume)}
     settings = {"phase": phase, "theta": theta}
-    exemplars = [] if source is None else [source.recipe]
-    recipe = image.recipe.then(
-        "finish", values, operation="prune", settings=settings, exemplars=exemplars, report=report
-    )
+    made = {"exemplars": [] if source is None else [source.recipe], **form_recipe(mask)}
+    recipe = image.recipe.then("finish", values, operation="prune", settings=settings, **made, report=report)
     return with_values(image, values, recipe=recipe)
 
 
@@ -136,6 +149,11 @@ def _source(exemplar: Image | ArrayLike, image: Image) -> Image:
     if "voxel" not in (source.unit, image.unit):
         raise InputError(
             f"the exemplar is in {source.unit}, the image in {image.unit}: lengths are compared, so give both in one unit"
+        )
+    if source.unit != image.unit or source.spacing != image.spacing:
+        say(
+            f"prune: the image is in {image.unit}, the exemplar in {source.unit}, so one voxel of both is taken for the same "
+            "length: give the spacing and unit of both (--spacing, --unit) where it is not"
         )
     return with_values(source, source.values, recipe=recipe, spacing=image.spacing, unit=image.unit)
 

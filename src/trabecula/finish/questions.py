@@ -19,6 +19,9 @@ _SPARE = 0.001
 _MUCH = 0.01
 """Share of the part in struts that are too thin above which it would come apart, and of the pores without a way out."""
 
+_NEAR = 1.5
+"""Widths of the passage within which a pore is cleared."""
+
 _LEANING = 0.05
 """Share of the surface that faces down above which supports are worth a warning."""
 
@@ -59,7 +62,7 @@ class Part:
 
 def size(part: Part, machine: Printer) -> Finding:
     """Does it fit into the printer?"""
-    sides = [round(side * edge, 6) for side, edge in zip(part.solid.shape, part.spacing, strict=True)]
+    sides = [float(f"{side * edge:.6g}") for side, edge in zip(part.solid.shape, part.spacing, strict=True)]
     # The part may be turned about the vertical.
     fits = sides[0] <= machine.box[0] and all(
         a <= b for a, b in zip(sorted(sides[1:]), sorted(machine.box[1:]), strict=True)
@@ -165,7 +168,17 @@ def trapped(part: Part) -> Finding:
 def passage(part: Part, passage: float) -> Finding:
     """Can every pore be cleared? Not where a ball as wide as the passage, coming from outside, stays away from it by more
     than its width."""
-    margin = [(int(np.ceil(passage / edge)) + 1,) * 2 for edge in part.spacing]
+    figures = {"far_share": 0.0, "passage": passage}
+    way = Finding("passage", "pass", figures, f"ways of {passage:g} mm lead near every pore")
+    # The first plane outside at which the ball has room, and with it all of the plane, since it is free.
+    away = [int(np.ceil((passage + min(part.spacing)) / 2 / edge)) for edge in part.spacing]
+    deepest = [
+        edge * (first + (side - 1) // 2) for edge, first, side in zip(part.spacing, away, part.solid.shape, strict=True)
+    ]
+    if min(deepest) <= _NEAR * passage:
+        return way  # from outside the ball comes near to everything: the part is hardly wider than the ball
+    # Else its sides are longer than twice the passage, and the margin is no more than a quarter of them.
+    margin = [(first + 1,) * 2 for first in away]
     void = np.pad(~part.solid, margin, constant_values=True)
     # Half a voxel: the wall is the voxel's face, not its centre.
     wide = distance_transform(void, spacing=part.spacing) - min(part.spacing) / 2 >= passage / 2 * (1 - 1e-6)
@@ -173,11 +186,11 @@ def passage(part: Part, passage: float) -> Finding:
     ways = labels == labels[0, 0, 0]
     inner = tuple(slice(a, -a) for a, _ in margin)
     open_pores = label_components(void)[0]
-    far = (distance_transform(~ways, spacing=part.spacing) > 1.5 * passage) & (open_pores == open_pores[0, 0, 0])
+    far = (distance_transform(~ways, spacing=part.spacing) > _NEAR * passage) & (open_pores == open_pores[0, 0, 0])
     share = np.count_nonzero(far[inner]) / max(1, np.count_nonzero(~part.solid))
-    figures = {"far_share": round(float(share), 6), "passage": passage}
+    figures["far_share"] = round(float(share), 6)
     if share <= _SPARE:
-        return Finding("passage", "pass", figures, f"ways of {passage:g} mm lead near every pore")
+        return way
     says = f"{share:.1%} of the pores lies off every way of {passage:g} mm: hard to clear; scale it up, or blow it out well"
     return Finding("passage", "warn", figures, says)
 

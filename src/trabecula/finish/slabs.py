@@ -49,7 +49,7 @@ IN_PLACE: dict[str, tuple[Callable[..., Image], Callable[..., dict[str, int]]]] 
 }
 """The operations that need no volume in memory: of an Image, and of labels that are written into."""
 
-_IN_CORE = {"connect": 5, "remove_floaters": 5, "fill_trapped": 5, "smooth": 22, "thicken": 22, "prune": 50}
+_IN_CORE = {"connect": 10, "remove_floaters": 5, "fill_trapped": 5, "smooth": 22, "thicken": 22, "prune": 50}
 """Bytes a voxel of an operation in memory, with what is read and what is written."""
 
 _PAGES = 48 << 20
@@ -81,7 +81,7 @@ def finish_slabs(
     memory : int, optional
         Bytes that may be used. Default: what is available.
     folder : path, optional
-        Where scratch files go, of about twice the voxels. Default: beside the result.
+        Where scratch files go, of up to six times the voxels. Default: beside the result.
 
     Returns
     -------
@@ -117,8 +117,8 @@ def finish_slabs(
             if isinstance(error, TrabeculaError):
                 raise
             raise FileError(
-                f"cannot write to {place.parent}: {error.strerror or error}; scratch files of about twice the voxels lie there "
-                "while a volume is finished: make room, or choose another folder (--scratch)"
+                f"cannot write to {place.parent}: {error.strerror or error}; scratch files of up to six times the voxels lie "
+                "there while a volume is finished: make room, or choose another folder (--scratch)"
             ) from error
         finally:
             remove(place)
@@ -129,6 +129,7 @@ def _settings(name: str, given: Mapping[str, Any]) -> Step:
     check_name(name, IN_PLACE, name="operation in slabs")
     known = inspect.signature(IN_PLACE[name][0]).parameters.values()
     defaults = {each.name: each.default for each in known if each.kind is inspect.Parameter.KEYWORD_ONLY}
+    defaults.pop("mask", None)  # an array of the volume's size, which nothing reads in slabs
     for setting in given:
         check_name(setting, defaults, name=f"setting of {name}")
     return name, {**defaults, **given}
@@ -149,7 +150,8 @@ def forecast(volume: Slabs, steps: Sequence[Step], depth: int) -> Plan:
     """What `finish_slabs` needs when it reads `depth` planes at once."""
     plane = prod(volume.shape[1:])
     search = max(
-        (search_bytes(volume.shape, settings["reach"]) for _, settings in steps if "reach" in settings), default=0
+        (search_bytes(volume.shape, settings["reach"]) for _, settings in steps if settings.get("reach") is not None),
+        default=0,
     )
     written = part_bytes(volume.shape, [min(side, CHUNK) for side in volume.shape], np.dtype(np.uint8))
     # One number a row for the runs, and one while they are counted.

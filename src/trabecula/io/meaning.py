@@ -11,6 +11,7 @@ import numpy as np
 from trabecula.core.checks import check_finite, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import KINDS, MAX_PHASES, Image, distinct_levels, labels
+from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe
 from trabecula.io.metadata import Content
 from trabecula.io.units import canonical, check_unit
@@ -52,7 +53,33 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
         "phases": options.get("phases", own.get("phases", ()) if kind == own.get("kind") else ()),
     }
     image = Image(values, kind, **fields)
+    if "spacing" not in options and not own.get("spacing"):
+        _say_spacing(image, content, source)
     return replace(image, recipe=_recipe(image, content, source, options, levels))
+
+
+def _say_spacing(image: Image, content: Content, source: str) -> None:
+    """Say which of several places a spacing comes from where it is tags that often mean something else, and what was ignored."""
+    if content.ignored:
+        say(f"{source}: {content.ignored}")
+    elif content.spacing and content.origin not in ("", "ImageJ metadata", "OME metadata"):
+        edges = " x ".join(f"{edge:.6g}" for edge in image.spacing)
+        say(f"{source}: spacing {edges} {image.unit} from {content.origin}")
+
+
+def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
+    """What the step that reads a file says of its spacing: where it comes from, and what was ignored."""
+    own = content.fields or {}
+    if "spacing" in options:
+        found = "given"
+    elif own.get("spacing"):
+        found = "metadata of this package"
+    else:
+        found = (content.origin or "the file's header") if content.spacing else ""
+    ignored = (
+        {"ignored": content.ignored} if content.ignored and "spacing" not in options and not own.get("spacing") else {}
+    )
+    return {**({"spacing_from": found} if found else {}), **ignored}
 
 
 def _recipe(image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None) -> Recipe:
@@ -64,7 +91,9 @@ def _recipe(image: Image, content: Content, source: str, options: Mapping[str, A
         if all(own[name] == value for name, value in said.items()):
             return recipe
     renumbered = {"levels": levels} if levels is not None else {}
-    return recipe.then("read", image.values, source=source, options=dict(options), **renumbered)
+    return recipe.then(
+        "read", image.values, source=source, options=dict(options), **renumbered, **_origin(content, options)
+    )
 
 
 def _plain(values: np.ndarray) -> np.ndarray:

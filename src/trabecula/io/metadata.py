@@ -29,6 +29,10 @@ class Content:
         Our own JSON, where this package wrote the file.
     lossy : bool
         The format changes voxels, so that a recipe in it does not describe them.
+    origin : str
+        Where in the file the spacing comes from, as words; empty where the format has one place for it.
+    ignored : str
+        What else the file says of a voxel's size that was left aside, and why.
     """
 
     values: np.ndarray
@@ -37,6 +41,8 @@ class Content:
     unit: str | None = None
     fields: dict[str, Any] | None = None
     lossy: bool = False
+    origin: str = ""
+    ignored: str = ""
 
 
 def encode(image: Image, **more: Any) -> str:

@@ -16,6 +16,7 @@ from trabecula.io.formats import format_of
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
 from trabecula.io.metadata import KEY, Content, decode, encode, gathered, spread
 from trabecula.io.pixels import from_palette, without_alpha
+from trabecula.io.resolution import Calibration, from_resolution
 
 # MPO is how phones write JPEG: the picture first, a preview after it.
 _PILLOW = {"PNG": ("PNG",), "JPEG": ("JPEG", "MPO"), "BMP": ("BMP",)}
@@ -94,8 +95,20 @@ def read(path: Path) -> Content:
             check_claim(path, (picture.height, picture.width, bands), np.dtype(_MODES[picture.mode]), stored=room)
             values, colour = _pixels(picture)
             text = picture.info.get(KEY) if form == "PNG" else picture.info.get("comment")
+            size = _calibration(picture, form)
         fields = sidecar.found(path, values) if form == "BMP" else decode(text)
-        return Content(gathered(values, fields), colour=colour, fields=fields, lossy=form == "JPEG")
+        return Content(gathered(values, fields), colour=colour, fields=fields, lossy=form == "JPEG", **size._asdict())
+
+
+def _calibration(picture: Any, form: str) -> Calibration:
+    """What a PNG's pHYs chunk or a JPEG's density says, where it may be a voxel size."""
+    x, y = picture.info.get("dpi", (0, 0)) if form in ("PNG", "JPEG") else (0, 0)
+    if not (x > 0 and y > 0):
+        return Calibration()
+    # Pillow turns a PNG's whole pixels a metre into inches.
+    if form == "PNG":
+        return from_resolution(round(y / 0.0254), round(x / 0.0254), "m", what="the PNG's pHYs chunk")
+    return from_resolution(float(y), float(x), "inch", what="the JPEG's density")
 
 
 def opened(path: Path, forms: tuple[str, ...]) -> Any:

@@ -58,7 +58,13 @@ def read(path: Path) -> Content:
         for z, name in enumerate(track(names, "reading slices")):
             values[z] = _alike(_plane(name) if z else first, first, name).values
         fields = _own(path, shape)
-        return Content(gathered(values, fields), colour=first.colour, fields=fields)
+        ignored = first.ignored
+        if first.spacing is not None:
+            ignored = (
+                f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which says nothing of z: ignored; "
+                "give the spacing (--spacing, --unit)"
+            )
+        return Content(gathered(values, fields), colour=first.colour, fields=fields, ignored=ignored)
 
 
 def _slices(path: Path) -> list[Path]:

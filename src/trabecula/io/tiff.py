@@ -22,6 +22,7 @@ from trabecula.engine.tiles import thread_count
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.pixels import from_palette, without_alpha
+from trabecula.io.resolution import Calibration, from_resolution, plausible
 from trabecula.io.units import canonical, has_length, symbol, to_metres
 
 TAG = 65000  # first of the codes that TIFF leaves for private use
@@ -121,8 +122,9 @@ def read(path: Path) -> Content:
         fields = decode(tag.value if tag else None)
         if fields is not None and len(fields["spacing"]) == 3 and values.ndim - colour == 2:
             values = values[None]  # a volume of one slice, which TIFF itself cannot tell from a picture
-        spacing, unit = _calibration(tiff, page, ndim=values.ndim - colour)
-        return Content(values, colour=colour, spacing=spacing, unit=unit, fields=fields)
+        return Content(
+            values, colour=colour, fields=fields, **_calibration(tiff, page, ndim=values.ndim - colour)._asdict()
+        )
 
 
 def _check_directories(tiff: Any) -> None:
@@ -216,23 +218,34 @@ def _meant(values: np.ndarray, page: Any, imagej: bool, *, inverted: bool) -> tu
     return values, samples in (3, 4)
 
 
-def _calibration(tiff: Any, page: Any, *, ndim: int) -> tuple[tuple[float, ...] | None, str | None]:
-    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say."""
+def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
+    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say, whichever comes first."""
     if tiff.is_ome:
-        return _ome_calibration(tiff.ome_metadata, ndim=ndim)
+        found = _ome_calibration(tiff.ome_metadata, ndim=ndim)
+        if found.spacing or found.ignored:
+            return found
     y, x = (_edge(page.tags.get(name)) for name in ("YResolution", "XResolution"))
     if x is None or y is None:
-        return None, None
+        return Calibration()
+    stated = (tiff.imagej_metadata or {}) if tiff.is_imagej else {}
+    if tiff.is_imagej and ("unit" in stated or "spacing" in stated or page.tags.get("ResolutionUnit") is None):
+        z = abs(float(stated.get("spacing", 1.0))) or 1.0  # which ImageJ writes where it is not 1
+        unit = str(stated["unit"]) if "unit" in stated else None
+        return plausible(_by_imagej((z, y, x)[-ndim:], unit))
+    tag = page.tags.get("ResolutionUnit")
+    # A file without this tag is in inches (TIFF 6.0, page 38), but nobody who leaves it out means so.
+    unit = None if tag is None else {2: "inch", 3: "cm"}.get(int(tag.value))
+    if unit is not None:
+        return from_resolution(1 / y, 1 / x, unit, what="the TIFF's resolution tags", ndim=ndim)
     if tiff.is_imagej:
-        found = tiff.imagej_metadata or {}
-        z = abs(float(found.get("spacing", 1.0))) or 1.0
-        return (z, y, x)[-ndim:], str(found["unit"]) if "unit" in found else None
-    unit = page.tags.get("ResolutionUnit")
-    if (
-        ndim == 2 and unit is not None and unit.value == 3
-    ):  # centimetres; inches (2) are print sizes, mostly 72 dpi by habit
-        return (y, x), "cm"
-    return None, None
+        return _by_imagej((1.0, y, x)[-ndim:], None)
+    return Calibration()
+
+
+def _by_imagej(spacing: tuple[float, ...], unit: str | None) -> Calibration:
+    """ImageJ writes edges of 1 without a unit where it knows nothing."""
+    known = set(spacing) != {1.0} or (unit is not None and has_length(unit))
+    return Calibration(spacing, unit, "ImageJ metadata") if known else Calibration()
 
 
 def _edge(resolution: Any) -> float | None:
@@ -242,17 +255,22 @@ def _edge(resolution: Any) -> float | None:
     return units / voxels if voxels and units else None
 
 
-def _ome_calibration(text: str, *, ndim: int) -> tuple[tuple[float, ...] | None, str | None]:
+def _ome_calibration(text: str, *, ndim: int) -> Calibration:
     pixels = next((node for node in ElementTree.fromstring(text).iter() if node.tag.endswith("}Pixels")), None)
     if pixels is None or "PhysicalSizeX" not in pixels.attrib:
-        return None, None
+        return Calibration()
+    missing = [axis for axis in "ZYX"[-ndim:] if f"PhysicalSize{axis}" not in pixels.attrib]
+    if missing:
+        return Calibration(
+            ignored=f"its OME metadata say nothing of {', '.join(missing)}, so the sizes along the other axes are ignored: give "
+            "the spacing (--spacing, --unit)"
+        )
     edges, units = [], []
     for axis in "ZYX"[-ndim:]:
-        edges.append(float(pixels.get(f"PhysicalSize{axis}", 1.0)))
+        edges.append(float(pixels.attrib[f"PhysicalSize{axis}"]))
         units.append(pixels.get(f"PhysicalSize{axis}Unit", "µm"))
     unit = units[-1]
     if not has_length(unit):
-        return tuple(edges), "voxel"
-    return tuple(
-        e if u == unit else e * to_metres(u) / to_metres(unit) for e, u in zip(edges, units, strict=True)
-    ), unit
+        return Calibration(tuple(edges), "voxel", "OME metadata")
+    alike = (e if u == unit else e * to_metres(u) / to_metres(unit) for e, u in zip(edges, units, strict=True))
+    return Calibration(tuple(alike), unit, "OME metadata")

@@ -16,6 +16,7 @@ from trabecula.io.guard import check_there, damaged
 from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.sizes import extent_of, say_size
 
 
 def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
@@ -26,7 +27,8 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     mesh : Mesh
     path : path
         `.stl` (millimetres where the unit is a length), `.3mf` (the unit is declared), `.ply` or `.obj` (in the mesh's
-        unit, named in a comment).
+        unit, named in a comment). Programs take lengths without a unit for millimetres: a mesh in "voxel" is written so, which
+        is said, as is a part of more than 2 m or less than 0.1 mm.
 
     Returns
     -------
@@ -46,6 +48,7 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     writer = importlib.import_module(FORMATS[path.suffix.lower()][1])
     with replacing(path) as temporary:
         writer.write(mesh, temporary)
+    say_size(extent_of(mesh), mesh.unit)
     return path
 
 

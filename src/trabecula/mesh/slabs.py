@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from trabecula.engine.slabs import Slabs, depth_within
 from trabecula.measure.phases import indicator
 from trabecula.mesh import kernels, stl
 from trabecula.mesh.base import Mesh
+from trabecula.mesh.sizes import say_size
 from trabecula.mesh.surface import as_rounds, check_some, march, smoothed
 from trabecula.mesh.table import case_table
 
@@ -45,10 +46,13 @@ class Layers:
     ----------
     vertices, faces : int64 array, (Z + 1,)
         Of layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and between the two, and the triangles.
+    extent : three floats
+        Sides of the smallest box around the surface along z, y, x, in the volume's unit; known once it has been written.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    extent: tuple[float, ...] = ()
 
     def need(self, depth: int, halo: int, plane: int) -> Plan:
         """Memory of taking `depth` layers at a time."""
@@ -89,7 +93,7 @@ def export_slabs(
     Returns
     -------
     Layers
-        Vertices and triangles by layer.
+        Vertices and triangles by layer, and the extent of them all.
 
     Raises
     ------
@@ -112,15 +116,20 @@ def export_slabs(
         depth = depth_within(volume, lambda d: layers.need(d, 2 * rounds, plane), memory=memory, advice=advice)
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
     slabs = surface_slabs(volume, layers, phase=phase, rounds=rounds, depth=depth)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
     with replacing(path) as temporary, stl.Writer(temporary) as writer:
 
         def written() -> Iterator[np.ndarray]:
             for surface, own in slabs:
                 writer.add(surface)
+                np.minimum(low, surface.vertices[own].min(axis=0, initial=np.inf), out=low)
+                np.maximum(high, surface.vertices[own].max(axis=0, initial=-np.inf), out=high)
                 yield surface.vertices[own]
 
         sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), written())
         writer.finish(volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds))
+    layers = replace(layers, extent=tuple((high - low)[::-1].tolist()))
+    say_size(layers.extent, volume.unit)
     return layers
 
 

@@ -19,6 +19,7 @@ from trabecula.mesh.text import rows
 
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+_NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
 _DEEPEST = 16  # of components within components; a file in which one holds itself would have no end
 
@@ -73,7 +74,8 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
         'xmlns:tb="urn:trabecula">\n'
         f'<metadata name="Application">trabecula {__version__}</metadata>\n'
         f'<metadata name="tb:unit">{escape(mesh.unit)}</metadata>\n'
-        f'<metadata name="tb:recipe">{escape(recipe_json(mesh.recipe))}</metadata>\n'
+        + (f'<metadata name="tb:note">{_NO_UNIT_NOTE}</metadata>\n' if metres(mesh.unit) is None else "")
+        + f'<metadata name="tb:recipe">{escape(recipe_json(mesh.recipe))}</metadata>\n'
         '<resources>\n<object id="1" type="model">\n<mesh>\n<vertices>\n'
     )
     vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices

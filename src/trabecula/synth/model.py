@@ -26,6 +26,7 @@ from trabecula.engine.plan import Plan, check_budget, largest_within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.facts import Facts, facts_of
 from trabecula.synth.spec import Spec
+from trabecula.synth.voxels import result_voxels
 
 _WRITING = 24 << 20  # bytes of what writes a store, loaded
 
@@ -166,7 +167,8 @@ class Model(ABC):
     def fields(self, request: Request) -> dict[str, Any]:
         """Kind, spacing, unit and phases of the result of a request."""
         found = self._result_fields()
-        return {**found, "spacing": found["spacing"][-len(request.shape) :]}
+        spacing, unit = result_voxels(request, found["spacing"][-len(request.shape) :], found["unit"])
+        return {**found, "spacing": spacing, "unit": unit}
 
     def settings(self) -> dict[str, Any]:
         """All that tells one model of a method from another, beside its exemplars: plain JSON."""
@@ -207,6 +209,8 @@ class Model(ABC):
         if self.exemplars:
             check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
             self._check_target(request)
+        if self.facts:
+            self.fields(request)  # a form of other voxels is refused before any work
 
     def _axes(self) -> tuple[int, ...]:
         """Of what can be made: 3 for volumes, 2 for pictures."""

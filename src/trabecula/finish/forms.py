@@ -1,0 +1,65 @@
+"""The form that an image fills: where a request had a mask, what lies outside of it is no pore."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.core.recipe import Recipe
+
+
+def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray | None:
+    """The voxels of a form as a bool array of `shape`; None where there is none.
+
+    Raises
+    ------
+    InputError
+        Another shape, grey or colour, an array that is not boolean, no voxel at all.
+    """
+    if mask is None:
+        return None
+    if isinstance(mask, Image):
+        if mask.kind != "labels":
+            raise InputError(f"the mask is {mask.kind}: give labels (segment it first), or a boolean array")
+        inside = mask.values != (mask.phases.index("void") if "void" in mask.phases else 0)
+    else:
+        inside = np.asarray(mask)
+        if inside.dtype != bool:
+            raise InputError(f"the mask is {inside.dtype}: give a boolean array, such as volume > 0, or an Image")
+    if inside.shape != tuple(shape):
+        raise InputError(
+            f"the mask has shape {inside.shape}, the image {tuple(shape)}: give the mask that it was made with"
+        )
+    if not inside.any():
+        raise InputError("the mask holds no voxel: mark with True what the form fills")
+    return np.ascontiguousarray(inside)
+
+
+def form_recipe(mask: Image | ArrayLike | None) -> dict[str, Any]:
+    """What a step of the recipe says of a mask: how it came to be, where there is one."""
+    if mask is None:
+        return {}
+    if isinstance(mask, Image):
+        return {"mask": mask.recipe or Recipe().then("array", mask.values)}
+    return {"mask": Recipe().then("array", np.asarray(mask).view(np.uint8))}
+
+
+def fills_form(recipe: Recipe) -> bool:
+    """Whether a recipe says that its image was made to fill a form."""
+    return mask_steps(recipe) is not None
+
+
+def mask_steps(recipe: Recipe) -> list[dict[str, Any]] | None:
+    """The recipe of the form that an image was made to fill, as JSON; None where it fills none."""
+    for step in reversed(recipe.steps):
+        if step["verb"] == "crop":
+            return None  # of which the form would have to be cut as well
+        if step["verb"] == "generate":
+            found = dict(step.get("request") or {}).get("mask")
+            return found if isinstance(found, list) else None
+    return None

@@ -1,0 +1,253 @@
+"""The cheapest joins of several components: a minimum spanning tree of them, by the background voxels that each join fills.
+
+1. Number every voxel by the component nearest to it through the background (faces of voxels), with the distance: two sweeps
+   where the background is all there is besides, more of them around what is closed.
+2. Boruvka's rounds: every component takes the cheapest way to another one, and both belong together from then on. A way runs
+   where two numbers meet; that such ways hold a minimum spanning tree of all ways is theorem 1 of Mehlhorn 1988,
+   doi:10.1016/0020-0190(88)90066-X.
+3. Follow every way to both its ends, and draw it straight between them where that is as short and nothing lies in between.
+
+All passes go by slabs along z one after the other, and the arrays may lie in scratch files.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from trabecula.engine import scratch
+from trabecula.engine.compile import kernel
+from trabecula.engine.tiles import in_order, sum_slabs
+from trabecula.measure.runs import Runs
+from trabecula.measure.union import root_of
+
+NOWHERE = np.iinfo(np.uint16).max
+"""Distance of what no way leads to, and a voxel more than the longest way."""
+
+
+def cheapest_joins(
+    values: np.ndarray, runs: Runs, worth: np.ndarray, background: int, inside: np.ndarray | None = None
+) -> list[np.ndarray]:
+    """Ways (n, 3) that join components at the least number of background voxels, in the order of their cost.
+
+    Parameters
+    ----------
+    values : (Z, Y, X) uint8 labels
+    runs : Runs
+        Their components.
+    worth : (n,) bool
+        Which components are joined. Ways may run through the others, and through the background.
+    background : int
+        Label of the background.
+    inside : (Z, Y, X) bool, optional
+        Where ways may run. Default: everywhere.
+
+    Returns
+    -------
+    ways : list of (n, 3) int64
+        The first voxel is one of the smaller of two components, the others are open; the last one touches the other component.
+    """
+    numbers = np.zeros(len(runs.sizes) + 1, np.int32)
+    numbers[1:][worth] = np.arange(1, np.count_nonzero(worth) + 1)
+    count = int(numbers.max())
+    if count < 2:
+        return []
+    open_to = _is_open(values, runs, worth, background, inside)
+    owner = scratch.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
+    far = scratch.empty(values.shape, np.uint16)
+    seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
+    in_order(lambda start, stop: _seed(*seeds, start, stop), len(values))
+    held = int(runs.sizes[worth].sum()) + sum_slabs(lambda a, b: np.count_nonzero(open_to[a:b]), len(values))
+    _spread_owners(owner, far, open_to, again=held < values.size)
+    sizes = np.concatenate([[0], runs.sizes[worth]])
+    found = [_straight(_follow(owner, far, place, axis, sizes), open_to) for place, axis in _tree(owner, far, count)]
+    return sorted(found, key=len)
+
+
+def _is_open(
+    values: np.ndarray, runs: Runs, worth: np.ndarray, background: int, inside: np.ndarray | None
+) -> np.ndarray:
+    """(Z, Y, X) bool: where ways may run."""
+    free = scratch.zeros(values.shape, np.bool_)
+
+    def mark(start: int, stop: int) -> None:
+        free[start:stop] = values[start:stop] == background
+
+    in_order(mark, len(values))
+    runs.write(free.view(np.uint8), ~worth, 1)  # specks will go
+    if inside is not None:
+
+        def close(start: int, stop: int) -> None:
+            free[start:stop] &= inside[start:stop]
+
+        in_order(close, len(values))
+    return free
+
+
+def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, again: bool) -> None:
+    """Write the nearest component and the distance to it into every open voxel.
+
+    Where nothing is closed, no shortest way turns back along an axis, and one sweep each way finds all of them; else both are
+    done `again` until nothing changes.
+    """
+    depth, changed = len(owner), [True]
+    while changed[0]:
+        changed[0] = False
+
+        def forward(start: int, stop: int) -> None:
+            changed[0] |= bool(_sweep(owner, far, open_to, 1, start, stop))
+
+        def backward(start: int, stop: int) -> None:
+            changed[0] |= bool(_sweep(owner, far, open_to, -1, depth - stop, depth - start))
+
+        in_order(forward, depth)
+        in_order(backward, depth)
+        if not again:
+            return
+
+
+def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int]]:
+    """The ways of the tree: flat place and axis of the two neighbouring voxels at which the two halves of a way meet."""
+    parent = np.arange(count + 1, dtype=np.int32)
+    ways: list[tuple[int, int]] = []
+    while True:
+        cost = np.full(count + 1, 2 * NOWHERE, np.int64)
+        place = np.full(count + 1, -1, np.int64)
+        axis = np.zeros(count + 1, np.int64)
+        in_order(partial(_cheapest, owner, far, parent, cost, place, axis), len(owner))
+        before = len(ways)
+        # Ways have an order (cost, then place and axis), so that no ring closes; two components may name the same way.
+        for tree in np.flatnonzero(place >= 0):
+            if _unite(owner, parent, int(place[tree]), int(axis[tree])):
+                ways.append((int(place[tree]), int(axis[tree])))
+        if len(ways) == before:
+            return ways
+
+
+def _follow(owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray) -> np.ndarray:
+    """A way from a voxel of the smaller of its two components to one of the larger."""
+    here = np.array(np.unravel_index(place, owner.shape), np.int64)
+    there = here.copy()
+    there[axis] += 1
+    if sizes[owner[tuple(here)]] > sizes[owner[tuple(there)]]:
+        here, there = there, here
+    first, last = _descend(owner, far, here), _descend(owner, far, there)
+    return np.concatenate([first[::-1], last])
+
+
+def _straight(way: np.ndarray, open_to: np.ndarray) -> np.ndarray:
+    """A way without its last voxel: along the straight line between its ends where all of that is open and no longer."""
+    apart = way[-1] - way[0]
+    count = int(np.abs(apart).sum())
+    if count != len(way) - 1:
+        return way[:-1]
+    line, lag = np.repeat(way[:1], count, axis=0), np.zeros(3)
+    for n in range(1, count):
+        lag += np.abs(apart) / count
+        axis = int(np.argmax(lag))
+        lag[axis] -= 1
+        line[n] = line[n - 1]
+        line[n, axis] += np.sign(apart[axis])
+    return line if open_to[tuple(line[1:].T)].all() else way[:-1]
+
+
+@kernel
+def _seed(first, begin, end, label, numbers, owner, far, start, stop):
+    """Distance 0 in the components that are joined."""
+    height = owner.shape[1]
+    far[start:stop] = NOWHERE
+    for row in range(start * height, stop * height):
+        z, y = row // height, row % height
+        for k in range(first[row], first[row + 1]):
+            number = numbers[label[k]]
+            if number:
+                owner[z, y, begin[k] : end[k]] = number
+                far[z, y, begin[k] : end[k]] = 0
+
+
+@kernel
+def _sweep(owner, far, open_to, way, start, stop):
+    """Hand owners on in raster order (way 1) or against it (way -1); whether anything changed."""
+    depth, height, width = owner.shape
+    changed = False
+    for i in range(stop - start):
+        z = start + i if way > 0 else stop - 1 - i
+        for j in range(height):
+            y = j if way > 0 else height - 1 - j
+            for k in range(width):
+                x = k if way > 0 else width - 1 - k
+                if not open_to[z, y, x]:
+                    continue
+                best = np.int64(far[z, y, x])
+                number = np.int64(owner[z, y, x])
+                before = best
+                if 0 <= z - way < depth and far[z - way, y, x] + 1 < best:
+                    best, number = np.int64(far[z - way, y, x]) + 1, np.int64(owner[z - way, y, x])
+                if 0 <= y - way < height and far[z, y - way, x] + 1 < best:
+                    best, number = np.int64(far[z, y - way, x]) + 1, np.int64(owner[z, y - way, x])
+                if 0 <= x - way < width and far[z, y, x - way] + 1 < best:
+                    best, number = np.int64(far[z, y, x - way]) + 1, np.int64(owner[z, y, x - way])
+                if best < before:
+                    far[z, y, x] = best
+                    owner[z, y, x] = number
+                    changed = True
+    return changed
+
+
+@kernel
+def _cheapest(owner, far, parent, cost, place, axis, start, stop):
+    """For every tree of components the first of the cheapest ways to another tree."""
+    depth, height, width = owner.shape
+    for z in range(start, stop):
+        for y in range(height):
+            for x in range(width):
+                here = owner[z, y, x]
+                if here == 0:
+                    continue
+                for step in range(3):
+                    k, j, i = z + (step == 0), y + (step == 1), x + (step == 2)
+                    if k == depth or j == height or i == width:
+                        continue
+                    there = owner[k, j, i]
+                    if there == 0 or there == here:
+                        continue
+                    length = np.int64(far[z, y, x]) + np.int64(far[k, j, i])
+                    a, b = root_of(parent, here), root_of(parent, there)
+                    if a == b:
+                        continue
+                    at = (z * height + y) * width + x
+                    if length < cost[a]:
+                        cost[a], place[a], axis[a] = length, at, step
+                    if length < cost[b]:
+                        cost[b], place[b], axis[b] = length, at, step
+
+
+@kernel
+def _unite(owner, parent, place, axis):
+    """Join the trees on both sides of a meeting place; whether they were two."""
+    height, width = owner.shape[1:]
+    z, y, x = place // (height * width), place // width % height, place % width
+    k, j, i = z + (axis == 0), y + (axis == 1), x + (axis == 2)
+    a, b = root_of(parent, owner[z, y, x]), root_of(parent, owner[k, j, i])
+    parent[max(a, b)] = min(a, b)
+    return a != b
+
+
+@kernel
+def _descend(owner, far, voxel):
+    """Voxels (n, 3) from `voxel` to its component."""
+    length = np.int64(far[voxel[0], voxel[1], voxel[2]])
+    path = np.empty((length + 1, 3), np.int64)
+    path[0] = voxel
+    for n in range(1, length + 1):
+        z, y, x = path[n - 1]
+        for side in range(6):
+            step, axis = 2 * (side % 2) - 1, side // 2
+            k, j, i = z + step * (axis == 0), y + step * (axis == 1), x + step * (axis == 2)
+            if not (0 <= k < far.shape[0] and 0 <= j < far.shape[1] and 0 <= i < far.shape[2]):
+                continue
+            if far[k, j, i] == length - n and owner[k, j, i] == owner[z, y, x]:
+                path[n, 0], path[n, 1], path[n, 2] = k, j, i
+                break
+    return path
