@@ -47,5 +47,5 @@ def _described(options: argparse.Namespace) -> dict[str, Any]:
     if volume is None:
         return describe(shared.load_exemplar(options.file, options), **wanted)
     if options.crop:
-        return describe(volume.centre(shared.integers(options.crop, name="--crop")), **wanted)
+        return describe(volume.centre(shared.box_of(options, options.file)), **wanted)
     return describe_slabs(volume, memory=options.memory, **wanted)

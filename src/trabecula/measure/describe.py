@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.core.progress import say
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
+from trabecula.measure.margins import margin_note
 from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
@@ -56,7 +58,7 @@ def describe(
         "full" `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid (each per
         axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of each whether it converged
         and what halving the voxel changes. Besides `shape`, `spacing`, `unit`, `r_max`, `level`, and
-        `notes` on what is infinite or has not converged. Lengths
+        `notes` on margins without material (`find_margins`), and on what is infinite or has not converged. Lengths
         are in `unit`; the curves run in voxels. `None` where a value does not exist, such as the thickness of a
         phase that fills the image, or was not asked for.
 
@@ -69,13 +71,22 @@ def describe(
     """
     image = as_image(image)
     check_name(level, LEVELS, name="level")
+    notes = margin_notes(image)
     if image.kind != "labels":
-        return describe_texture(image, lags=r_max)
+        return describe_texture(image, lags=r_max) | {"notes": notes}
     r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     found = describe_numbers(image, level=level)
     found |= describe_curves(image, r_max=max(1, min(r_max, min(image.shape) // 2)), level=level)
     found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
-    return found | {"level": level, "notes": physics_notes(found)}
+    return found | {"level": level, "notes": [*notes, *physics_notes(found)]}
+
+
+def margin_notes(image: Image) -> list[str]:
+    """Say that an image has margins without material, where it has; the line comes back as well."""
+    note = margin_note(image)
+    if note is not None:
+        say(note)
+    return [] if note is None else [note]
 
 
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
