@@ -45,6 +45,7 @@ _HOMES = {
     "rerun": "flow",
     "render": "view.still",
     "verify": "report.certificate",
+    "inspect": "report.inspection",
     "print_check": "finish.printing",
 }
 _ROOMS = {

@@ -76,7 +76,7 @@ def test_samples_have_none(name):
 def test_a_rough_surface_in_air():
     noise = np.random.default_rng(3).normal(size=(1, SIDE, SIDE)).astype(np.float32)
     height = 18 + 40 * gaussian(noise, np.array([0.0, 4.0, 4.0]))[0]
-    values = np.where(Z > height, field(), 0).astype(np.uint8)
+    values = np.where(height < Z, field(), 0).astype(np.uint8)
     (face,) = find_margins(image(values)).faces
     assert face.end == "first" and face.planes >= np.argmax(values.any(axis=(1, 2))) > 4
 
