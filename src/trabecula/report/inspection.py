@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,11 @@ from trabecula.measure.fabric import fabric
 from trabecula.measure.grey import grey_values
 from trabecula.measure.percolation import percolates
 from trabecula.measure.thickness import thickness
-from trabecula.report.decidable import limits_of
+from trabecula.report.decidable import Decidable, decidable
 from trabecula.report.origins import origins_of
 from trabecula.report.recommend import Recommendation, recommend
 from trabecula.report.stationarity import Stationarity, find_trends
-from trabecula.report.structure import Structure, centre_box, has_bodies, structure_of
+from trabecula.report.structure import Structure, centre_box, has_bodies, indicator_of, structure_of
 
 SLAB_BOX = 256
 """Edge of the centre box, voxels, of a volume that does not fit into memory."""
@@ -91,13 +90,13 @@ class Inspection:
     stationarity : Stationarity
     anisotropy : float or None
         Degree of anisotropy, 0..1 (see `measure.anisotropy`).
+    longest : str or None
+        The axis that the longest mean intercepts lie nearest to.
     bodies : str or None
         A phase that consists of separate bodies of one shape.
     recommendation : Recommendation
-    decides : bool
-        Whether a certificate can decide anything.
-    limits : tuple of str
-        What a certificate cannot decide.
+    decidable : Decidable
+        What a certificate will be able to decide.
     whole : tuple of int or None
         The shape of a volume of which the centre box alone was inspected.
     """
@@ -113,10 +112,10 @@ class Inspection:
     structure: Structure
     stationarity: Stationarity
     anisotropy: float | None
+    longest: str | None
     bodies: str | None
     recommendation: Recommendation
-    decides: bool
-    limits: tuple[str, ...]
+    decidable: Decidable
     whole: tuple[int, ...] | None = None
     fractions: Mapping[str, float] = field(default_factory=dict)
     """Of the phases with the margins."""
@@ -131,7 +130,7 @@ class Inspection:
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON; lengths in voxels, None where they are infinite."""
-        found = {name: getattr(self, name) for name in ("kind", "unit", "anisotropy", "bodies", "decides")}
+        found = {name: getattr(self, name) for name in ("kind", "unit", "anisotropy", "longest", "bodies")}
         return found | {
             "shape": list(self.shape),
             "whole": None if self.whole is None else list(self.whole),
@@ -147,7 +146,7 @@ class Inspection:
             "period": None if self.structure.period is None else list(self.structure.period),
             "stationarity": self.stationarity.to_json(),
             "recommendation": self.recommendation.to_json(),
-            "limits": list(self.limits),
+            "decidable": self.decidable.to_json(),
         }
 
     def to_table(self) -> str:
@@ -195,13 +194,14 @@ def inspect(image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | Non
         whole, volume = image.shape, image
         image = replace(volume.centre([min(side, SLAB_BOX) for side in whole]), recipe=volume.recipe)
     image = as_image(image)
-    margins = find_margins(image)
+    # Of the centre of a larger volume nothing is a margin.
+    margins = Margins(image.shape, (), None, (0,) * image.ndim, image.shape) if whole else find_margins(image)
     kept = crop_margins(image) if margins else image
     structure = structure_of(kept)
     grey = None if image.kind == "labels" else _grey(kept, structure)
     labels = _segmented(kept, grey)
+    anisotropy, longest = (None, None) if labels is None else _direction(labels)
     stationarity = find_trends(kept, structure.lengths)
-    decides, limits = limits_of(kept, structure.lengths, stationarity)
     return Inspection(
         shape=image.shape,
         kind=image.kind,
@@ -213,11 +213,11 @@ def inspect(image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | Non
         phases={} if labels is None else _phases(labels),
         structure=structure,
         stationarity=stationarity,
-        anisotropy=None if labels is None else _anisotropy(labels),
+        anisotropy=anisotropy,
+        longest=longest,
         bodies=None if labels is None else has_bodies(labels),
         recommendation=_recommended(kept, labels),
-        decides=decides,
-        limits=limits,
+        decidable=decidable(kept if labels is None else labels, structure.lengths, stationarity),
         whole=whole,
         fractions={} if image.kind != "labels" else _fractions(image),
     )
@@ -285,10 +285,10 @@ def _phases(image: Image) -> dict[str, Phase]:
     return found
 
 
-def _anisotropy(image: Image) -> float | None:
-    box = centre_box(image.values, THICK_BOX[image.ndim])
-    first = 0 if "void" not in image.phases else image.phases.index("void")
-    inside = box != first
-    if min(box.shape) < 4 or inside.all() or not inside.any() or prod(box.shape) == 0:
-        return None
-    return fabric(inside.astype(np.uint8)).anisotropy
+def _direction(image: Image) -> tuple[float | None, str | None]:
+    """The degree of anisotropy, and the axis nearest to the longest mean intercepts."""
+    inside = indicator_of(image, THICK_BOX[image.ndim])
+    if min(inside.shape) < 4 or inside.all() or not inside.any():
+        return None, None
+    found = fabric(inside.astype(np.uint8))
+    return found.anisotropy, "zyx"[int(np.abs(found.directions[0]).argmax()) + 3 - image.ndim]

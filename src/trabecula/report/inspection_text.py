@@ -16,7 +16,7 @@ SATURATED = 0.01
 """Share of the voxels at the ends of the range from which greys are lost."""
 DIRECTED = 0.2
 """Degree of anisotropy above which a material looks different along one axis; chance alone reaches .1 in small scans."""
-WIDTH, HEAD = 110, 13
+WIDTH, HEAD = 110, 14
 
 
 def table(found: Any) -> str:
@@ -33,7 +33,8 @@ def table(found: Any) -> str:
         ("same all over", _stationarity(found)),
         ("order", _order(found)),
         ("recommended", str(found.recommendation)),
-        *[("not decided", text) for text in (found.limits or ("nothing known: parts of the scan will give bands",))],
+        ("decidable", _decidable(found.decidable)),
+        *[("not decidable", text) for text in found.decidable.limits],
     ]
     lines: list[str] = []
     before = ""
@@ -43,7 +44,8 @@ def table(found: Any) -> str:
             text, WIDTH, initial_indent=lead, subsequent_indent=" " * (HEAD + 2), break_on_hyphens=False
         )
         before = head
-    return "\n".join(lines)
+    text = "\n".join(lines)
+    return text.replace("voxel", "pixel") if len(found.shape) == 2 else text
 
 
 def _scan(found: Any) -> str:
@@ -54,7 +56,9 @@ def _scan(found: Any) -> str:
 def _phase_rows(found: Any) -> Iterator[tuple[str, str]]:
     if found.kind == "labels":
         shares = ", ".join(f"{name} {share:.3f}" for name, share in found.fractions.items())
-        yield "phases", f"{shares} ({found.origin.get('phases', 'given')})"
+        where = found.origin.get("phases", "given")
+        hint = ", the darkest first: --phases names them" if where == "default names" else ""
+        yield "phases", f"{shares} ({where}{hint})"
 
 
 def _spacing(found: Any) -> str:
@@ -67,6 +71,9 @@ def _spacing(found: Any) -> str:
 
 def _margin_rows(found: Any) -> Iterator[tuple[str, str]]:
     margins = found.margins
+    if found.whole is not None:
+        yield "margins", "not looked at: they lie outside the centre box"
+        return
     yield "margins", str(margins)
     if not margins:
         return
@@ -88,29 +95,36 @@ def _grey(found: Any) -> Iterator[str]:
     lost += ": greys are lost there" if grey.saturated > SATURATED else ""
     noise = f", noise {grey.noise:.2g}" if grey.noise > 0 else ""
     yield f"{grey.bits} bit a value, from {grey.low:g} to {grey.high:g}, {lost}{noise}"
-    if grey.threshold is None:
+    if grey.threshold is None or found.kind == "colour":
         return
     word = "well" if grey.separability >= SEPARATE else "weakly" if grey.separability >= WEAK else "badly"
     more = "" if word == "well" else ": look at slices, give --threshold, or keep greys with --threshold none"
-    yield f"threshold {grey.threshold:g} (Otsu) parts {word}: {grey.separability:.2f} of the variance lies between the classes{more}"
+    share = f"{grey.separability:.2f} of the variance lies between the classes"
+    yield f"threshold {grey.threshold:g} (Otsu) parts {word}: {share}{more}"
 
 
 def _correlation(found: Any) -> str:
-    pairs = zip(_axes(found.margins.size), found.structure.lengths, found.sizes, strict=True)
-    parts = [
-        f"{axis}: {length:.1f} voxels, the side is {size:.0f} times that"
-        if np.isfinite(length)
-        else f"{axis}: over more than half of what was looked at"
-        for axis, length, size in pairs
-    ]
-    return "; ".join(parts)
+    axes = ", ".join(_axes(found.margins.size))
+    lengths = ", ".join(f"{length:.1f}" if np.isfinite(length) else "unknown" for length in found.structure.lengths)
+    sizes = ", ".join(
+        f"{size:.0f}" if np.isfinite(length) else "few"
+        for size, length in zip(found.sizes, found.structure.lengths, strict=True)
+    )
+    return f"over {lengths} voxels along {axes}; the sides are {sizes} times as long"
+
+
+def _decidable(decidable: Any) -> str:
+    if not decidable.anything:
+        return "nothing"
+    return f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} voxels"
 
 
 def _direction_rows(found: Any) -> Iterator[tuple[str, str]]:
     if found.anisotropy is not None:
-        word = "directed" if found.anisotropy > DIRECTED else "alike in all directions"
+        directed = found.anisotropy > DIRECTED
+        word = f"longest along {found.longest}" if directed else "alike in all directions"
         hint = ""
-        if word == "directed" and len(found.shape) == 2:
+        if directed and len(found.shape) == 2:
             hint = "; one picture cannot tell the third axis: give further pictures, or --set views=yx,zx"
         yield "direction", f"anisotropy {found.anisotropy:.2f} of mean intercepts: {word}{hint}"
 
@@ -126,7 +140,7 @@ def _components(found: Any) -> Iterator[str]:
         )
         thick = "" if phase.thickness is None else f"; {phase.thickness:.1f} voxels thick"
         thin = (
-            ": too few, thin parts will break (a finer scan, or finish --connect)"
+            ": too few, thin parts will break; a finer scan helps"
             if (phase.thickness is not None and phase.thickness < THIN)
             else ""
         )
@@ -141,7 +155,8 @@ def _stationarity(found: Any) -> str:
     state = found.stationarity
     if state.stationary is None:
         return f"not decided: {state.windows} windows of {_size(state.edge)} voxels are too few"
-    what = "solid" if found.kind == "labels" else "grey"
+    names = [name for name in found.phases if name != "void"] if found.kind == "labels" else ["grey"]
+    what = names[-1] if len(names) == 1 else "all but void" if "void" in found.phases else f"all but {names[0]}"
     trends = [
         f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} ({trend.errors:.1f} standard errors)"
         for trend in state.trends
@@ -153,7 +168,9 @@ def _stationarity(found: Any) -> str:
 
 
 def _along(name: str) -> str:
-    return f"along {name}" if len(name) == 1 else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
+    return (
+        f"along {name}" if len(name) == 1 else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
+    )
 
 
 def _order(found: Any) -> str:
@@ -176,4 +193,3 @@ def _size(shape: Sequence[int]) -> str:
 
 def _axes(shape: Sequence[int]) -> str:
     return "zyx"[3 - len(shape) :]
-

@@ -88,7 +88,9 @@ def _for_volume(image: Image) -> Recommendation:
             preset="best",
         )
     if image.kind != "labels":
-        return Recommendation("texture", f"it learns {image.kind} values as they are; segment first for a part to be printed")
+        return Recommendation(
+            "texture", f"it learns {image.kind} values as they are; segment first for a part to be printed"
+        )
     body = has_bodies(image)
     if body is not None:
         return Recommendation(
@@ -109,7 +111,8 @@ def _for_volume(image: Image) -> Recommendation:
 def _for_picture(image: Image) -> Recommendation:
     if image.kind != "labels":
         return Recommendation(
-            "chen", f"a {image.kind} picture: it takes the picture's own pixels, where means of three views lose their grain"
+            "chen",
+            f"a {image.kind} picture: it takes the picture's own pixels, where means of three views lose their grain",
         )
     width = _mean_run(image)
     if width < FINE:

@@ -16,16 +16,19 @@ BOX = {2: 512, 3: 128}
 ORDER_FROM, ORDER = 5.0, 0.25
 """A material is called regular where places farther apart than 5 correlation lengths are correlated by .25. Disordered
 materials are not: jittered cells (`sample:foam`) reach .1, a lattice whose struts stray by a tenth of its period .5."""
-ORDER_SURE = 6.0
-"""Standard errors of a covariance that such a peak has to have: of some 10^5 offsets none reaches it by chance."""
+ORDER_SURE = 2.5
+"""Standard errors by which such a peak has to exceed what the highest of as many independent offsets is expected to reach,
+sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone."""
+ORDER_PAIRS = 0.4
+"""Of all voxels: the fewest that have to have another at such an offset."""
 ORDER_DEEP = 0.2
 """By how much the covariance has to fall between a place and its peak: a slow gradient has no peak."""
-BODIES, BODY = 20, {2: 30, 3: 60}
+BODIES, BODY = 20, 60
 """As many components, of so many voxels at least, tell whether they are of one shape."""
 ALONE = 0.3
 """Of a phase: the largest share of one component at which the phase still consists of bodies."""
 COMPACT = 0.75
-"""Volume over that of a ball (a disc) with the same radius of gyration, in the median. A ball has 1, a cube .93, a rod of three
+"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube .93, a rod of three
 times its width .64; pores of a rock .1 to .5."""
 
 
@@ -52,12 +55,16 @@ class Structure:
     period: tuple[int, ...] | None
 
 
-def indicator_of(image: Image) -> np.ndarray:
-    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the first phase), or the grey."""
+def indicator_of(image: Image, side: int | None = None) -> np.ndarray:
+    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the first phase), or the grey.
+
+    With a side only of the centre box of at most so many voxels an axis.
+    """
+    values = image.values if side is None else centre_box(image.values, side)
     if image.kind != "labels":
-        return near_one(grey_values(image))
+        return near_one(grey_values(Image(values, image.kind)))
     void = image.phases.index("void") if "void" in image.phases else 0
-    return np.asarray(image.values != void)
+    return np.asarray(values != void)
 
 
 def centre_box(values: np.ndarray, side: int) -> np.ndarray:
@@ -68,7 +75,7 @@ def centre_box(values: np.ndarray, side: int) -> np.ndarray:
 
 def structure_of(image: Image) -> Structure:
     """Measure the covariance of every offset, about a linear trend, and what follows from it."""
-    field = _detrended(centre_box(indicator_of(image), BOX[image.ndim]))
+    field = _detrended(indicator_of(image, BOX[image.ndim]))
     reach = tuple(side // 2 for side in field.shape)
     covariance = sums_by_offset(field, reach).astype(np.float64)
     overlap = np.ones(covariance.shape)
@@ -129,13 +136,15 @@ def _order(
     """Return the highest far covariance, and the offset of its place where it is a peak that no chance explains."""
     axes = np.ogrid[tuple(slice(-far, far + 1) for far in reach)]
     distance = np.sqrt(sum(((r / length) ** 2 for r, length in zip(axes, lengths, strict=True)), np.zeros(rho.shape)))
-    far = distance >= ORDER_FROM
+    far = (distance >= ORDER_FROM) & (overlap >= ORDER_PAIRS * overlap.max())
     if not far.any():
         return 0.0, None
-    correlated = float(np.square(rho[distance < ORDER_FROM / 2]).sum())
-    error = np.sqrt(correlated / overlap)
+    near = distance < ORDER_FROM / 2
+    error = np.sqrt(np.square(rho[near]).sum() / np.maximum(overlap, 1))
+    independent = max(2.0, np.count_nonzero(far) / np.count_nonzero(near))
+    unlikely = (ORDER_SURE + np.sqrt(2 * np.log(independent))) * error
     highest = float(rho[far].max())
-    sure = np.where(far & (rho > np.maximum(ORDER, ORDER_SURE * error)), rho, -np.inf)
+    sure = np.where(far & (rho > np.maximum(ORDER, unlikely)), rho, -np.inf)
     at = np.unravel_index(int(np.argmax(sure)), rho.shape)
     offset = np.array([int(place) - middle for place, middle in zip(at, reach, strict=True)])
     if not np.isfinite(sure[at]):
@@ -148,7 +157,12 @@ def _order(
 
 
 def has_bodies(image: Image) -> str | None:
-    """Return the name of a phase that consists of separate, round bodies; None where none does. Labels only."""
+    """Return the name of a phase that consists of separate, round bodies; None where none does.
+
+    Labels of volumes only: a slice of almost anything sparse shows round bodies.
+    """
+    if image.ndim == 2:
+        return None
     box = centre_box(image.values, BOX[image.ndim])
     for label, name in enumerate(image.phases):
         inside = box == label
@@ -161,7 +175,7 @@ def _are_bodies(inside: np.ndarray) -> bool:
     pieces, sizes = label_components(inside)
     if not len(sizes) or sizes.max() > ALONE * sizes.sum():
         return False
-    whole = sizes >= BODY[inside.ndim]
+    whole = sizes >= BODY
     for axis in range(inside.ndim):  # what the faces cut has another shape
         for end in (0, -1):
             cut = np.unique(pieces.take(end, axis=axis))
@@ -170,9 +184,9 @@ def _are_bodies(inside: np.ndarray) -> bool:
         return False
     places = np.nonzero(inside)
     numbers = pieces[places] - 1
-    spread = np.full(len(sizes), inside.ndim / 12)  # of a voxel about its own centre
+    spread = np.full(len(sizes), 3 / 12)  # of a voxel about its own centre
     for place in places:
         mean = np.bincount(numbers, weights=place, minlength=len(sizes)) / sizes
         spread += np.bincount(numbers, weights=(place - mean[numbers]) ** 2, minlength=len(sizes)) / sizes
-    ball = 2 * np.pi * spread if inside.ndim == 2 else 4 / 3 * np.pi * (5 / 3 * spread) ** 1.5
+    ball = 4 / 3 * np.pi * (5 / 3 * spread) ** 1.5
     return bool(np.median((sizes / ball)[whole]) >= COMPACT)

@@ -129,7 +129,8 @@ class Method(ABC):
             raise InputError(f"method {spec.name!r} takes no exemplar")
         if f"{image.ndim}d" != spec.exemplar and not (spec.flat and image.ndim == 2):
             raise InputError(
-                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}"
+                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}: "
+                "tb.inspect(image).recommendation names one that fits"
             )
         if image.kind not in spec.kinds:
             raise InputError(
