@@ -115,7 +115,10 @@ def test_plan_and_fit_choose_as_well():
             ("picture.png", "--method", "texture"),
             "texture needs a 3-D exemplar; this is a picture of 96 x 96: use --method kopf",
         ),
-        (("scan.tif", "--method", "mrf"), "mrf needs a picture; this is a volume of 40 x 40 x 40: use --method texture"),
+        (
+            ("scan.tif", "--method", "mrf"),
+            "mrf needs a picture; this is a volume of 40 x 40 x 40: use --method texture",
+        ),
         (("colour.png", "--method", "gan"), "use --method chen"),
         (("thin.tif",), "no method was named, and none fits: 6 x 40 x 40 is too small to learn from"),
         (("picture.png", "--set", "novelty=0"), "novelty"),

@@ -39,7 +39,9 @@ def balls(seed=0, *, radius=6, count=140):
 
 def lattice(period=16, width=5):
     struts = [(axis % period < width) for axis in (Z, Y, X)]
-    return tb.Image(((struts[0] & struts[1]) | (struts[1] & struts[2]) | (struts[0] & struts[2])).astype(np.uint8), "labels")
+    return tb.Image(
+        ((struts[0] & struts[1]) | (struts[1] & struts[2]) | (struts[0] & struts[2])).astype(np.uint8), "labels"
+    )
 
 
 def ramp(low=0.2, high=0.6, seed=0):
@@ -241,7 +243,11 @@ def test_where_each_field_comes_from(tmp_path):
     given = inspect(tb.read(tmp_path / "bare.tif", spacing=5, unit="um", kind="labels", phases=("a", "b"))).origin
     assert set(given.values()) == {"given"}
     tifffile.imwrite(
-        tmp_path / "imagej.tif", values, imagej=True, resolution=(2.0, 2.0), metadata={"spacing": 0.5, "unit": "um", "axes": "ZYX"}
+        tmp_path / "imagej.tif",
+        values,
+        imagej=True,
+        resolution=(2.0, 2.0),
+        metadata={"spacing": 0.5, "unit": "um", "axes": "ZYX"},
     )
     tags = inspect(tb.read(tmp_path / "imagej.tif")).origin
     assert tags["spacing"] == tags["unit"] == "stated in the file" and tags["kind"] != "stated in the file"

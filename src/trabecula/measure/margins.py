@@ -1,19 +1,4 @@
-"""Margins of a scan that hold no material: blank outer planes, planes unlike all others, and a round field of view.
-
-A plane is described by one number for each phase, its fraction (grey and colour: the mean grey). The *interior* is the
-middle half of the planes that are not blank. Outer planes are a margin where one of these holds:
-
-1. They are blank (one value alone; grey: less than a quarter of the interior's least contrast), and the material begins
-   abruptly behind them: by a step of more than `BLANK_STEP` times the largest step between neighbouring planes of the
-   interior, which fills its quarters evenly enough (`SURE`) to be no single body on blank ground.
-2. They are blank and far from the interior: beyond its range by more than the range itself and by more than `FAR` standard
-   errors of a plane, which the spread of its quarters gives. A specimen whose rough surface lies in the scan has such planes.
-3. They are not blank, but each lies outside the interior's range, and they end by a step of more than `STEP` times the
-   largest: a bar with text, a frame.
-
-So a layer of a layered material, thin walls and an open foam are none: where the interior has such steps or such planes as
-well nothing is found. More than `MOST` of a side is never called a margin, since then it is open what is the material.
-"""
+"""Margins of a scan that hold no material: blank outer planes, planes unlike all others, and a round field of view."""
 
 from __future__ import annotations
 
@@ -28,7 +13,7 @@ from trabecula.core.image import Image, as_image
 from trabecula.measure.grey import grey_values
 
 BLANK_STEP, STEP = 1.5, 3.0
-"""How many times the largest step of the interior ends a margin, of blank planes and of others. In 3,600 Gaussian fields without
+"""How many times the largest step of the interior ends a margin, of blank planes and of others. In 2,960 Gaussian fields without
 a margin (volumes and pictures, fractions .05 to .9) none was found; blank planes alone are rare enough to need less."""
 SURE = 3.0
 """Standard errors of the interior's mean, from that of its quarters, by which blank planes have to differ from it."""
@@ -127,8 +112,6 @@ class Margins:
 def find_margins(image: Image | ArrayLike) -> Margins:
     """Find blank outer planes, planes unlike the material, and a round field of view.
 
-    The rule and its constants stand at the head of the module.
-
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
@@ -138,6 +121,22 @@ def find_margins(image: Image | ArrayLike) -> Margins:
     -------
     margins : Margins
         False where there is none.
+
+    Notes
+    -----
+    A plane is described by one number for each phase, its fraction (grey and colour: the mean grey). The *interior* is the
+    middle half of the planes that are not blank. Outer planes are a margin where one of these holds:
+
+    1. They are blank (one value alone; grey: less than a quarter of the interior's least contrast), and the material begins
+       abruptly behind them: by a step of more than `BLANK_STEP` times the largest step between neighbouring planes of the
+       interior, which fills its quarters evenly enough (`SURE`) to be no single body on blank ground.
+    2. They are blank and far from the interior: beyond its range by more than the range itself and by more than `FAR` standard
+       errors of a plane, which the spread of its quarters gives. A specimen whose rough surface lies in the scan has such planes.
+    3. They are not blank, but each lies outside the interior's range, and they end by a step of more than `STEP` times the
+       largest: a bar with text, a frame.
+
+    So a layer of a layered material, thin walls and an open foam are none: where the interior has such steps or such planes as
+    well nothing is found. More than `MOST` of a side is never called a margin, since then it is open what is the material.
 
     Examples
     --------

@@ -21,13 +21,13 @@ from trabecula.core.image import Image
 from trabecula.report.structure import indicator_of
 
 WIDE = 3.0
-"""Correlation lengths: at that distance the covariance of most materials is below a tenth."""
+"""Correlation lengths: an exponential covariance is .05 there."""
 MOST_WINDOWS = 12
 """Along an axis: more of them would be fitted no better."""
 FEWEST_LEFT = 8
 """Windows more than there are terms, below which nothing is decided."""
 SURE = 4.0
-"""Standard errors: 1 of 1,680 stationary Gaussian fields (volumes from 64^3, pictures from 160^2) was said to have a trend."""
+"""Standard errors: 1 of 1,380 stationary Gaussian fields (volumes from 64^3, pictures from 160^2) was said to have a trend."""
 MATTERS = 0.1
 ALIKE = 0.25
 """The largest correlation of neighbouring windows that is taken for chance: that of windows `WIDE` lengths wide of an exponential
@@ -145,8 +145,8 @@ def _terms(counts: Sequence[int], ndim: int) -> tuple[list[np.ndarray], list[str
     terms = [places[n].ravel() for n in long]
     names = ["zyx"[n + 3 - ndim] for n in long]
     if len(long) >= 2:
-        square = sum(places[n].ravel() ** 2 for n in long)
-        terms.append(np.asarray(square - np.mean(square)))
+        square = np.sum([places[n].ravel() ** 2 for n in long], axis=0)
+        terms.append(square - square.mean())
         names.append("centre to rim")
     return terms, names
 

@@ -12,10 +12,10 @@ from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
 
 BOX = {2: 512, 3: 128}
-"""Edge of the centre box, voxels, that the covariance of every offset is measured in: half a second of work."""
+"""Edge of the centre box, voxels, that the covariance of every offset is measured in: about a second of work."""
 ORDER_FROM, ORDER = 5.0, 0.25
 """A material is called regular where places farther apart than 5 correlation lengths are correlated by .25. Disordered
-materials are not: jittered cells (`sample:foam`) reach .1, a lattice whose struts stray by a tenth of its period .5."""
+materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes .04 to .14; a picture of bricks .28."""
 ORDER_SURE = 2.5
 """Standard errors by which such a peak has to exceed what the highest of as many independent offsets is expected to reach,
 sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone."""
@@ -28,8 +28,8 @@ BODIES, BODY = 20, 60
 ALONE = 0.3
 """Of a phase: the largest share of one component at which the phase still consists of bodies."""
 COMPACT = 0.75
-"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube .93, a rod of three
-times its width .64; pores of a rock .1 to .5."""
+"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube .89, a rod three
+times as long as wide .38."""
 
 
 @dataclass(frozen=True)
