@@ -18,7 +18,8 @@ ORDER_FROM, ORDER = 5.0, 0.25
 materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes .04 to .14; a picture of bricks .28."""
 ORDER_SURE = 2.5
 """Standard errors by which such a peak has to exceed what the highest of as many independent offsets is expected to reach,
-sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone."""
+sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone. 4 of 1,380 Gaussian fields
+(volumes from 64^3, pictures from 160^2) were called regular, all of them sparse pictures."""
 ORDER_PAIRS = 0.4
 """Of all voxels: the fewest that have to have another at such an offset."""
 ORDER_DEEP = 0.2
