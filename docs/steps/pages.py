@@ -40,6 +40,9 @@ _ROOMS = {
 _ALSO = {
     "synth.base": ("Method", "Model", "Spec"),
     "report.metric": ("Certificate", "Metric"),
+    "report.inspection": ("Inspection",),
+    "report.recommend": ("Recommendation",),
+    "measure.margins": ("Margins",),
     "mesh.surface": ("mesh",),
     "mesh.base": ("Mesh",),
     "mesh.check": ("check", "MeshCheck"),

@@ -29,6 +29,8 @@ _HOMES = {
     "write": "io.files",
     "open_slabs": "io.lazy",
     "crop": "exemplar.crop",
+    "find_margins": "exemplar.margins",
+    "crop_margins": "exemplar.margins",
     "read_mesh": "mesh.files",
     "voxelise": "mesh.voxels",
     "segment": "exemplar.segment",
@@ -43,6 +45,7 @@ _HOMES = {
     "rerun": "flow",
     "render": "view.still",
     "verify": "report.certificate",
+    "inspect": "report.inspection",
     "print_check": "finish.printing",
 }
 _ROOMS = {

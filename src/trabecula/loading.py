@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trabecula.core.checks import as_shape
+from trabecula.core.checks import as_shape, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, declared, default_phases
 from trabecula.core.progress import listen, say
 from trabecula.engine.slabs import Slabs
 from trabecula.exemplar.crop import crop as cut_box
+from trabecula.exemplar.margins import crop_margins, find_margins
 from trabecula.exemplar.place import as_slab, block, place
 from trabecula.exemplar.samples import sample
 from trabecula.exemplar.segment import segment
@@ -30,7 +31,7 @@ SAMPLE_PREFIX = "sample:"
 def load(
     source: str | os.PathLike[str],
     *,
-    crop: int | Sequence[int] | None = None,
+    crop: int | Sequence[int] | str | None = None,
     threshold: float | Sequence[float] | str | None = None,
     **reading: Any,
 ) -> Image:
@@ -39,8 +40,8 @@ def load(
     Parameters
     ----------
     source : path or str
-    crop : int or sequence of int, optional
-        Size of a central box to keep, voxels.
+    crop : int, sequence of int or "auto", optional
+        Size of a central box to keep, voxels; "auto" cuts off margins without material (see `crop_margins`).
     threshold : float, pair of float, "otsu", "dual", "auto" or "none", optional
         Segment a grey image (see `segment`). "auto" is Otsu's, and leaves an image that is not grey as it is; "none"
         leaves a grey one grey.
@@ -55,6 +56,9 @@ def load(
         image = sample(name.removeprefix(SAMPLE_PREFIX))
     else:
         image = files.read(name, **reading) if phases is None else _read_with_phases(name, phases, reading)
+    if isinstance(crop, str):
+        check_name(crop, ("auto",), name="crop")
+        image = _without_margins(image, name)  # before the threshold is found: a frame is no phase
     if image.kind == "grey" and threshold not in (None, "none"):
         image = segment(image, "otsu" if threshold == "auto" else threshold, phases=phases or ("void", "solid"))
         found = image.recipe.steps[-1]["threshold"]
@@ -65,7 +69,21 @@ def load(
             f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey"
         )
     # After the threshold was found, so that it is the whole scan's and every crop of it is cut at the same level.
+    if isinstance(crop, str):
+        return _without_margins(image, name, again=True)
     return image if crop is None else cut_box(image, crop)
+
+
+def _without_margins(image: Image, name: str, *, again: bool = False) -> Image:
+    """The image without its margins; says what was cut off, and that nothing was unless this is looked at again."""
+    margins = find_margins(image)
+    if margins:
+        size = " x ".join(map(str, margins.size))
+        say(f"{name}: {margins}; cropped to {size} at {margins.corner}")
+        return crop_margins(image)
+    if not again:
+        say(f"{name} has no margins to crop")
+    return image
 
 
 def _read_with_phases(name: str, phases: Sequence[str], reading: Mapping[str, Any]) -> Image:

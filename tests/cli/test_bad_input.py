@@ -141,7 +141,6 @@ def test_files_that_cannot_be_read(place, words):
         ("flat.npy", "one value only (0.5)"),
         ("small.npy", "larger exemplar"),
         ("tiny.npy", "one phase only"),
-        ("plane.npy", "learns from a 3d exemplar, got 2d"),
         ("sample:bnoe", "unknown sample 'bnoe': did you mean 'bone'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""`trabecula fit EXEMPLAR --method NAME --out MODEL [--set KEY=VALUE] [--minutes M] [--device D] [--run FOLDER]`."""
+"""`trabecula fit EXEMPLAR [--method NAME] --out MODEL [--set KEY=VALUE] [--minutes M] [--device D] [--run FOLDER]`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.choosing import check_fits, method_for
 
 _SHORT = ("minutes", "device", "run")
 """Options that are settings, of the methods that have them."""
@@ -16,7 +17,7 @@ _SHORT = ("minutes", "device", "run")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to learn from, how, and where to put what was learned."""
     parser.add_argument("exemplars", nargs="+", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME")
-    parser.add_argument("--method", required=True, help="see trabecula methods")
+    parser.add_argument("--method", help="see trabecula methods (default: what inspect recommends)")
     parser.add_argument("--out", required=True, metavar="MODEL", help="file to write, for generate --model")
     shared.add_settings(parser)
     parser.add_argument("--minutes", type=float, metavar="M", help="time to learn for, where the method takes any")
@@ -37,18 +38,29 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.engine.tiles import thread_count, threads
     from trabecula.synth.registry import method
 
-    preset, settings = _configured(options)
-    chosen = method(options.method, preset=preset, **settings)
+    chosen, recommended = None, ""
+    if options.method is None:
+        _check_no_short(options)
+        shared.configured(options)
+    else:
+        preset, settings = _configured(options)
+        chosen = method(options.method, preset=preset, **settings)
     _check_place(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
         exemplars = [shared.load_exemplar(source, options) for source in options.exemplars]
+        if chosen is None:
+            chosen, recommended = method_for(exemplars, options)
+        else:
+            check_fits(chosen, exemplars)
         model = chosen.fit(exemplars if len(exemplars) > 1 else exemplars[0], memory=options.memory)
+        if recommended:
+            terminal.note(recommended)
         path = model.save(options.out)
     if options.json:
         found = {"out": str(path), "sha256": model.sha256, "bytes": path.stat().st_size, "history": dict(model.history)}
         terminal.show_json(found)
     else:
-        print(f"{path}: a model of {options.method}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}")
+        print(f"{path}: a model of {chosen.spec.name}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}")
     return 0
 
 
@@ -60,6 +72,17 @@ def _check_place(out: str) -> None:
     if Path(out).is_dir():
         raise FileError(f"cannot write {out}: a folder of that name is there; choose another name")
     check_folder(out)
+
+
+def _check_no_short(options: argparse.Namespace) -> None:
+    """Raise where an option of some methods is given and no method is."""
+    from trabecula.core.errors import InputError
+
+    for name in _SHORT:
+        if getattr(options, name) is not None:
+            raise InputError(
+                f"--{name} {getattr(options, name)}: is a setting of methods that train; name one, as --method gan"
+            )
 
 
 def _configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`trabecula generate EXEMPLAR ... --method NAME --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`.
+"""`trabecula generate EXEMPLAR ... [--method NAME] --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`.
 
 `trabecula generate --resume FILE` goes on with a run that was interrupted.
 """
@@ -11,6 +11,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.choosing import check_fits, method_for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +50,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
         metavar="EXEMPLAR",
         help="scan to learn from, or sample:NAME; several where the method can, none where it needs none",
     )
-    parser.add_argument("--method", help="see trabecula methods (default: texture)")
+    parser.add_argument("--method", help="see trabecula methods (default: what inspect recommends)")
     parser.add_argument(
         "--model", metavar="FILE|NAME", help="instead of EXEMPLAR and --method: what fit wrote, or see trabecula models"
     )
@@ -84,12 +85,17 @@ class Job:
     exemplars: Any = None
     voxel: Any = field(default_factory=dict)
     model: Any = None
+    recommended: str = ""
+    """A line that says which method was chosen, and why; empty where it was named."""
 
     def fitted(self, *, memory: int | None) -> Any:
         """The model."""
         if self.model is not None:
             return self.model
-        return self.method.fit(self.exemplars, memory=memory, **self.voxel)
+        model = self.method.fit(self.exemplars, memory=memory, **self.voxel)
+        if self.recommended:  # now, so that what cannot be learnt from is refused in one line
+            terminal.note(self.recommended)
+        return model
 
 
 def prepare(options: argparse.Namespace) -> Job:
@@ -107,13 +113,18 @@ def prepare(options: argparse.Namespace) -> Job:
     seed = as_seed(shared.integer(options.seed or "0", name="--seed"))
     periodic = shared.periodic(options.periodic)
     exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] or None
+    recommended = ""
+    if exemplars and chosen is None:
+        chosen, recommended = method_for(exemplars, options)
+    elif exemplars:
+        check_fits(chosen, exemplars)
     voxel = _voxel(options) if chosen and exemplars is None else {}
     known = exemplars or ([blank(**voxel)] if model is None else list(model.facts))
     parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
-    return Job(request, chosen, exemplars, voxel, model)
+    return Job(request, chosen, exemplars, voxel, model, recommended)
 
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:
@@ -132,16 +143,17 @@ def _voxel(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _source(options: argparse.Namespace) -> tuple[Any, Any]:
-    """The method that is to learn, or the model that has."""
+    """The method that is to learn, or the model that has; neither where the exemplar is to choose the method."""
     from trabecula.core.errors import InputError
     from trabecula.synth.registry import method
     from trabecula.synth.saved import load_model
 
     if options.model is None:
-        name = "texture" if options.method is None else options.method
         preset, settings = shared.configured(options)
-        chosen = method(name, preset=preset, **settings)
-        if not options.exemplars and not chosen.spec.alone:
+        if options.method is None and options.exemplars:
+            return None, None
+        chosen = None if options.method is None else method(options.method, preset=preset, **settings)
+        if chosen is None or not (options.exemplars or chosen.spec.alone):
             raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
         return chosen, None
     names = ("exemplars", "method", "preset", "set", "kind", "spacing", "unit", "phases", "threshold", "crop")

@@ -17,6 +17,7 @@ VERBS = {
     "methods": "the methods there are",
     "samples": "the samples that the package makes, and where real scans are published",
     "models": "the trained models that come with the package",
+    "inspect": "what a scan is, which method fits it, what can be decided about it: before any work",
     "fit": "learn from an exemplar once, into a model's file",
     "generate": "make material from an exemplar, or with a model",
     "plan": "memory and disk of a generate, before it starts",

@@ -56,7 +56,7 @@ def _described(options: argparse.Namespace) -> dict[str, Any]:
     if volume is None:
         return _in_core(shared.load_exemplar(options.file, options), options)
     if options.crop:
-        return _in_core(volume.centre(shared.integers(options.crop, name="--crop")), options)
+        return _in_core(volume.centre(shared.box_of(options, options.file)), options)
     _check_phase(volume.phases, options.phase)
     found = describe_slabs(volume, memory=options.memory, level=options.level, box=options.box)
     return found if options.phase is None else _select(found, options.phase)

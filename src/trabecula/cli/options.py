@@ -18,7 +18,12 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, auto (default), or none"
     )
-    group.add_argument("--crop", nargs="+", metavar="N", help="keep a central box of the exemplar")
+    group.add_argument(
+        "--crop",
+        nargs="+",
+        metavar="N",
+        help="keep a central box of the exemplar; auto: cut off margins without material",
+    )
     group.add_argument(
         "--level",
         dest="halvings",
@@ -177,8 +182,30 @@ def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     """The exemplar as the options say; a grey one is segmented."""
     from trabecula.flow import load
 
-    crop = integers(options.crop, name="--crop") if options.crop else None
-    return load(source, crop=crop, threshold=threshold(options.threshold), **reading(options))
+    return load(source, crop=crop_of(options), threshold=threshold(options.threshold), **reading(options))
+
+
+def crop_of(options: argparse.Namespace) -> list[int] | str | None:
+    """The size of the box that is kept, or "auto"."""
+    if not options.crop:
+        return None
+    return "auto" if options.crop == ["auto"] else integers(options.crop, name="--crop")
+
+
+def box_of(options: argparse.Namespace, file: str) -> list[int]:
+    """The size of the box that is kept of a volume of which only that is read.
+
+    Raises
+    ------
+    InputError
+        "auto", for which all of it would have to be read.
+    """
+    from trabecula.core.errors import InputError
+
+    sides = crop_of(options)
+    if isinstance(sides, list):
+        return sides
+    raise InputError(f"--crop auto looks at all of {file}, which does not fit into memory: give the sides of a box")
 
 
 def reading(options: argparse.Namespace) -> dict[str, Any]:

@@ -46,6 +46,6 @@ def _box(source: str, options: argparse.Namespace) -> Any:
     )
     if volume is None:
         return None
-    image = volume.centre(shared.integers(options.crop, name="--crop"))
+    image = volume.centre(shared.box_of(options, source))
     corner = [(have - want) // 2 for have, want in zip(volume.shape, image.shape, strict=True)]
     return replace(image, recipe=volume.recipe.then("crop", image.values, size=image.shape, corner=corner))

@@ -90,10 +90,19 @@ def _recipe(image: Image, content: Content, source: str, options: Mapping[str, A
         said = {"kind": image.kind, "spacing": list(image.spacing), "unit": image.unit, "phases": list(image.phases)}
         if all(own[name] == value for name, value in said.items()):
             return recipe
-    renumbered = {"levels": levels} if levels is not None else {}
-    return recipe.then(
-        "read", image.values, source=source, options=dict(options), **renumbered, **_origin(content, options)
-    )
+    found: dict[str, Any] = {"levels": levels} if levels is not None else {}
+    stated = _stated(content)
+    if stated:
+        found["stated"] = stated
+    return recipe.then("read", image.values, source=source, options=dict(options), **found, **_origin(content, options))
+
+
+def _stated(content: Content) -> list[str]:
+    """The fields that the file itself states, ours or its format's; what is given with the reading wins over them."""
+    if content.fields:
+        return [name for name in ("kind", "spacing", "unit", "phases") if content.fields.get(name)]
+    format_says = {"kind": content.colour, "spacing": content.spacing, "unit": content.unit}
+    return [name for name, value in format_says.items() if value]
 
 
 def _plain(values: np.ndarray) -> np.ndarray:

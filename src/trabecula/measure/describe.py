@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.core.progress import say
 from trabecula.engine.slabs import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
 from trabecula.measure.each_phase import CURVES, LEVELS, NUMBERS, collect_phases, drop_redundant, redundant_beside_solid
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
+from trabecula.measure.margins import margin_note
 from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
@@ -59,7 +61,7 @@ def describe(
         "full" `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid (each per
         axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of each whether it converged
         and what halving the voxel changes. Besides `shape`, `spacing`, `unit`, `r_max`, `level`, and
-        `notes` on what is infinite or has not converged. Lengths
+        `notes` on margins without material (`find_margins`), and on what is infinite or has not converged. Lengths
         are in `unit`; the curves run in voxels. `None` where a value does not exist, such as the thickness of a
         phase that fills the image, or was not asked for.
 
@@ -72,8 +74,9 @@ def describe(
     """
     image = as_image(image)
     check_name(level, LEVELS, name="level")
+    notes = margin_notes(image)
     if image.kind != "labels":
-        return describe_texture(image, lags=r_max)
+        return describe_texture(image, lags=r_max) | {"notes": notes}
     r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     check_sides(image.shape, what="has no surface inside")
     r_max = max(1, min(r_max, min(image.shape) // 2))
@@ -85,7 +88,7 @@ def describe(
         found = outline_without_solid(image, counts, r_max=r_max)
     found |= collect_phases(image, level=level, r_max=r_max, known=figures_from(image.phases, found))
     found["phases"] = drop_redundant(found["phases"], redundant_beside_solid(image.phases))
-    return found | {"level": level, "notes": [*void_notes(image.phases), *physics_notes(found)]}
+    return found | {"level": level, "notes": [*notes, *void_notes(image.phases), *physics_notes(found)]}
 
 
 def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -115,6 +118,14 @@ def void_notes(phases: Sequence[str]) -> list[str]:
         f"No phase of {', '.join(phases)} is named void, so it is open what is solid: figures of pores and of the solid are "
         "left out, those of every phase stand under phases. Name one of the phases void to have both."
     ]
+
+
+def margin_notes(image: Image) -> list[str]:
+    """Say that an image has margins without material, where it has; the line comes back as well."""
+    note = margin_note(image)
+    if note is not None:
+        say(note)
+    return [] if note is None else [note]
 
 
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:

@@ -16,8 +16,10 @@ import numpy as np
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, with_values
+from trabecula.core.progress import say
 from trabecula.core.recipe import Recipe
 from trabecula.engine.plan import Plan, check_budget
+from trabecula.measure.margins import margin_note
 from trabecula.synth.facts import Facts, blank
 from trabecula.synth.model import Model, as_request
 from trabecula.synth.spec import Spec
@@ -86,6 +88,7 @@ class Method(ABC):
             )
         images = as_exemplars(exemplar)
         self._check_exemplars(images)
+        _say_margins(images)
         check_budget(self.plan_fit(images), budget=memory, advice="learn from a smaller crop (--crop)")
         return self._fit([_named(image) for image in images])
 
@@ -126,7 +129,8 @@ class Method(ABC):
             raise InputError(f"method {spec.name!r} takes no exemplar")
         if f"{image.ndim}d" != spec.exemplar and not (spec.flat and image.ndim == 2):
             raise InputError(
-                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}"
+                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}: "
+                "tb.inspect(image).recommendation names one that fits"
             )
         if image.kind not in spec.kinds:
             raise InputError(
@@ -169,6 +173,14 @@ class Method(ABC):
             Arrays or words that are not such a model's.
         """
         raise NotImplementedError
+
+
+def _say_margins(images: Sequence[Image]) -> None:
+    """Say which exemplars have margins without material, since what is made has as much of them."""
+    for number, image in enumerate(images, start=1):
+        note = margin_note(image)
+        if note is not None:
+            say(note if len(images) == 1 else f"exemplar {number}: {note}")
 
 
 def _named(image: Image) -> Image:

@@ -1,0 +1,195 @@
+"""An inspection as text for a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+SEPARATE, WEAK = 0.8, 0.7
+"""Otsu's share of the variance from which two classes are apart, and below which a normal distribution (.64) splits as well."""
+THIN = 3.0
+"""Voxels: a phase that is thinner breaks in a method's coarser levels, and its thickness is half error."""
+SATURATED = 0.01
+"""Share of the voxels at the ends of the range from which greys are lost."""
+DIRECTED = 0.2
+"""Degree of anisotropy above which a material looks different along one axis; chance alone reaches .1 in small scans."""
+WIDTH, HEAD = 110, 14
+
+
+def table(found: Any) -> str:
+    """The findings of an `Inspection`, a topic a row: at most 40 lines."""
+    rows = [
+        ("scan", _scan(found)),
+        *_phase_rows(found),
+        ("spacing", _spacing(found)),
+        *_margin_rows(found),
+        *([("greys", text) for text in _grey(found)]),
+        ("correlated", _correlation(found)),
+        *_direction_rows(found),
+        *[("components", text) for text in _components(found)],
+        ("same all over", _stationarity(found)),
+        ("order", _order(found)),
+        ("recommended", str(found.recommendation)),
+        ("decidable", _decidable(found.decidable)),
+        *[("not decidable", text) for text in found.decidable.limits],
+    ]
+    lines: list[str] = []
+    before = ""
+    for head, text in rows:
+        lead = ("" if head == before else head).ljust(HEAD + 2)
+        lines += textwrap.wrap(
+            text, WIDTH, initial_indent=lead, subsequent_indent=" " * (HEAD + 2), break_on_hyphens=False
+        )
+        before = head
+    text = "\n".join(lines)
+    return text.replace("voxel", "pixel") if len(found.shape) == 2 else text
+
+
+def _scan(found: Any) -> str:
+    box = "" if found.whole is None else f", the centre box of {_size(found.whole)}: the rest was not looked at"
+    return f"{_size(found.shape)} voxels of {found.kind} ({found.origin.get('kind', 'given')}){box}"
+
+
+def _phase_rows(found: Any) -> Iterator[tuple[str, str]]:
+    if found.kind == "labels":
+        shares = ", ".join(f"{name} {share:.3f}" for name, share in found.fractions.items())
+        where = found.origin.get("phases", "given")
+        hint = ", the darkest first: --phases names them" if where == "default names" else ""
+        yield "phases", f"{shares} ({where}{hint})"
+
+
+def _spacing(found: Any) -> str:
+    edges = found.spacing[:1] if len(set(found.spacing)) == 1 else found.spacing
+    where, unit_from = (found.origin.get(name, "given") for name in ("spacing", "unit"))
+    both = where if where == unit_from else f"{where}; unit: {unit_from}"
+    advice = "" if found.unit != "voxel" else "; a length needs --spacing and --unit"
+    return f"{' x '.join(f'{edge:g}' for edge in edges)} {found.unit} ({both}){advice}"
+
+
+def _margin_rows(found: Any) -> Iterator[tuple[str, str]]:
+    margins = found.margins
+    if found.whole is not None:
+        yield "margins", "not looked at: they lie outside the centre box"
+        return
+    yield "margins", str(margins)
+    if not margins:
+        return
+    yield "margins", f"--crop auto keeps {_size(margins.size)}; what follows is of that box"
+    if found.fractions and found.phases:
+        changed = [
+            f"{name} {share:.3f} with them, {found.phases[name].fraction:.3f} without"
+            for name, share in list(found.fractions.items())[: max(1, len(found.fractions) - 1)]
+            if name in found.phases
+        ]
+        yield "margins", "; ".join(changed)
+
+
+def _grey(found: Any) -> Iterator[str]:
+    grey = found.grey
+    if grey is None:
+        return
+    lost = f"{grey.saturated:.1%} at an end of the range"
+    lost += ": greys are lost there" if grey.saturated > SATURATED else ""
+    noise = f", noise {grey.noise:.2g}" if grey.noise > 0 else ""
+    yield f"{grey.bits} bit a value, from {grey.low:g} to {grey.high:g}, {lost}{noise}"
+    if grey.threshold is None or found.kind == "colour":
+        return
+    word = "well" if grey.separability >= SEPARATE else "weakly" if grey.separability >= WEAK else "badly"
+    more = "" if word == "well" else ": look at slices, give --threshold, or keep greys with --threshold none"
+    share = f"{grey.separability:.2f} of the variance lies between the classes"
+    yield f"threshold {grey.threshold:g} (Otsu) parts {word}: {share}{more}"
+
+
+def _correlation(found: Any) -> str:
+    axes = ", ".join(_axes(found.margins.size))
+    lengths = ", ".join(f"{length:.1f}" if np.isfinite(length) else "unknown" for length in found.structure.lengths)
+    sizes = ", ".join(
+        f"{size:.0f}" if np.isfinite(length) else "few"
+        for size, length in zip(found.sizes, found.structure.lengths, strict=True)
+    )
+    return f"over {lengths} voxels along {axes}; the sides are {sizes} times as long"
+
+
+def _decidable(decidable: Any) -> str:
+    if not decidable.anything:
+        return "nothing"
+    return f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} voxels"
+
+
+def _direction_rows(found: Any) -> Iterator[tuple[str, str]]:
+    if found.anisotropy is not None:
+        directed = found.anisotropy > DIRECTED
+        word = f"longest along {found.longest}" if directed else "alike in all directions"
+        hint = ""
+        if directed and len(found.shape) == 2:
+            hint = "; one picture cannot tell the third axis: give further pictures, or --set views=yx,zx"
+        yield "direction", f"anisotropy {found.anisotropy:.2f} of mean intercepts: {word}{hint}"
+
+
+def _components(found: Any) -> Iterator[str]:
+    for name, phase in found.phases.items():
+        through = "".join(axis for axis, holds in phase.percolates.items() if holds)
+        spans = f"spans {', '.join(through)}" if through else "spans no axis"
+        count = (
+            "1 component"
+            if phase.components == 1
+            else (f"{phase.components} components, the largest {phase.largest_fraction:.3f} of it")
+        )
+        thick = "" if phase.thickness is None else f"; {phase.thickness:.1f} voxels thick"
+        thin = (
+            ": too few, thin parts will break; a finer scan helps"
+            if (phase.thickness is not None and phase.thickness < THIN)
+            else ""
+        )
+        yield f"{name}{_share(found, phase)}: {count}, {spans}{thick}{thin}"
+
+
+def _share(found: Any, phase: Any) -> str:
+    return "" if found.kind == "labels" else f" {phase.fraction:.3f}"
+
+
+def _stationarity(found: Any) -> str:
+    state = found.stationarity
+    if state.stationary is None:
+        return f"not decided: {state.windows} windows of {_size(state.edge)} voxels are too few"
+    names = [name for name in found.phases if name != "void"] if found.kind == "labels" else ["grey"]
+    what = names[-1] if len(names) == 1 else "all but void" if "void" in found.phases else f"all but {names[0]}"
+    trends = [
+        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} ({trend.errors:.1f} standard errors)"
+        for trend in state.trends
+        if trend.found
+    ]
+    if trends:
+        return f"no: {'; '.join(trends)}"
+    return f"no trend along the axes or from centre to rim ({state.windows} windows of {_size(state.edge)} voxels)"
+
+
+def _along(name: str) -> str:
+    return (
+        f"along {name}" if len(name) == 1 else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
+    )
+
+
+def _order(found: Any) -> str:
+    structure = found.structure
+    if structure.period is not None:
+        offset = ", ".join(map(str, structure.period))
+        text = f"regular: repeats {offset} voxels on, correlated by {structure.order:.2f}"
+    else:
+        text = "none beyond 5 correlation lengths"
+    return text if found.bodies is None else f"{text}; {found.bodies} consists of separate bodies of one shape"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.4g}"
+
+
+def _size(shape: Sequence[int]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _axes(shape: Sequence[int]) -> str:
+    return "zyx"[3 - len(shape) :]

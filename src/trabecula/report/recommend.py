@@ -1,0 +1,155 @@
+"""Which method and preset fit an exemplar, and why: from what the methods' cards and the tables of figures say.
+
+Only what a card or a table says is used: docs/guide/figures.md for pictures, the known failures of `texture` for volumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from trabecula.core.image import Image
+from trabecula.report.structure import has_bodies, structure_of
+
+LEAST = 12
+"""Voxels along every axis that methods of neighbourhoods need: a neighbourhood of 8 and 4 places for it."""
+LEAST_NOISE = 8
+FINE = 3.0
+"""Pixels: a picture whose lines change phase more often than this on average is finer than what `kopf` can follow, which draws
+stripes of three pixels only on its finest level."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """A method for an exemplar.
+
+    Attributes
+    ----------
+    method : str or None
+        None where no method can learn from it.
+    preset : str or None
+    settings : mapping
+    reason : str
+    """
+
+    method: str | None
+    reason: str
+    preset: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        if self.method is None:
+            return f"none: {self.reason}"
+        preset = f" --preset {self.preset}" if self.preset else ""
+        settings = "".join(f" --set {name}={value}" for name, value in self.settings.items())
+        return f"--method {self.method}{preset}{settings}: {self.reason}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON."""
+        settings = dict(self.settings)
+        return {"method": self.method, "preset": self.preset, "settings": settings, "reason": self.reason}
+
+
+def recommend(image: Image) -> Recommendation:
+    """Choose a method, a preset and settings for an exemplar.
+
+    Parameters
+    ----------
+    image : Image
+        As it would be learnt from: a grey scan that is to be segmented, segmented.
+    """
+    if min(image.shape) < LEAST:
+        return _for_little(image)
+    return _for_picture(image) if image.ndim == 2 else _for_volume(image)
+
+
+def _for_little(image: Image) -> Recommendation:
+    size = " x ".join(map(str, image.shape))
+    if image.ndim == 3 and image.kind == "labels" and min(image.shape) >= LEAST_NOISE:
+        return Recommendation(
+            "noise",
+            f"{size} is too small for neighbourhoods, which need {LEAST} voxels along every axis; noise takes over the fractions "
+            "and the two-point function alone",
+        )
+    return Recommendation(
+        None, f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a larger scan"
+    )
+
+
+def _for_volume(image: Image) -> Recommendation:
+    period = structure_of(image).period
+    if period is not None:
+        offset = ", ".join(map(str, period))
+        return Recommendation(
+            "texture",
+            f"the material is regular (it repeats {offset} voxels on, as far as beyond 5 correlation lengths), and only moved "
+            "pieces of the scan keep such order; the result copies",
+            preset="best",
+        )
+    if image.kind != "labels":
+        return Recommendation(
+            "texture", f"it learns {image.kind} values as they are; segment first for a part to be printed"
+        )
+    body = has_bodies(image)
+    if body is not None:
+        return Recommendation(
+            "texture",
+            f"{body} consists of separate bodies of one shape, which the default preset turns into blobs; best keeps them, and "
+            "copies",
+            preset="best",
+        )
+    if len(image.phases) > 2:
+        return Recommendation(
+            "texture",
+            f"with {len(image.phases)} phases the default preset's two-point function drifts; best keeps it, and copies",
+            preset="best",
+        )
+    return Recommendation("texture", "a volume of two phases without long-range order: new material, not copied")
+
+
+def _for_picture(image: Image) -> Recommendation:
+    if image.kind != "labels":
+        return Recommendation(
+            "chen",
+            f"a {image.kind} picture: it takes the picture's own pixels, where means of three views lose their grain",
+        )
+    width = _mean_run(image)
+    if width < FINE:
+        return Recommendation(
+            "mrf", f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws structures that fine"
+        )
+    return Recommendation(
+        "kopf",
+        "a picture of labels: in space its phases hang together most nearly as those of real scans do; mrf draws nearer slices, "
+        "in more pieces",
+    )
+
+
+def _mean_run(image: Image) -> float:
+    """Return the mean length of runs of one phase along rows and columns, pixels."""
+    changes = [(image.values[1:] != image.values[:-1]).mean(), (image.values[:, 1:] != image.values[:, :-1]).mean()]
+    mean = sum(map(float, changes)) / 2
+    return 1 / mean if mean else float("inf")
+
+
+def misfit(image: Image, method: str, exemplar: str | None, *, flat: bool) -> str | None:
+    """Say why a method cannot learn from an exemplar of these axes, and which can; None where it can.
+
+    Parameters
+    ----------
+    image : Image
+    method : str
+    exemplar : {"2d", "3d", None}
+        What the method learns from.
+    flat : bool
+        Whether it also learns from pictures.
+    """
+    if exemplar is None or f"{image.ndim}d" == exemplar or (flat and image.ndim == 2):
+        return None
+    size = " x ".join(map(str, image.shape))
+    needs = "a 3-D exemplar" if exemplar == "3d" else "a picture"
+    what = f"this is a picture of {size}" if image.ndim == 2 else f"this is a volume of {size}"
+    fits = recommend(image)
+    use = f"use --method {fits.method}" if fits.method else fits.reason
+    return f"{method} needs {needs}; {what}: {use}"

@@ -1,0 +1,193 @@
+"""What a scan is like, from its own covariance and components: correlation lengths, noise, order, bodies of one shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.measure.fft import sums_by_offset
+from trabecula.measure.grey import grey_values, near_one
+from trabecula.measure.labelling import label_components
+
+BOX = {2: 512, 3: 128}
+"""Edge of the centre box, voxels, that the covariance of every offset is measured in: about a second of work."""
+ORDER_FROM, ORDER = 5.0, 0.25
+"""A material is called regular where places farther apart than 5 correlation lengths are correlated by .25. Disordered
+materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes .04 to .14; a picture of bricks .28."""
+ORDER_SURE = 2.5
+"""Standard errors by which such a peak has to exceed what the highest of as many independent offsets is expected to reach,
+sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone. 4 of 1,380 Gaussian fields
+(volumes from 64^3, pictures from 160^2) were called regular, all of them sparse pictures."""
+ORDER_PAIRS = 0.4
+"""Of all voxels: the fewest that have to have another at such an offset."""
+ORDER_DEEP = 0.2
+"""By how much the covariance has to fall between a place and its peak: a slow gradient has no peak."""
+BODIES, BODY = 20, 60
+"""As many components, of so many voxels at least, tell whether they are of one shape."""
+ALONE = 0.3
+"""Of a phase: the largest share of one component at which the phase still consists of bodies."""
+COMPACT = 0.75
+"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube .89, a rod three
+times as long as wide .38."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Figures of the covariance, on the centre box.
+
+    Attributes
+    ----------
+    lengths : tuple of float
+        Along every axis, in voxels: from where the covariance stays below 1/e of its value without noise; infinite where it
+        does not within half of the box.
+    noise : float
+        Share of the variance that neighbours do not have in common, 0..1; 0 of labels.
+    order : float
+        The highest covariance, over that at distance 0, of places more than `ORDER_FROM` correlation lengths apart.
+    period : tuple of int or None
+        The offset of that place, voxels, where it makes the material regular.
+    """
+
+    lengths: tuple[float, ...]
+    noise: float
+    order: float
+    period: tuple[int, ...] | None
+
+
+def indicator_of(image: Image, side: int | None = None) -> np.ndarray:
+    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the first phase), or the grey.
+
+    With a side only of the centre box of at most so many voxels an axis.
+    """
+    values = image.values if side is None else centre_box(image.values, side)
+    if image.kind != "labels":
+        return near_one(grey_values(Image(values, image.kind)))
+    void = image.phases.index("void") if "void" in image.phases else 0
+    return np.asarray(values != void)
+
+
+def centre_box(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the box in the middle of at most `side` voxels an axis."""
+    starts = [max(0, (length - side) // 2) for length in values.shape]
+    return values[tuple(slice(start, start + side) for start in starts)]
+
+
+def structure_of(image: Image) -> Structure:
+    """Measure the covariance of every offset, about a linear trend, and what follows from it."""
+    field = _detrended(indicator_of(image, BOX[image.ndim]))
+    reach = tuple(side // 2 for side in field.shape)
+    covariance = sums_by_offset(field, reach).astype(np.float64)
+    overlap = np.ones(covariance.shape)
+    for axis, (far, side) in enumerate(zip(reach, field.shape, strict=True)):
+        pairs = side - np.abs(np.arange(-far, far + 1))
+        overlap = overlap * pairs.reshape([-1 if a == axis else 1 for a in range(field.ndim)])
+    covariance /= overlap
+    lines = [_line(covariance, reach, axis) for axis in range(field.ndim)]
+    variance = lines[0][0]
+    if variance <= 0:
+        return Structure((0.0,) * field.ndim, 0.0, 0.0, None)
+    noise = 0.0
+    if image.kind != "labels":
+        # A covariance that falls linearly near 0, as that of sharp interfaces does, meets 2 c(1) - c(2) there.
+        shared = np.mean([2 * line[1] - line[2] for line in lines if len(line) > 2] or [variance])
+        noise = float(np.clip(1 - shared / variance, 0.0, 1 - 1e-3))
+    scale = variance * (1 - noise)
+    lengths = tuple(_last_below(np.abs(np.r_[1.0, line[1:] / scale])) for line in lines)
+    order, period = _order(covariance / scale, overlap, reach, [_first_below(line / scale) for line in lines])
+    return Structure(lengths, noise, order, period)
+
+
+def _detrended(field: np.ndarray) -> np.ndarray:
+    """Return the field less its mean and its linear trend along every axis."""
+    found = field.astype(np.float32)
+    found -= np.float32(found.mean(dtype=np.float64))
+    for axis, side in enumerate(found.shape):
+        if side < 3:
+            continue
+        along = np.linspace(-1, 1, side)
+        profile = found.mean(axis=tuple(other for other in range(found.ndim) if other != axis), dtype=np.float64)
+        slope = float(along @ profile / (along @ along))
+        found -= (slope * along).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(found.ndim)])
+    return found
+
+
+def _line(covariance: np.ndarray, reach: tuple[int, ...], axis: int) -> np.ndarray:
+    """Return the covariance along an axis, offset 0 first."""
+    index: list[int | slice] = list(reach)
+    index[axis] = slice(reach[axis], None)
+    return covariance[tuple(index)]
+
+
+def _first_below(curve: np.ndarray) -> float:
+    below = np.flatnonzero(curve < np.exp(-1))
+    return float(below[0]) if len(below) else float(len(curve))
+
+
+def _last_below(curve: np.ndarray) -> float:
+    """Return where a curve falls below 1/e for good, between its samples."""
+    r = int(np.flatnonzero(curve >= np.exp(-1))[-1])
+    return float("inf") if r == len(curve) - 1 else float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
+
+
+def _order(
+    rho: np.ndarray, overlap: np.ndarray, reach: tuple[int, ...], lengths: list[float]
+) -> tuple[float, tuple[int, ...] | None]:
+    """Return the highest far covariance, and the offset of its place where it is a peak that no chance explains."""
+    axes = np.ogrid[tuple(slice(-far, far + 1) for far in reach)]
+    distance = np.sqrt(sum(((r / length) ** 2 for r, length in zip(axes, lengths, strict=True)), np.zeros(rho.shape)))
+    far = (distance >= ORDER_FROM) & (overlap >= ORDER_PAIRS * overlap.max())
+    if not far.any():
+        return 0.0, None
+    near = distance < ORDER_FROM / 2
+    error = np.sqrt(np.square(rho[near]).sum() / np.maximum(overlap, 1))
+    independent = max(2.0, np.count_nonzero(far) / np.count_nonzero(near))
+    unlikely = (ORDER_SURE + np.sqrt(2 * np.log(independent))) * error
+    highest = float(rho[far].max())
+    sure = np.where(far & (rho > np.maximum(ORDER, unlikely)), rho, -np.inf)
+    at = np.unravel_index(int(np.argmax(sure)), rho.shape)
+    offset = np.array([int(place) - middle for place, middle in zip(at, reach, strict=True)])
+    if not np.isfinite(sure[at]):
+        return highest, None
+    steps = int(np.abs(offset).max())
+    way = np.rint(np.linspace(0, 1, steps + 1)[:, None] * offset).astype(int) + np.array(reach)
+    if rho[tuple(way.T)].min() > sure[at] - ORDER_DEEP:
+        return highest, None
+    return highest, tuple(int(abs(step)) for step in offset)
+
+
+def has_bodies(image: Image) -> str | None:
+    """Return the name of a phase that consists of separate, round bodies; None where none does.
+
+    Labels of volumes only: a slice of almost anything sparse shows round bodies.
+    """
+    if image.ndim == 2:
+        return None
+    box = centre_box(image.values, BOX[image.ndim])
+    for label, name in enumerate(image.phases):
+        inside = box == label
+        if inside.any() and _are_bodies(inside):
+            return name
+    return None
+
+
+def _are_bodies(inside: np.ndarray) -> bool:
+    pieces, sizes = label_components(inside)
+    if not len(sizes) or sizes.max() > ALONE * sizes.sum():
+        return False
+    whole = sizes >= BODY
+    for axis in range(inside.ndim):  # what the faces cut has another shape
+        for end in (0, -1):
+            cut = np.unique(pieces.take(end, axis=axis))
+            whole[cut[cut > 0] - 1] = False
+    if whole.sum() < BODIES:
+        return False
+    places = np.nonzero(inside)
+    numbers = pieces[places] - 1
+    spread = np.full(len(sizes), 3 / 12)  # of a voxel about its own centre
+    for place in places:
+        mean = np.bincount(numbers, weights=place, minlength=len(sizes)) / sizes
+        spread += np.bincount(numbers, weights=(place - mean[numbers]) ** 2, minlength=len(sizes)) / sizes
+    ball = 4 / 3 * np.pi * (5 / 3 * spread) ** 1.5
+    return bool(np.median((sizes / ball)[whole]) >= COMPACT)

@@ -1,0 +1,292 @@
+"""What `inspect` says of scans whose truth is known: fields, ramps, lattices, spheres, noise, pictures."""
+
+import json
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.engine.slabs import slabs_of
+from trabecula.errors import InputError
+from trabecula.report.inspection import inspect
+from trabecula.report.recommend import recommend
+from trabecula.report.stationarity import find_trends
+from trabecula.report.structure import has_bodies, structure_of
+
+SIDE = 96
+Z, Y, X = np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij", sparse=True)
+
+
+def gaussian_field(seed=0, *, shape=SIDE, length=4.0, porosity=0.6, levels=None):
+    made = tb.method("noise", covariance="gaussian", length=length, porosity=porosity).fit()
+    return made.generate(shape, seed=seed)
+
+
+def balls(seed=0, *, radius=6, count=140):
+    """Separate balls of one size, labels."""
+    rng = np.random.default_rng(seed)
+    values, placed = np.zeros((SIDE,) * 3, np.uint8), []
+    while len(placed) < count:
+        centre = rng.uniform(0, SIDE, 3)
+        if all(np.linalg.norm(centre - other) > 2 * radius + 2 for other in placed):
+            placed.append(centre)
+        else:
+            count -= rng.random() < 0.01
+    for z, y, x in placed:
+        values[(Z - z) ** 2 + (Y - y) ** 2 + (X - x) ** 2 <= radius**2] = 1
+    return tb.Image(values, "labels")
+
+
+def lattice(period=16, width=5):
+    struts = [(axis % period < width) for axis in (Z, Y, X)]
+    return tb.Image(
+        ((struts[0] & struts[1]) | (struts[1] & struts[2]) | (struts[0] & struts[2])).astype(np.uint8), "labels"
+    )
+
+
+def ramp(low=0.2, high=0.6, seed=0):
+    noise = np.random.default_rng(seed).random((SIDE // 3,) * 3).repeat(3, 0).repeat(3, 1).repeat(3, 2)
+    return tb.Image((noise < low + (high - low) * Z / (SIDE - 1)).astype(np.uint8), "labels")
+
+
+def test_a_stationary_field_has_no_trend_and_no_order():
+    for seed in range(3):
+        image = gaussian_field(seed)
+        found = inspect(image)
+        assert found.stationarity.stationary is True and found.structure.period is None
+        assert found.recommendation.method == "texture" and found.recommendation.preset is None
+        assert found.decidable.parts == 8 and found.decidable.limits == ()
+        assert found.phases["solid"].fraction == pytest.approx(0.4, abs=0.05)
+
+
+def test_the_correlation_length_is_that_of_measure():
+    image = gaussian_field(1)
+    found = structure_of(image).lengths
+    for axis, length in enumerate(found):
+        assert length == pytest.approx(tb.measure.correlation_length(image, axis=axis), rel=0.1)
+    stretched = tb.Image(image.values[:32].repeat(3, axis=0), "labels")
+    assert structure_of(stretched).lengths[0] == pytest.approx(3 * found[0], rel=0.25)
+
+
+def test_a_ramp_is_found_along_its_axis_alone():
+    trends = {trend.name: trend for trend in inspect(ramp()).stationarity.trends}
+    assert [name for name, trend in trends.items() if trend.found] == ["z"]
+    assert trends["z"].start == pytest.approx(0.2, abs=0.04) and trends["z"].end == pytest.approx(0.6, abs=0.04)
+    assert "same all over   no: solid 0." in str(inspect(ramp()))
+    assert any("evenness" in text for text in inspect(ramp()).decidable.limits)
+    turned = tb.Image(ramp().values.transpose(1, 2, 0).copy(), "labels")
+    assert [trend.name for trend in inspect(turned).stationarity.trends if trend.found] == ["x"]
+
+
+def test_a_hollow_is_found_from_centre_to_rim():
+    noise = np.random.default_rng(0).random((SIDE // 3,) * 3).repeat(3, 0).repeat(3, 1).repeat(3, 2)
+    rim = ((Z - 47.5) ** 2 + (Y - 47.5) ** 2 + (X - 47.5) ** 2) / 47.5**2
+    image = tb.Image((noise < 0.2 + 0.1 * rim).astype(np.uint8), "labels")
+    trends = {trend.name: trend for trend in find_trends(image, structure_of(image).lengths).trends}
+    assert [name for name, trend in trends.items() if trend.found] == ["centre to rim"]
+    assert trends["centre to rim"].start < trends["centre to rim"].end
+
+
+def test_shading_of_a_grey_scan_is_in_its_own_values():
+    values = np.random.default_rng(0).normal(1000, 50, (64, 64, 64)) + 3 * np.arange(64)
+    (found,) = [trend for trend in inspect(tb.Image(values, "grey")).stationarity.trends if trend.found]
+    assert found.name == "x" and found.start == pytest.approx(1000, abs=25) and found.end == pytest.approx(1190, abs=25)
+
+
+def test_a_lattice_is_regular_and_gets_moved_pieces():
+    found = inspect(lattice())
+    assert found.structure.period is not None and all(step % 16 == 0 for step in found.structure.period)
+    assert (found.recommendation.method, found.recommendation.preset) == ("texture", "best")
+    assert "regular" in found.recommendation.reason
+    assert tb.method("texture", preset="best").config.novelty == 0  # which is what the reason promises
+
+
+def test_noise_in_a_lattice_hides_nothing():
+    values = lattice().values * 100.0 + np.random.default_rng(0).normal(100, 40, (SIDE,) * 3)
+    found = structure_of(tb.Image(values, "grey"))
+    assert found.period is not None
+    assert inspect(tb.Image(values, "grey")).grey.noise == pytest.approx(40, rel=0.15)
+
+
+@pytest.mark.parametrize("name", ["bone", "foam"])
+def test_samples_keep_the_default(name):
+    found = inspect(tb.sample(name))
+    assert found.recommendation.to_json() == {**found.recommendation.to_json(), "method": "texture", "preset": None}
+    assert found.recommendation.settings == {} and not found.margins
+    assert set(found.origin.values()) == {"the sample"}
+
+
+def test_balls_are_bodies_and_pores_between_them_are_not():
+    image = balls()
+    assert has_bodies(image) == "solid"
+    assert has_bodies(tb.Image(1 - image.values, "labels")) == "void"
+    assert recommend(image).preset == "best" and "blobs" in recommend(image).reason
+    assert has_bodies(gaussian_field(0, porosity=0.9)) is None
+    rods = np.zeros((SIDE,) * 3, np.uint8)
+    for z in range(4, SIDE, 12):
+        for y in range(4, SIDE, 12):
+            for x in range(4, SIDE - 30, 32):
+                rods[z : z + 4, y : y + 4, x : x + 26] = 1
+    assert has_bodies(tb.Image(rods, "labels")) is None
+
+
+def test_three_phases_get_the_preset_that_keeps_them():
+    values = gaussian_field(0).values + 2 * (gaussian_field(9, porosity=0.85).values > 0)
+    found = inspect(tb.labels(np.minimum(values, 2)))
+    assert found.recommendation.preset == "best" and "3 phases" in found.recommendation.reason
+    assert set(found.phases) == {"void", "solid", "phase2"}
+
+
+def test_pictures():
+    labels = tb.Image(gaussian_field(0).values[40], "labels")
+    assert recommend(labels).method == "kopf"
+    stripes = tb.Image(np.broadcast_to(np.arange(64) // 1 % 2, (64, 64)).astype(np.uint8), "labels")
+    assert recommend(stripes).method == "mrf"
+    grey = tb.Image(np.random.default_rng(0).integers(0, 256, (64, 64)).astype(np.uint8), "grey")
+    assert recommend(grey).method == "chen"
+    assert recommend(tb.Image(np.repeat(grey.values[..., None], 3, -1), "colour")).method == "chen"
+    found = inspect(labels)
+    assert any("no slice shows" in text for text in found.decidable.limits) and "in slices" in found.decidable.figures
+    assert "pixel" in str(found) and "voxel" not in str(found)
+
+
+def test_what_is_recommended_can_learn_from_it():
+    for image in (gaussian_field(0, shape=24), tb.Image(gaussian_field(0, shape=48).values[20], "labels")):
+        found = recommend(image)
+        tb.method(found.method, preset=found.preset, **found.settings).fit(image)
+
+
+def test_too_small():
+    found = inspect(gaussian_field(0, shape=20, length=2.0))
+    assert not found.decidable.anything and "20 x 20 x 20 is too small for parts of 24" in found.decidable.limits[0]
+    assert "decidable       nothing" in str(found)
+    assert recommend(gaussian_field(0, shape=10, length=2.0)).method == "noise"
+    tiny = inspect(np.eye(5, dtype=np.uint8))
+    assert tiny.recommendation.method is None and "12" in tiny.recommendation.reason
+    assert inspect(np.zeros((3, 4, 5), np.uint8)).recommendation.method is None
+
+
+def test_fewer_than_six_correlation_lengths():
+    found = inspect(gaussian_field(0, shape=64, length=24.0))
+    assert any(text.startswith("what is typical along") for text in found.decidable.limits)
+    assert found.stationarity.stationary is None or not found.stationarity.stationary
+
+
+def test_a_grey_scan_says_how_well_it_parts():
+    solid = gaussian_field(0).values
+    noise = np.random.default_rng(0).normal(0, 1, solid.shape)
+    clear = tb.Image((60 + 100 * solid + 10 * noise).clip(0, 255).astype(np.uint8), "grey")
+    found = inspect(clear)
+    assert found.grey.threshold == pytest.approx(110, abs=8) and found.grey.separability > 0.9
+    assert found.grey.bits == 8 and found.phases["solid"].fraction == pytest.approx(solid.mean(), abs=0.01)
+    assert found.recommendation.reason.startswith("segmented at ")
+    drowned = tb.Image((128 + 30 * noise).clip(0, 255).astype(np.uint8), "grey")
+    assert inspect(drowned).grey.separability == pytest.approx(2 / np.pi, abs=0.02)  # of a normal distribution
+    assert "parts badly" in str(inspect(drowned))
+    burnt = tb.Image(np.where(solid > 0, 255, clear.values).astype(np.uint8), "grey")
+    assert inspect(burnt).grey.saturated == pytest.approx(solid.mean(), abs=0.02)
+    assert "greys are lost there" in str(inspect(burnt))
+
+
+def test_margins_are_left_out_of_the_figures():
+    inside = gaussian_field(0).values
+    found = inspect(tb.Image(np.pad(inside, 3), "labels"))
+    assert found.margins.size == (SIDE,) * 3 and found.phases["void"].fraction == (inside == 0).mean()
+    assert found.fractions["void"] > found.phases["void"].fraction
+    assert "--crop auto keeps 96 x 96 x 96" in str(found)
+
+
+def test_thin_parts_are_named():
+    thin = np.zeros((48, 48, 48), np.uint8)
+    thin[::8, ::8] = thin[:, ::8, ::8] = thin[::8, :, ::8] = 1
+    assert "thin parts will break" in str(inspect(thin))
+    assert "thin parts will break" not in str(inspect(lattice()))
+
+
+@pytest.mark.parametrize("name", ["labels", "grey", "picture", "colour", "tiny"])
+def test_the_table_is_short_and_the_json_plain(name):
+    values = gaussian_field(0, shape=40).values
+    image = {
+        "labels": tb.Image(np.pad(values, 2), "labels", phases=("pore", "grain")),
+        "grey": tb.Image(values * 1.5, "grey"),
+        "picture": tb.Image(values[3], "labels", 0.5, "um"),
+        "colour": tb.Image(np.repeat(values[3][..., None] * np.uint8(200), 3, -1), "colour"),
+        "tiny": tb.Image(np.eye(3, dtype=np.uint8), "labels"),
+    }[name]
+    found = inspect(image)
+    assert len(str(found).splitlines()) <= 40 and max(map(len, str(found).splitlines())) <= 110
+    plain = found.to_json()
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+    assert plain["recommendation"]["reason"] and plain["decidable"]["parts"] >= 1
+
+
+def test_one_value_alone():
+    for image in (tb.Image(np.zeros((40, 40, 40), np.uint8), "labels"), tb.Image(np.full((40, 40), 3.0), "grey")):
+        assert inspect(image).structure.period is None
+
+
+def test_where_each_field_comes_from(tmp_path):
+    values = gaussian_field(0, shape=32).values
+    image = tb.Image(values, "labels", 19.5, "um", ("marrow", "bone"))
+    own = inspect(tb.read(tb.write(image, tmp_path / "own.tif"))).origin
+    assert set(own.values()) == {"stated in the file"}
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "bare.tif", values * np.uint8(255))
+    bare = inspect(tb.read(tmp_path / "bare.tif")).origin
+    assert bare == {
+        "kind": "the file's levels 0, 255",
+        "phases": "default names",
+        "spacing": "default: nothing states it",
+        "unit": "default: nothing states it",
+    }
+    given = inspect(tb.read(tmp_path / "bare.tif", spacing=5, unit="um", kind="labels", phases=("a", "b"))).origin
+    assert set(given.values()) == {"given"}
+    tifffile.imwrite(
+        tmp_path / "imagej.tif",
+        values,
+        imagej=True,
+        resolution=(2.0, 2.0),
+        metadata={"spacing": 0.5, "unit": "um", "axes": "ZYX"},
+    )
+    tags = inspect(tb.read(tmp_path / "imagej.tif")).origin
+    assert tags["spacing"] == tags["unit"] == "stated in the file" and tags["kind"] != "stated in the file"
+    grey = tb.Image(values * 3.5, "grey", 2.0, "mm")
+    assert inspect(tb.segment(grey)).origin["kind"].startswith("segmented at 1.75 (found: otsu)")
+    assert inspect(grey).origin["spacing"] == "given with the array"
+
+
+def test_slabs_are_inspected_in_their_middle(monkeypatch):
+    from trabecula.report import inspection
+
+    monkeypatch.setattr(inspection, "SLAB_BOX", 48)
+    found = inspect(slabs_of(gaussian_field(0)))
+    assert found.shape == (48,) * 3 and found.whole == (SIDE,) * 3 and not found.margins
+    assert "the centre box of 96 x 96 x 96" in str(found) and "margins         not looked at" in str(found)
+
+
+def test_an_array_whose_meaning_is_open_is_refused():
+    with pytest.raises(InputError, match="whose meaning is open"):
+        inspect(np.zeros((30, 30)))
+
+
+@pytest.mark.parametrize(
+    ("file", "method", "preset"),
+    [
+        ("trabecular_bone_a.tif", "texture", None),
+        ("cement_air_voids.tif", "texture", "best"),
+        ("electrode_3phase_a.tif", "texture", "best"),
+        ("micrograph_ceramics.png", "kopf", None),
+        ("micrograph_copolymer.png", "mrf", None),
+        ("bread_baguette2.png", "chen", None),
+    ],
+)
+def test_scans(data, file, method, preset):
+    found = inspect(tb.read(data / file))
+    assert (found.recommendation.method, found.recommendation.preset) == (method, preset)
+
+
+def test_the_cortex_is_a_trend_and_berea_is_even(data):
+    cortex = inspect(tb.read(data / "trabecular_bone_cortex_a.tif")).stationarity
+    assert [trend.name for trend in cortex.trends if trend.found] == ["x"]
+    assert inspect(tb.read(data / "berea_sandstone_a.tif")).stationarity.stationary is True
