@@ -128,8 +128,10 @@ def _undamaged(verb: str) -> Iterator[None]:
     except TrabeculaError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        # A parameter of a wrong type and a mistake of ours look alike: neither is to be called damage alone.
+        doubt = ", or trabecula has a defect" if isinstance(error, (TypeError, AttributeError)) else ""
         raise InputError(
-            f"the recipe is damaged: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
+            f"the recipe is damaged{doubt}: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
         ) from error
 
 
