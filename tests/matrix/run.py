@@ -111,14 +111,26 @@ def try_cell(python: Path, version: str, dependencies: str, folder: Path) -> Cel
     """Make an environment, install the wheel and the tests' tools, and run the tests in it."""
     started, home = time.monotonic(), folder / f"{version}-{dependencies}"
     # What the caller set for its own environment must not reach into this one.
-    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
+    clean = {
+        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    }
     inside = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     pip = [inside, "-m", "pip", "--disable-pip-version-check", "-q"]
     pinned = ["--constraint", ROOT / "requirements" / "oldest.txt"] if dependencies == "oldest" else ["--upgrade"]
     steps = {
         "environment": [python, "-m", "venv", "--clear", home],
         "wheel": [*pip, "wheel", "--no-deps", "--wheel-dir", home / "wheel", ROOT],
-        "install": [*pip, "install", "--only-binary", ":all:", *pinned, "--find-links", home / "wheel", *TOOLS, "trabecula"],
+        "install": [
+            *pip,
+            "install",
+            "--only-binary",
+            ":all:",
+            *pinned,
+            "--find-links",
+            home / "wheel",
+            *TOOLS,
+            "trabecula",
+        ],
         "tests": [inside, "-m", "pytest", "-p", "no:cacheprovider", *TESTS],
     }
     outcome, passed = "", False
@@ -154,7 +166,9 @@ def table(cells: Sequence[Cell]) -> str:
     rows = [("Python", "dependencies", "result", "s", "versions")]
     rows += [(c.python, c.dependencies, c.outcome, f"{c.seconds:.0f}", c.versions) for c in cells]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    lines = ["  ".join([*(f"{text:{width}}" for text, width in zip(row, widths, strict=False)), row[4]]) for row in rows]
+    lines = [
+        "  ".join([*(f"{text:{width}}" for text, width in zip(row, widths, strict=False)), row[4]]) for row in rows
+    ]
     return "\n".join(lines)
 
 

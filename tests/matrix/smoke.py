@@ -50,9 +50,9 @@ def test_every_verb_explains_itself(verb, tmp_path):
 def job(tmp_path_factory):
     """The main job at a small size, with a scan that comes as TIFF."""
     folder = tmp_path_factory.mktemp("job")
-    tb.write(tb.crop(tb.sample("bone"), 40), folder / "scan.tif")
+    tb.write(tb.crop(tb.sample("bone"), 48), folder / "scan.tif")
     run(folder, "generate", "scan.tif", "--shape", 28, "--seed", 7, "--out", "bone.zarr", *SMALL)
-    run(folder, "verify", "scan.tif", "bone.zarr", "--out", "report.html")
+    run(folder, "verify", "scan.tif", "bone.zarr", "--report", "report.html")
     run(folder, "finish", "bone.zarr", "--connect", "--out", "part.zarr")
     run(folder, "export", "part.zarr", "--out", "part.stl")
     run(folder, "render", "part.zarr", "--out", "part.png", "--size", 96, 64)
@@ -78,6 +78,8 @@ def test_every_method_makes_a_volume(name):
         pytest.skip(f"{name} needs the extra 'learn', which is not installed")
     volume = tb.crop(tb.sample("bone"), 64 if spec.learns else 32)
     picture = tb.Image(volume.values[16], "labels", volume.spacing[1:], volume.unit, volume.phases)
-    made = tb.method(name, **spec.trial).fit(picture if spec.exemplar == "2d" else volume).generate((20, 22, 24), seed=1)
+    made = (
+        tb.method(name, **spec.trial).fit(picture if spec.exemplar == "2d" else volume).generate((20, 22, 24), seed=1)
+    )
     assert made.shape == (20, 22, 24) and made.spacing == (40.0,) * 3
     assert 0.02 < made.values.mean() < 0.98

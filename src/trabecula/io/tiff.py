@@ -114,7 +114,7 @@ def read(path: Path) -> Content:
     """Read a TIFF (see `trabecula.io.files.read`)."""
     import tifffile
 
-    with damaged(path, "TIFF"), tifffile.TiffFile(path) as tiff:
+    with damaged(path, "TIFF", also=(tifffile.TiffFileError,)), tifffile.TiffFile(path) as tiff:
         _check_directories(tiff)
         series = _only_series(tiff)
         page: Any = tiff.pages.first
