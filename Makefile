@@ -23,8 +23,8 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
 	$(BIN)/python -m pytest tests/remote tests/engine/test_locations.py
 
-test-newest:                        ## the wheel in a fresh environment, with the newest dependencies that the index has
-	$(PYTHON) tests/matrix/run.py --python this --dependencies newest
+test-newest:                        ## the wheel on the newest Python at hand, with the newest dependencies that the index has
+	$(PYTHON) tests/matrix/run.py --python last --dependencies newest
 
 test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each
 	$(PYTHON) tests/matrix/run.py

@@ -45,13 +45,13 @@ def main(words: Sequence[str] | None = None) -> int:
     """Try every cell in turn, print the table, and return 0 where all of them passed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--python", nargs="+", metavar="X.Y", help='only these; "this" is the one that runs (default: all at hand)'
+        "--python", nargs="+", metavar="X.Y", help='only these; "last" is the newest at hand (default: all)'
     )
     parser.add_argument("--dependencies", nargs="+", choices=SETS, default=SETS)
     parser.add_argument("--environments", type=Path, metavar="DIR", help="keep them here (default: a folder that goes)")
     options = parser.parse_args(words)
     pythons = find_pythons()
-    wanted = [f"{sys.version_info[0]}.{sys.version_info[1]}" if one == "this" else one for one in options.python or []]
+    wanted = [list(pythons)[-1] if one == "last" else one for one in options.python or []]
     missing = sorted(set(wanted) - set(pythons))
     if missing:
         parser.error(f"no Python {', '.join(missing)} at hand: there is {', '.join(pythons)}")
