@@ -41,12 +41,42 @@ def test_the_shape_is_of_space_and_the_array_has_the_channels():
     assert COLOUR.shape == (4, 5) and np.asarray(COLOUR).shape == (4, 5, 3) and len(COLOUR) == 4
 
 
-def test_it_computes_nothing():
-    with pytest.raises(TypeError):
-        GREY + 1
-    assert (GREY == GREY) is True and (GREY == copy.copy(GREY)) is False, "the same object, not the same voxels"
-    assert len({GREY, LABELS, GREY}) == 2
+def test_what_is_computed_is_an_array():
+    for computed, plain in [
+        (GREY + 1, VALUES + 1),
+        (1 - np.asarray(GREY, float), 1 - VALUES.astype(float)),
+        (GREY > 3, VALUES > 3),
+        (GREY == 7, VALUES == 7),
+        (VALUES != GREY, np.zeros(VALUES.shape, bool)),
+        (GREY == VALUES, np.ones(VALUES.shape, bool)),
+        (LABELS * GREY, LABELS.values * VALUES),
+        (GREY.astype(float), VALUES.astype(float)),
+        (GREY.reshape(-1), VALUES.ravel()),
+        (GREY.max(axis=0), VALUES.max(axis=0)),
+    ]:
+        assert type(computed) is np.ndarray and np.array_equal(computed, plain)
+    assert GREY.mean() == VALUES.mean() and GREY.size == 120 and GREY.copy() is not VALUES
+
+
+def test_images_are_equal_where_they_are_the_same_object():
+    twin = copy.copy(GREY)
+    assert GREY == GREY and (twin == GREY) is False and twin != GREY and (GREY != GREY) is False  # noqa: PLR0124
+    assert GREY != None and (GREY == "grey") is False  # noqa: E711
+    assert GREY in [twin, GREY] and twin not in [GREY, LABELS] and len({GREY, LABELS, GREY}) == 2
     assert np.array_equal(pickle.loads(pickle.dumps(GREY)).values, VALUES)
+
+
+def test_nothing_changes_an_image():
+    image = GREY
+    with pytest.raises(InputError, match="an Image does not change"):
+        image += 1
+    with pytest.raises(InputError, match="an Image does not change"):
+        np.add(VALUES, 1, out=GREY)
+    with pytest.raises(TypeError):
+        GREY[0] = 1
+    with pytest.raises(AttributeError):
+        GREY.sort()
+    assert GREY.values is VALUES and VALUES[0, 0, 1] == 1
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,18 @@ Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxe
 voxel's edge along an axis is `spacing` of that axis, in `unit`.
 
 An image is taken for an array wherever one is expected (`np.asarray(image)` are its values, not copied) and is sliced like
-one. It computes nothing: `image + 1` is refused, `image == other` asks whether both are the same object.
+one. What is computed from it by operators, NumPy, or an array's own methods (`image > 3`, `image.mean()`) is a plain array
+or number: only a slice is an image again. `image == other` of two images asks whether they are the same object.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, DTypeLike
 
 from trabecula.core import display, indexing
@@ -23,10 +25,18 @@ from trabecula.core.recipe import Recipe
 
 KINDS = ("labels", "grey", "colour")
 MAX_PHASES = 16
+_OF_ARRAYS = frozenset(
+    (
+        *("T", "all", "any", "argmax", "argmin", "argsort", "astype", "clip", "copy", "cumsum", "flags", "flat", "flatten"),
+        *("itemsize", "max", "mean", "min", "nbytes", "nonzero", "prod", "ravel", "repeat", "reshape", "round", "size"),
+        *("squeeze", "std", "strides", "sum", "swapaxes", "take", "tobytes", "tolist", "transpose", "var"),
+    )
+)
+"""What code that was written for arrays asks of them; none of it changes the values."""
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(NDArrayOperatorsMixin):
     """A 2-D or 3-D image of a material.
 
     Parameters
@@ -103,6 +113,33 @@ class Image:
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         """Return the values, as NumPy asks for them (`np.asarray(image)`); copied where `copy` or another type needs it."""
         return np.array(self.values, dtype=dtype, copy=copy)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Return what NumPy's function makes of the values: an array, which has no spacing."""
+        if any(isinstance(out, Image) for out in options.get("out", ())):
+            raise InputError("an Image does not change: compute a new array, and make an Image of it (tb.Image)")
+        return getattr(ufunc, method)(*(one.values if isinstance(one, Image) else one for one in inputs), **options)
+
+    def __eq__(self, other: object) -> Any:
+        """Return whether both images are the same object; of numbers and arrays, which values are equal."""
+        if isinstance(other, Image) or other is None or isinstance(other, str):
+            return self is other
+        return np.equal(self, other)  # type: ignore[call-overload]
+
+    def __ne__(self, other: object) -> Any:
+        """Return the opposite of `==`."""
+        equal = self == other
+        return not equal if isinstance(equal, bool) else np.logical_not(equal)
+
+    __hash__ = object.__hash__
+
+    if not TYPE_CHECKING:  # a checker would take any attribute for granted
+
+        def __getattr__(self, name: str) -> Any:
+            """Return an attribute of the array, of those that code written for arrays asks for."""
+            if name in _OF_ARRAYS:
+                return getattr(self.values, name)
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
 
     def __len__(self) -> int:
         """Return the voxels along the first axis."""
