@@ -60,7 +60,7 @@ def test_what_is_computed_is_an_array():
 
 def test_images_are_equal_where_they_are_the_same_object():
     twin = copy.copy(GREY)
-    assert GREY == GREY and (twin == GREY) is False and twin != GREY and (GREY != GREY) is False  # noqa: PLR0124
+    assert GREY == GREY and (twin == GREY) is False and twin != GREY and (GREY != GREY) is False
     assert GREY != None and (GREY == "grey") is False  # noqa: E711
     assert GREY in [twin, GREY] and twin not in [GREY, LABELS] and len({GREY, LABELS, GREY}) == 2
     assert np.array_equal(pickle.loads(pickle.dumps(GREY)).values, VALUES)

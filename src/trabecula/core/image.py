@@ -27,7 +27,21 @@ KINDS = ("labels", "grey", "colour")
 MAX_PHASES = 16
 _OF_ARRAYS = frozenset(
     (
-        *("T", "all", "any", "argmax", "argmin", "argsort", "astype", "clip", "copy", "cumsum", "flags", "flat", "flatten"),
+        *(
+            "T",
+            "all",
+            "any",
+            "argmax",
+            "argmin",
+            "argsort",
+            "astype",
+            "clip",
+            "copy",
+            "cumsum",
+            "flags",
+            "flat",
+            "flatten",
+        ),
         *("itemsize", "max", "mean", "min", "nbytes", "nonzero", "prod", "ravel", "repeat", "reshape", "round", "size"),
         *("squeeze", "std", "strides", "sum", "swapaxes", "take", "tobytes", "tolist", "transpose", "var"),
     )
