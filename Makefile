@@ -6,7 +6,7 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test test-learn test-cluster test-remote check docs gallery bench wheel clean
+.PHONY: demo test test-learn test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -22,6 +22,15 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
 	$(BIN)/python -m pytest tests/remote tests/engine/test_locations.py
+
+test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array: they are installed, 1.2 GB
+	$(BIN)/python -m pytest tests/peers
+
+test-newest:                        ## the wheel on the newest Python at hand, with the newest dependencies that the index has
+	$(PYTHON) tests/matrix/run.py --python last --dependencies newest
+
+test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each
+	$(PYTHON) tests/matrix/run.py
 
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
 	$(BIN)/ruff check src tests benchmarks docs
@@ -61,6 +70,10 @@ $(VENV)/cluster.stamp: $(VENV)/base.stamp requirements/cluster.txt
 
 $(VENV)/remote.stamp: $(VENV)/base.stamp requirements/remote.txt
 	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/remote.txt
+	touch $@
+
+$(VENV)/peers.stamp: $(VENV)/base.stamp requirements/peers.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/peers.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt

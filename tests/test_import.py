@@ -51,3 +51,8 @@ def test_the_public_names_are_those_of_the_plan():
     assert issubclass(tb.errors.TrabeculaError, Exception)
     with pytest.raises(AttributeError, match="has no attribute 'raed'"):
         tb.raed  # noqa: B018
+
+
+def test_the_command_line_runs_without_its_script():
+    done = subprocess.run([sys.executable, "-m", "trabecula", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("trabecula ")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trabecula import fields, finish
+from trabecula.core import indexing
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
 from trabecula.core.image import Image, declared
@@ -155,8 +156,10 @@ def _undamaged(verb: str) -> Iterator[None]:
     except TrabeculaError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        # A parameter of a wrong type and a mistake of ours look alike: neither is to be called damage alone.
+        doubt = ", or trabecula has a defect" if isinstance(error, (TypeError, AttributeError)) else ""
         raise InputError(
-            f"the recipe is damaged: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
+            f"the recipe is damaged{doubt}: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
         ) from error
 
 
@@ -325,6 +328,7 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], Places], Image]] = 
     "sample": lambda image, step, places: sample(step["name"]),
     "voxelise": _voxelise_again,
     "crop": lambda image, step, places: crop(_given(image), step["size"], corner=step["corner"]),
+    "slice": lambda image, step, places: _given(image)[indexing.from_json(step["index"])],
     "place": lambda image, step, places: place(
         _given(image), step["shape"], corner=step["corner"], plane=step.get("plane"), across=step.get("across", 1.0)
     ),

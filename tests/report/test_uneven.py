@@ -10,7 +10,6 @@ from trabecula.measure.tallies.cells import cells_of
 from trabecula.report.evenness import (
     evenness_bands,
     evenness_numbers,
-    find_trends,
     measure_evenness,
     phases_of,
     shared_windows,
@@ -121,8 +120,7 @@ def test_phases_are_judged_one_by_one():
 
 def test_an_exemplar_with_a_trend_decides_nothing():
     graded = fakes(tb.Image(gaussian(1), "labels"), 1.5)["graded"]
-    windows = shared_windows(graded, [graded])
-    found = measure_evenness(cells_of(graded, cell=windows.cell), windows, phases_of(graded))[""]
-    assert set(find_trends(found)) == {"z"}
     certificate = tb.verify(graded, graded, level="quick")
-    assert certificate.failed == () and any("not stationary" in reason for reason in certificate.undecided)
+    assert certificate.failed == () and any(
+        "not stationary" in reason and "along z" in reason for reason in certificate.undecided
+    )

@@ -2,28 +2,55 @@
 
 Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxel whose *corner* lies at the origin; a
 voxel's edge along an axis is `spacing` of that axis, in `unit`.
+
+An image is taken for an array wherever one is expected (`np.asarray(image)` are its values, not copied) and is sliced like
+one. What is computed from it by operators, NumPy, or an array's own methods (`image > 3`, `image.mean()`) is a plain array
+or number: only a slice is an image again. `image == other` of two images asks whether they are the same object.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import ArrayLike, DTypeLike
 
-from trabecula.core import display
+from trabecula.core import display, indexing
 from trabecula.core.checks import as_spacing, check_finite, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 
 KINDS = ("labels", "grey", "colour")
 MAX_PHASES = 16
+_OF_ARRAYS = frozenset(
+    (
+        *(
+            "T",
+            "all",
+            "any",
+            "argmax",
+            "argmin",
+            "argsort",
+            "astype",
+            "clip",
+            "copy",
+            "cumsum",
+            "flags",
+            "flat",
+            "flatten",
+        ),
+        *("itemsize", "max", "mean", "min", "nbytes", "nonzero", "prod", "ravel", "repeat", "reshape", "round", "size"),
+        *("squeeze", "std", "strides", "sum", "swapaxes", "take", "tobytes", "tolist", "transpose", "var"),
+    )
+)
+"""What code that was written for arrays asks of them; none of it changes the values."""
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(NDArrayOperatorsMixin):
     """A 2-D or 3-D image of a material.
 
     Parameters
@@ -47,6 +74,17 @@ class Image:
     InputError
         Wrong dimensions, empty, NaN or infinite, labels that are not integers or not `0..n-1`, bad spacing, phase names
         that do not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, trabecula as tb
+    >>> scan = tb.Image(np.zeros((40, 50, 60)), "grey", spacing=2.0, unit="um")
+    >>> np.asarray(scan).mean()
+    np.float64(0.0)
+    >>> scan[10:20, :, ::2]
+    <Image 10x50x30 grey, voxel 2x2x4 um>
+    >>> scan[10]
+    <Image 50x60 grey, voxel 2x2 um>
     """
 
     values: np.ndarray
@@ -78,8 +116,68 @@ class Image:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Voxels along every spatial axis (colour left out)."""
+        """Voxels along every spatial axis (colour left out; `np.asarray(image).shape` has it)."""
         return self.values.shape[: self.ndim]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the values."""
+        return self.values.dtype
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
+        """Return the values, as NumPy asks for them (`np.asarray(image)`); copied where `copy` or another type needs it."""
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Return what NumPy's function makes of the values: an array, which has no spacing."""
+        if any(isinstance(out, Image) for out in options.get("out", ())):
+            raise InputError("an Image does not change: compute a new array, and make an Image of it (tb.Image)")
+        return getattr(ufunc, method)(*(one.values if isinstance(one, Image) else one for one in inputs), **options)
+
+    def __eq__(self, other: object) -> Any:
+        """Return whether both images are the same object; of numbers and arrays, which values are equal."""
+        if isinstance(other, Image) or other is None or isinstance(other, str):
+            return self is other
+        return np.equal(self, other)  # type: ignore[call-overload]
+
+    def __ne__(self, other: object) -> Any:
+        """Return the opposite of `==`."""
+        equal = self == other
+        return not equal if isinstance(equal, bool) else np.logical_not(equal)
+
+    __hash__ = object.__hash__
+
+    if not TYPE_CHECKING:  # a checker would take any attribute for granted
+
+        def __getattr__(self, name: str) -> Any:
+            """Return an attribute of the array, of those that code written for arrays asks for."""
+            if name in _OF_ARRAYS:
+                return getattr(self.values, name)
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+
+    def __len__(self) -> int:
+        """Return the voxels along the first axis."""
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[Image]:
+        """Yield the slices of a volume along z."""
+        return (self[place] for place in range(len(self)))
+
+    def __getitem__(self, key: Any) -> Image:
+        """Return a part of the image: slices keep an axis, a number drops it, a step makes its voxels longer.
+
+        The values are not copied. The recipe has one more step, where there is a recipe.
+
+        Raises
+        ------
+        InputError
+            As `core.indexing.read_index`: among others a mask or a list, which are asked of `image.values`.
+        """
+        index = indexing.read_index(key, shape=self.shape)
+        values = self.values[index]
+        pairs = [(item, edge) for item, edge in zip(index, self.spacing, strict=True) if isinstance(item, slice)]
+        recipe = self.recipe and self.recipe.then("slice", values, index=indexing.to_json(index))
+        return replace(self, values=values, spacing=tuple(edge * abs(item.step) for item, edge in pairs), recipe=recipe)
 
     def __repr__(self) -> str:
         return outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
@@ -97,6 +195,8 @@ def outline(shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str
 
 
 def _real_array(values: ArrayLike) -> np.ndarray:
+    if isinstance(values, Image):  # as an array it would lose its spacing and names without a word
+        raise InputError("an Image is given where its values are wanted: use it as it is, or give image.values")
     try:
         array = np.asarray(values)
     except ValueError:

@@ -19,6 +19,9 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 
+_NAMED = ("method", "operation", "source", "name")
+"""Parameters by which a step is known beside its verb."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -47,6 +50,12 @@ class Recipe:
         if not isinstance(steps, list) or not all(isinstance(step, dict) and "verb" in step for step in steps):
             raise InputError("the recipe is damaged: it should be a list of steps, each with a verb")
         return cls(tuple(copy.deepcopy(steps)))
+
+    def __repr__(self) -> str:
+        done = [
+            f"{step['verb']} {next((step[key] for key in _NAMED if step.get(key)), '')}".strip() for step in self.steps
+        ]
+        return f"<Recipe: {', '.join(done) or 'nothing known'}>"
 
     def __bool__(self) -> bool:
         return bool(self.steps)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.brief import brief
 from trabecula.core.checks import as_seed, as_shape
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
@@ -79,8 +80,10 @@ class Request:
     target: Mapping[str, Target] = field(default_factory=dict)
     fixed: Image | None = None
     known: np.ndarray | None = None
-    origins: Mapping[str, Recipe] = field(init=False, default_factory=dict)
+    origins: Mapping[str, Recipe] = field(init=False, repr=False, default_factory=dict)
     voxel: tuple[tuple[float, ...], str] | None = field(init=False, default=None)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}

@@ -22,6 +22,14 @@ class Plan:
     scratch: int = 0
     seconds: float | None = None
 
+    def __repr__(self) -> str:
+        parts = [f"{format_bytes(self.peak)} of memory", f"{format_bytes(self.disk)} on disk"]
+        parts += [f"{format_bytes(self.scratch)} of scratch files"] if self.scratch else []
+        parts += [] if self.seconds is None else [f"about {self.seconds:.0f} s"]
+        largest = sorted(self.memory.items(), key=lambda item: -item[1])[:3]
+        most = ", ".join(f"{name} {format_bytes(count)}" for name, count in largest)
+        return f"<Plan {', '.join(parts)}{f'; most memory: {most}' if most else ''}>"
+
     @property
     def peak(self) -> int:
         """Peak memory in bytes."""

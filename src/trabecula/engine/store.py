@@ -310,9 +310,9 @@ def _opened(place: Location, level: int) -> Store:
             f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
         )
     ours = {name: value for name, value in fields.items() if name != "complete"} if isinstance(fields, Mapping) else {}
-    found = node.attrs.get("ome", node.attrs)
-    if "multiscales" in found:
-        datasets = found["multiscales"][0]["datasets"]
+    found = node.attrs.get("ome", dict(node.attrs))
+    datasets = ome.datasets(found)
+    if datasets is not None:
         _check_level(place, level, len(datasets))
         scale, unit = ome.calibration(found, level)
         return Store(place, node[datasets[level]["path"]], ours, scale, unit)

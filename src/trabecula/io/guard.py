@@ -7,6 +7,8 @@ import difflib
 import lzma
 import math
 import struct
+import sys
+import traceback
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
@@ -19,15 +21,13 @@ from trabecula.core.errors import FileError, InputError, MemoryBudgetError, Trab
 from trabecula.engine.locations import Remote
 from trabecula.engine.plan import available_memory, format_bytes
 
-# What the libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and the XML
-# parser's, AttributeError and AssertionError come from tifffile and nibabel on headers that lie.
+_OURS = __name__.partition(".")[0]
+
+# What libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and the XML parser's.
 _DAMAGE: tuple[type[Exception], ...] = (
     OSError,
     ValueError,
     LookupError,
-    TypeError,
-    AttributeError,
-    AssertionError,
     ArithmeticError,
     EOFError,
     SyntaxError,
@@ -38,10 +38,25 @@ _DAMAGE: tuple[type[Exception], ...] = (
     binascii.Error,
 )
 
+# What a mistake in code raises. Libraries stumble so over headers that lie as well, so where it was raised decides.
+_DEFECT: tuple[type[Exception], ...] = (
+    AttributeError,
+    TypeError,
+    AssertionError,
+    NameError,
+    ImportError,
+    NotImplementedError,
+)
+
 
 @contextmanager
-def damaged(path: Path | Remote, form: str, *, also: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def damaged(
+    path: Path | Remote, form: str, *, also: tuple[type[Exception], ...] = (), checked: bool = True
+) -> Iterator[None]:
     """Turn whatever a library raises while it reads `path` into one line.
+
+    A mistake of our own code passes unchanged. Of an error that may be a library's mistake as well as the file's, the
+    message names the library, its version and the error, and does not ask whether the file is whole.
 
     Parameters
     ----------
@@ -50,6 +65,9 @@ def damaged(path: Path | Remote, form: str, *, also: tuple[type[Exception], ...]
         Name of the format, for the message.
     also : tuple of exception types
         The library's own, where they derive from nothing usual.
+    checked : bool
+        Our own code checks whatever it takes from the file before it uses it. Where it does not, an error of it may
+        come from either, and the message says so.
     """
     try:
         with warnings.catch_warnings():
@@ -61,8 +79,37 @@ def damaged(path: Path | Remote, form: str, *, also: tuple[type[Exception], ...]
         raise MemoryBudgetError(
             f"cannot read {path} as {form}: it does not fit into memory; read a smaller part"
         ) from error
+    except _DEFECT as error:
+        library, what = library_of(error), f"{type(error).__name__}: {_reason(error)}"
+        if library is None and checked:
+            raise
+        if library is None:
+            raise FileError(
+                f"cannot read {path} as {form}: {what}: it was changed by other hands, or trabecula has a defect; make it "
+                "again, and report this where that does not help"
+            ) from error
+        raise FileError(
+            f"cannot read {path} as {form}: {library} fails on it ({what}); try another version of {library.split()[0]}, "
+            "or save the file again in another format"
+        ) from error
     except _DAMAGE + also as error:
         raise FileError(f"cannot read {path} as {form}: {_reason(error)}: is it whole?") from error
+
+
+def library_of(error: BaseException) -> str | None:
+    """Return the library that raised an error, with its version; None where our own code did.
+
+    The innermost frame decides. Frames of the standard library are passed over: it does what its caller asks.
+    """
+    packages = [
+        str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        for frame, _ in traceback.walk_tb(error.__traceback__)
+    ]
+    package = next((name for name in reversed(packages) if name not in sys.stdlib_module_names), _OURS)
+    if package == _OURS:
+        return None
+    version = getattr(sys.modules.get(package), "__version__", None)
+    return f"{package} {version}" if version else package
 
 
 def _reason(error: Exception) -> str:

@@ -75,7 +75,17 @@ def checked(fields: Any) -> dict[str, Any]:
         raise ValueError("its metadata are damaged")
     if fields["kind"] not in KINDS or not all(isinstance(step, dict) and "verb" in step for step in fields["recipe"]):
         raise ValueError("its metadata are damaged")
+    if not all(isinstance(name, str) for name in fields["phases"]):
+        raise ValueError("its metadata are damaged")
+    if not all(type(edge) in (int, float) for edge in fields["spacing"]):
+        raise ValueError("its metadata are damaged")
+    if not _whole_numbers(fields.get("levels", [])) or not _whole_numbers(fields.get("shape", [])):
+        raise ValueError("its metadata are damaged")
     return fields
+
+
+def _whole_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(type(number) is int and number >= 0 for number in value)
 
 
 def spread(image: Image) -> tuple[np.ndarray, list[int] | None]:

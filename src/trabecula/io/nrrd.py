@@ -16,6 +16,32 @@ from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
 _TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
+_NAMES = {  # as the format's definition lists them, NRRD 5, section 5
+    "int8": ("signed char", "int8", "int8_t"),
+    "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
+    "int16": ("short", "short int", "signed short", "signed short int", "int16", "int16_t"),
+    "uint16": ("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"),
+    "int32": ("int", "signed int", "int32", "int32_t"),
+    "uint32": ("uint", "unsigned int", "uint32", "uint32_t"),
+    "int64": (
+        "longlong",
+        "long long",
+        "long long int",
+        "signed long long",
+        "signed long long int",
+        "int64",
+        "int64_t",
+    ),
+    "uint64": (
+        "ulonglong",
+        "unsigned long long",
+        "unsigned long long int",
+        "uint64",
+        "uint64_t",
+    ),
+    "float32": ("float",),
+    "float64": ("double",),
+}
 _COLOUR = ("RGB-color", "3-color")
 _NOT_SPACE = (
     *_COLOUR,
@@ -58,7 +84,7 @@ def read(path: Path) -> Content:
     with damaged(path, "NRRD", also=(nrrd.NRRDError, StopIteration)), path.open("rb") as file:
         header = nrrd.read_header(file)
         shape = tuple(reversed([int(side) for side in header["sizes"]]))
-        dtype = nrrd.reader._determine_datatype(header)
+        dtype = _dtype(header["type"])
         detached = "data file" in header or "datafile" in header
         shrinks = None if detached else {"raw": 1, "gzip": DEFLATE, "gz": DEFLATE}.get(header["encoding"])
         check_claim(path, shape, dtype, stored=shrinks and (path.stat().st_size - file.tell()) * shrinks)
@@ -71,6 +97,11 @@ def read(path: Path) -> Content:
             )
         spacing, unit = _calibration(header, kinds)
         return Content(values, colour=colour, spacing=spacing, unit=unit, fields=decode(header.get(KEY)))
+
+
+def _dtype(name: str) -> np.dtype:
+    """Return the dtype of a type's name in a header, in this machine's byte order."""
+    return np.dtype(next(dtype for dtype, names in _NAMES.items() if name in names))
 
 
 def _calibration(header: dict[str, Any], kinds: list[str]) -> tuple[tuple[float, ...] | None, str | None]:

@@ -6,6 +6,7 @@ else OME-TIFF, else plain pages. Our own JSON lies in a private tag of the first
 
 from __future__ import annotations
 
+import inspect
 import logging
 import struct
 import xml.etree.ElementTree as ElementTree
@@ -31,7 +32,10 @@ _IMAGEJ = ("uint8", "uint16", "float32")
 _OME = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32", "float64")
 _PLAIN = (*_OME, "uint64", "int64", "float16")
 _CLASSIC_ROOM = 2**32 - 2**25  # offsets of classic TIFF have 32 bits; leave room for the directories
-_DECODED = ("NONE", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "LZMA")  # by tifffile alone; the rest goes through Pillow
+# Codes of compression and of what a page's numbers mean, as the format defines them.
+_NONE, _ADOBE_DEFLATE, _DEFLATE, _PACKBITS, _LZMA = 1, 8, 32946, 32773, 34925
+_DECODED = (_NONE, _ADOBE_DEFLATE, _DEFLATE, _PACKBITS, _LZMA)  # by tifffile alone; the rest goes through Pillow
+_WHITE_IS_ZERO, _PALETTE = 0, 3
 
 # tifffile tells what it stumbles over to a logger; here it becomes one error, so a terminal need not show both.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
@@ -48,9 +52,7 @@ def write(image: Image, path: Path) -> Path:
         tifffile.TiffWriter(
             temporary,
             bigtiff=image.values.nbytes > _CLASSIC_ROOM,
-            imagej=flavour == "imagej",
-            ome=flavour == "ome",
-            shaped=flavour == "plain",
+            **_writer_options(flavour),
         ) as tiff,
     ):
         values = np.ascontiguousarray(image.values)
@@ -68,6 +70,15 @@ def write(image: Image, path: Path) -> Path:
             extratags=[(TAG, "s", 0, encode(image), True)],
         )
     return path
+
+
+def _writer_options(flavour: str) -> dict[str, Any]:
+    """Return the options of `TiffWriter` for a flavour: `kind` since tifffile 2026.5, three booleans before."""
+    import tifffile
+
+    if "kind" in inspect.signature(tifffile.TiffWriter).parameters:
+        return {"kind": "shaped" if flavour == "plain" else flavour}
+    return {"imagej": flavour == "imagej", "ome": flavour == "ome", "shaped": flavour == "plain"}
 
 
 def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
@@ -104,20 +115,18 @@ def read(path: Path) -> Content:
     """Read a TIFF (see `trabecula.io.files.read`)."""
     import tifffile
 
-    with damaged(path, "TIFF"), tifffile.TiffFile(path, _multifile=False) as tiff:
+    with damaged(path, "TIFF", also=(tifffile.TiffFileError,)), tifffile.TiffFile(path) as tiff:
         _check_directories(tiff)
         series = _only_series(tiff)
         page: Any = tiff.pages.first
-        shrinks = {"NONE": 1, "ADOBE_DEFLATE": DEFLATE, "DEFLATE": DEFLATE}.get(page.compression.name)
+        _check_codes(page)
+        shrinks = {_NONE: 1, _ADOBE_DEFLATE: DEFLATE, _DEFLATE: DEFLATE}.get(page.compression)
         check_claim(path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks)
-        native = page.compression.name in _DECODED
-        values = (
-            series.asarray(squeeze=False, maxworkers=thread_count())
-            if native
-            else _by_pillow(path, tiff, series.get_shape(squeeze=False))
-        )
-        values = _stacked(values, series.get_axes(squeeze=False), path)
-        values, colour = _meant(values, page, tiff.is_imagej, inverted=native and page.photometric.name == "MINISWHITE")
+        native = page.compression in _DECODED
+        values = series.asarray(maxworkers=thread_count()) if native else _by_pillow(path, tiff)
+        # Versions of tifffile differ in which axes of one voxel they leave out; shape and axes of a series agree in each.
+        values = _stacked(values.reshape(series.shape), series.axes, path)
+        values, colour = _meant(values, page, tiff.is_imagej, inverted=native and page.photometric == _WHITE_IS_ZERO)
         tag = page.tags.get(TAG)
         fields = decode(tag.value if tag else None)
         if fields is not None and len(fields["spacing"]) == 3 and values.ndim - colour == 2:
@@ -125,6 +134,13 @@ def read(path: Path) -> Content:
         return Content(
             values, colour=colour, fields=fields, **_calibration(tiff, page, ndim=values.ndim - colour)._asdict()
         )
+
+
+def _check_codes(page: Any) -> None:
+    """Raise where a tag that should be one number is none, as tifffile then gives it."""
+    for name in ("compression", "photometric", "samplesperpixel"):
+        if not isinstance(getattr(page, name), int):
+            raise ValueError(f"its {name} is {getattr(page, name)}, which should be one number")
 
 
 def _check_directories(tiff: Any) -> None:
@@ -165,7 +181,9 @@ def _only_series(tiff: Any) -> Any:
     series = tiff.series[0]
     if len(tiff.series) > 1:
         raise InputError(f"{tiff.filename} holds {len(tiff.series)} unlike stacks: save the one you mean alone")
-    for page in series.pages:
+    if series.is_multifile:
+        raise InputError(f"{tiff.filename} is one of several files that hold the volume together: save it as one file")
+    for page in series:
         if page is None:
             raise ValueError("pages that its metadata name are missing")
         # A count of bytes is asked for in one piece, however little of it the file has.
@@ -173,11 +191,11 @@ def _only_series(tiff: Any) -> Any:
             raise ValueError("voxels of a page lie beyond its end")
     images = (tiff.imagej_metadata or {}).get("images", 1) if tiff.is_imagej else 1
     if images * tiff.pages.first.size > series.size:
-        raise ValueError(f"its metadata name {images} pages, {len(series.pages)} are there")
+        raise ValueError(f"its metadata name {images} pages, {len(series)} are there")
     return series
 
 
-def _by_pillow(path: Path, tiff: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _by_pillow(path: Path, tiff: Any) -> np.ndarray:
     """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow brings libtiff."""
     from trabecula.io.raster import opened
 
@@ -186,7 +204,7 @@ def _by_pillow(path: Path, tiff: Any, shape: tuple[int, ...]) -> np.ndarray:
         for index in range(len(tiff.pages)):
             picture.seek(index)
             pages.append(np.asarray(picture))
-    return np.stack(pages).reshape(shape)
+    return np.stack(pages)
 
 
 def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
@@ -211,7 +229,9 @@ def _meant(values: np.ndarray, page: Any, imagej: bool, *, inverted: bool) -> tu
         values = without_alpha(values)
     elif samples not in (1, 3):
         raise InputError(f"the file has {samples} channels a pixel: save grey or red, green, blue")
-    if page.photometric.name == "PALETTE" and not imagej:
+    if page.photometric == _PALETTE and not imagej:
+        if page.colormap is None:
+            raise ValueError("its numbers stand for colours of a palette that it does not hold")
         return from_palette(values, (page.colormap.T >> 8).astype(np.uint8))
     if inverted and values.dtype.kind in "bu":
         values = ~values
@@ -249,7 +269,7 @@ def _by_imagej(spacing: tuple[float, ...], unit: str | None) -> Calibration:
 
 
 def _edge(resolution: Any) -> float | None:
-    if resolution is None:
+    if resolution is None or not isinstance(resolution.value, tuple):
         return None
     voxels, units = resolution.value
     return units / voxels if voxels and units else None

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.brief import brief
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
@@ -38,6 +39,8 @@ class Fabric:
     """(ndim, ndim): row k is the unit vector (z, y, x) of length k."""
     anisotropy: float
     """1 - smallest / largest eigenvalue of the tensor: 0 for no preferred direction, 1 for layers or straight fibres."""
+
+    __repr__ = brief
 
 
 def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabric:

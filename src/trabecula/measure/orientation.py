@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.brief import brief
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
@@ -34,6 +35,8 @@ class Orientation:
     """(..., ndim): unit vector in the middle of every bin, in the order of the axes, (y, x) or (z, y, x)."""
     coherence: float
     """Mean weight of a voxel, 0..1: 0 no orientation anywhere, 1 perfect stripes or fibres."""
+
+    __repr__ = brief
 
 
 def structure_tensor(image: Image | ArrayLike, *, sigma: float = 1.0, window: float = 2.0) -> np.ndarray:

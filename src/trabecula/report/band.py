@@ -28,6 +28,9 @@ LEAST_PART = 24
 LEAST_COUNT = 4
 """Fewer parts know no spread."""
 
+LONG_RANGE = 6
+"""An exemplar shorter than this many correlation lengths holds too little of its material to judge by."""
+
 CONFIDENCE = 0.99
 """Share of other samples of the material that lie inside the band of one figure. Some forty figures are judged, many of them
 kin to each other: at 0.95 every second sample of the very same material would fail somewhere."""

@@ -9,13 +9,8 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.report.band import LEAST_PART
+from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE
 from trabecula.report.stationarity import Stationarity
-
-LONG_RANGE = 6
-"""Correlation lengths that the shortest side has to have for an exemplar to hold what is typical of its material."""
-FEWEST_PARTS = 4
-"""Parts of an exemplar from which the spread of real material can be told at all."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +76,7 @@ def decidable(image: Image, lengths: Sequence[float], stationarity: Stationarity
 
 def _limits(image: Image, lengths: Sequence[float], stationarity: Stationarity, parts: int) -> list[str]:
     found = []
-    if parts < FEWEST_PARTS:
+    if parts < LEAST_COUNT:
         found.append(f"how much real material differs from itself: {parts} parts are too few to tell")
     sizes = [side / length if length > 0 else np.inf for side, length in zip(image.shape, lengths, strict=True)]
     short = ["zyx"[n + 3 - image.ndim] for n, size in enumerate(sizes) if size < LONG_RANGE]
@@ -93,7 +88,9 @@ def _limits(image: Image, lengths: Sequence[float], stationarity: Stationarity, 
         found.append("whether the scan is the same all over: too few independent windows")
     elif not stationarity.stationary:
         field = "" if image.ndim == 2 else ", or make it with a target field"
-        found.append(f"evenness: the scan has a trend itself, which widens the bands; crop an even part{field}")
+        found.append(
+            f"a pass: the scan has a trend itself, so that it is no sample of one material; crop an even part{field}"
+        )
     if image.ndim == 2:
         found.append("what no slice shows: whether components are joined in space, transport, stiffness")
     return found

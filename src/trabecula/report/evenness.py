@@ -46,9 +46,6 @@ LEAST_FREEDOM = 4.0
 SLOWEST = 0.3
 """Least exponent that is believed: two window sizes of one scan do not know it well."""
 
-STATIONARY = 0.9995
-"""One-sided confidence from which a trend of the exemplar itself is no chance."""
-
 
 @dataclass(frozen=True)
 class Windows:
@@ -164,12 +161,6 @@ def evenness_bands(
                     far = max(abs(value), limits[axis])
                     bands[f"{what}_trend_{axis}{suffix}"] = (-far, far)
     return bands
-
-
-def find_trends(exemplar: Evenness) -> dict[str, float]:
-    """Return the trends of the local fraction that no material without long waves would have by chance, by axis."""
-    limits = _trend_limits(exemplar, exemplar.extents, exemplar.fraction[-1], STATIONARY, 1.0)
-    return {axis: value for axis, value in exemplar.trend.items() if axis in limits and abs(value) > limits[axis]}
 
 
 def scaling_exponent(exemplar: Evenness) -> float:

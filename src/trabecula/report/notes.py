@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.exemplar.margins import margin_note
 from trabecula.measure.physics import physics_notes
 from trabecula.report.band import CONFIDENCE
 from trabecula.report.evenness import windows_note
@@ -20,9 +21,8 @@ def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Itera
     exemplar = reference.exemplar
     if reference.parts:
         yield (
-            f"Bands come from {len(reference.parts)} parts of {_size(reference.parts[0])} voxels, extrapolated to the image's "
-            "size: "
-            f"{CONFIDENCE:.0%} of other samples of the material lie inside each."
+            f"Bands come from {len(reference.parts)} parts of {_size(reference.parts[0])} voxels, extrapolated to the size of "
+            f"the image: {CONFIDENCE:.0%} of other samples of the material lie inside each."
         )
     if reference.own.evenness:
         yield windows_note(reference.own.evenness, exemplar.unit)
@@ -31,17 +31,9 @@ def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Itera
             f"Transport and stiffness of the parts are those of boxes of at most {_size(reference.parts[0])} voxels: cut "
             "struts bear nothing, so the band of stiffness lies low."
         )
-    bare = [
-        f"{end} {axis}"
-        for n, axis in enumerate("zyx"[3 - exemplar.ndim :])
-        for end, at in (("first", 0), ("last", -1))
-        if np.ptp(exemplar.values.take(at, axis=n)) == 0
-    ]
-    if bare:
-        yield (
-            f"The outermost slices of {what[0].lower()}{what[1:]} hold one phase alone ({', '.join(bare)}): a margin of the "
-            "scan? Crop them, or they count as material and hide percolation."
-        )
+    margin = margin_note(exemplar)
+    if margin:
+        yield f"{what}: {margin}"
 
 
 def image_notes(exemplar: Image, image: Image, metrics: Mapping[str, Metric], measured: Measured) -> Iterable[str]:

@@ -55,4 +55,9 @@ def _of_step(step: Mapping[str, Any], image: Image) -> dict[str, str]:
             if image.kind == "grey"
             else "three channels"
         )
-    return found | dict.fromkeys((name for name in step.get("options", {}) if name in FIELDS), "given")
+    if "spacing_from" in step:
+        found |= dict.fromkeys(("spacing", "unit"), step["spacing_from"])
+    found |= dict.fromkeys((name for name in step.get("options", {}) if name in FIELDS), "given")
+    if "ignored" in step:
+        found["spacing"] = f"{found.get('spacing', _unknown(image, 'spacing'))} (ignored: {step['ignored']})"
+    return found

@@ -7,15 +7,13 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from trabecula.measure.correlation import decay_length
-from trabecula.report.band import LEAST_COUNT, LEAST_PART
-from trabecula.report.evenness import find_trends
+from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE
 from trabecula.report.metric import Metric
 from trabecula.report.reference import Reference
+from trabecula.report.stationarity import find_trends
+from trabecula.report.structure import structure_of
 
-LONG_RANGE = 6
-"""An exemplar shorter than this many correlation lengths holds too little of its material to judge by."""
-
-_ALONG = {"z": "along z", "y": "along y", "x": "along x", "centre": "from its faces to its centre"}
+_ALONG = {"z": "along z", "y": "along y", "x": "along x", "centre to rim": "from its centre to its rim"}
 
 
 def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Iterator[str]:
@@ -34,12 +32,13 @@ def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Ite
         if shortest < LONG_RANGE * length:
             reach = f"over {length:.0f} voxels" if np.isfinite(length) else "further than the curves run"
             yield f"{what} is correlated {reach} and only {shortest:.0f} wide: it may be no typical piece of its material"
-    for suffix, own in reference.own.evenness.items():
-        name = f"fraction of {suffix[1:]}" if suffix else ("density" if exemplar.kind == "labels" else "mean value")
-        for axis, change in find_trends(own).items():
+    named = exemplar.kind != "labels" or "void" in exemplar.phases
+    for trend in find_trends(exemplar, structure_of(exemplar).lengths).trends if named else ():
+        if trend.found:
+            what_changes = "fraction of solid" if exemplar.kind == "labels" else "mean value"
             yield (
-                f"{what} is not stationary, its {name} changes by {change:+.2g} {_ALONG[axis]}: one part of it is no "
-                "sample of another, and neither is a homogeneous result (crop it, or give the trend as a --target)"
+                f"{what} is not stationary, its {what_changes} runs from {trend.start:.3g} to {trend.end:.3g} "
+                f"{_ALONG[trend.name]}: one part of it is no sample of another (crop it, or give the trend as a --target)"
             )
 
 

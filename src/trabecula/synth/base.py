@@ -21,7 +21,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.engine.plan import Plan, check_budget
 from trabecula.measure.margins import margin_note
 from trabecula.synth.facts import Facts, blank
-from trabecula.synth.model import Model, as_request
+from trabecula.synth.model import Model, as_request, changed_settings
 from trabecula.synth.spec import Spec
 
 __all__ = ["Method", "Model", "Spec", "as_exemplars", "as_request"]
@@ -35,6 +35,9 @@ class Method(ABC):
 
     def __init__(self, config: Any) -> None:
         self.config = config
+
+    def __repr__(self) -> str:
+        return f"<Method {self.spec.name}: {changed_settings(self.config)}>"
 
     @classmethod
     def configured(cls, /, *, preset: str | None = None, **settings: Any) -> Method:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.checks import as_shape, as_spacing, check_name
-from trabecula.core.image import KINDS, Image, default_phases
+from trabecula.core.image import KINDS, Image, default_phases, outline
 from trabecula.core.recipe import Recipe
 
 
@@ -34,6 +34,10 @@ class Facts:
     phases: tuple[str, ...]
     shares: tuple[float, ...]
     recipe: Recipe
+
+    def __repr__(self) -> str:
+        made = outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
+        return made.replace("<Image", "<Facts of an image", 1) if self.shape else "<Facts: no exemplar>"
 
     @property
     def ndim(self) -> int:

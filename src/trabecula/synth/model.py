@@ -9,7 +9,7 @@ import hashlib
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.core.checks import as_seed
 from trabecula.core.errors import InputError, RequestError
-from trabecula.core.image import Image
+from trabecula.core.image import Image, outline
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
@@ -54,6 +54,12 @@ class Model(ABC):
         self.config = config
         self.facts = tuple(facts_of(exemplar) for exemplar in exemplars)
         self.exemplars = () if self.spec.learns else tuple(one for one in exemplars if isinstance(one, Image))
+
+    def __repr__(self) -> str:
+        name = f" {self.name!r}" if self.name else ""
+        seen = [outline(one.shape, one.kind, one.spacing, one.unit, one.phases) for one in self.facts if not one.blank]
+        of = f" of {seen[0][1:-1]}{f' and {len(seen) - 1} more' if seen[1:] else ''}" if seen else ""
+        return f"<Model{name}: {self.spec.name}{of}; {changed_settings(self.config)}>"
 
     def learned(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
         """Arrays and plain JSON from which `Method.restored` makes the same model, of a method that `learns`."""
@@ -256,3 +262,10 @@ def as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
             raise InputError("give a Request, or shape, seed and parts, not both")
         return shape
     return Request(shape, seed=0 if seed is None else as_seed(seed), **parts)
+
+
+def changed_settings(config: Any) -> str:
+    """Return the settings that differ from a method's defaults, as NAME=VALUE."""
+    usual = type(config)()
+    changed = [one.name for one in fields(config) if getattr(config, one.name) != getattr(usual, one.name)]
+    return ", ".join(f"{name}={getattr(config, name)!r}" for name in changed) or "default settings"

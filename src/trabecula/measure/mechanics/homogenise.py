@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.brief import brief
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
@@ -52,6 +53,8 @@ class Stiffness:
     halving: float | None = None
     """Relative change of the mean diagonal where every voxel of a centre box is split in eight (with the same
     materials); None unless asked for."""
+
+    __repr__ = brief
 
 
 def stiffness(

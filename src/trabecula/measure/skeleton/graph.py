@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.brief import brief
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.measure.phases import indicator
@@ -50,6 +51,8 @@ class SkeletonGraph:
     """(V,) the joint that each of them belongs to."""
     spacing: tuple[float, ...]
     unit: str
+
+    __repr__ = brief
 
     @property
     def branches(self) -> int:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trabecula.core.brief import brief
+
 
 @dataclass(frozen=True)
 class Effective:
@@ -37,6 +39,8 @@ class Effective:
     iterations: int
     fraction: float
     halving: float | None = None
+
+    __repr__ = brief
 
 
 def not_percolating(fraction: float) -> Effective:
