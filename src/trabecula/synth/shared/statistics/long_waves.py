@@ -11,7 +11,7 @@ Sums are whole numbers and their variances are added plane by plane, so threads 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,16 +88,12 @@ def long_waves_of(fields: Sequence[np.ndarray], level: int, *, softness: float) 
     widths = _widths(shortest, level)
     variances, bands = (np.zeros((len(fields[0]), len(widths))) for _ in range(2))
     for c in range(len(fields[0])):
-        soft = [_soft(field[c].astype(np.float32), softness) / _FINE for field in fields]
-        mean = sum(float(part.sum()) for part in soft) / sum(part.size for part in soft)
+        channels, counts = [field[c] for field in fields], sum(field[c].size for field in fields)
+        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (_FINE * counts)
         for n, width in enumerate(widths):
-            means = [_box_means(part, width) for part in soft]
-            variances[c, n] = _square(part - mean for part in means)
-            if n + 1 == len(widths):
-                bands[c, n] = variances[c, n]
-            else:
-                wider = [_box_means(part, widths[n + 1]) for part in soft]
-                bands[c, n] = _square(_middle(a, b.shape) - b for a, b in zip(means, wider, strict=True))
+            wider = widths[n + 1] if n + 1 < len(widths) else None
+            found = np.sum([_squares_of(channel, softness, width, wider, mean) for channel in channels], axis=0)
+            variances[c, n], bands[c, n] = found[0] / found[1], found[2] / found[3]
     return LongWaves(widths, variances, bands, softness)
 
 
@@ -160,31 +156,35 @@ def _soft(values: np.ndarray, softness: float) -> np.ndarray:
     return np.rint(np.clip(soft, 0, _FINE, out=soft), out=soft).astype(np.int32)
 
 
-def _box_means(values: np.ndarray, width: int) -> np.ndarray:
-    """Means over all windows that lie within, (Z - width + 1, ...)."""
-    for axis in range(3):
-        sums = np.cumsum(values, axis=axis, dtype=np.float64)
-        sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
-        places = np.arange(sums.shape[axis] - width)
-        values = (sums.take(places + width, axis) - sums.take(places, axis)) / width
-    return values
+def _table(softness: float) -> np.ndarray:
+    """The soft indicator (256,) int32 of every byte of a field."""
+    return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
 
 
-def _middle(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    begins = [(have - want) // 2 for have, want in zip(values.shape, shape, strict=True)]
-    return values[tuple(slice(begin, begin + want) for begin, want in zip(begins, shape, strict=True))]
+def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
+    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing, and that of everything."""
+    table = _table(softness)
+    return summed(lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False))
 
 
-def _square(parts: Iterable[np.ndarray]) -> float:
-    sizes = [(float((part**2).sum()), part.size) for part in parts]
-    return sum(total for total, _ in sizes) / sum(size for _, size in sizes)
+def _squares_of(
+    channel: np.ndarray, softness: float, width: int, wider: int | None, mean: float
+) -> tuple[float, int, float, int]:
+    """The sum of squares over all windows of a width, and their number; then of the band that ends with a wider one."""
+    narrow, _ = _summed_soft(channel, softness, width)
+    alone = _Band(narrow, None, 1 / (_FINE * width**3), 1.0, mean).squares_within(width)
+    if wider is None:
+        return *alone, *alone
+    wide, _ = _summed_soft(channel, softness, wider)
+    band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
+    return *alone, *band.squares_within(wider)
 
 
 def _adjust(
     votes: np.ndarray, field: np.ndarray, waves: LongWaves, bands: np.ndarray, wraps: tuple[bool, bool, bool]
 ) -> bool:
     """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was anything to shift."""
-    table = _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), waves.softness)
+    table = _table(waves.softness)
 
     def soft(z: int) -> np.ndarray:
         return np.asarray(table[field[z].view(np.uint8)])
@@ -255,6 +255,7 @@ class _Band:
         return (self.narrow[z] * self.scale - self.wide[z] * self.wider_scale).astype(np.float32)
 
     def variance(self) -> float:
+        """Return the mean square over everything."""
         squares = np.zeros(len(self.narrow))
 
         def work(start: int, stop: int) -> None:
@@ -264,7 +265,16 @@ class _Band:
         for_slabs(work, len(squares))
         return math.fsum(squares.tolist()) / self.narrow.size
 
+    def squares_within(self, width: int) -> tuple[float, int]:
+        """Return the sum of squares over windows of an odd width that lie within the volume, and their number."""
+        low, sides = width // 2, self.narrow.shape
+        inner = tuple(slice(low, side - low) for side in sides[1:])
+        squares = [float((self.plane(z)[inner].astype(np.float64) ** 2).sum()) for z in range(low, sides[0] - low)]
+        return math.fsum(squares), math.prod(side - 2 * low for side in sides)
+
     def add(self, shift: np.ndarray, factor: np.float32) -> None:
+        """Add the band, times a factor, to (Z, Y, X) float32."""
+
         def work(start: int, stop: int) -> None:
             for z in range(start, stop):
                 shift[z] += self.plane(z) * factor
