@@ -28,6 +28,7 @@ _LARGEST = 256  # voxels: sums over wider windows would leave 32 bits
 _LEAST = 3
 _FINE = 64  # of a soft indicator, in whole numbers
 _SLACK = 0.1  # a spread that falls short of the exemplar's by less is left alone
+_ENOUGH = 0.05  # nor is one that exceeds it by less, which saves most second rounds
 _HASTE = 3.0  # a wave little longer than its window passes it weakly, and is shifted back weakly
 _MOST = 0.5  # of the soft step, by which an interface is shifted at once
 _ROUNDS = 2
@@ -105,8 +106,8 @@ def adjust_long_waves(
 ) -> None:
     """Shift the interfaces of votes until the spread of every band is the exemplars', in place.
 
-    A band whose spread falls short by less than a tenth is left as it is. Windows wider than half of the shortest side are
-    not looked at.
+    A band whose spread falls short by less than a tenth, or exceeds by less than a twentieth, is left as it is. Windows wider
+    than half of the shortest side are not looked at.
 
     Parameters
     ----------
@@ -233,6 +234,8 @@ def _gain(wanted: float, found: float) -> float:
     if found <= 0:
         return 0.0
     excess = 1 - math.sqrt(wanted / found)
+    if 0 < excess < _ENOUGH:
+        return 0.0
     if excess < 0:
         excess = min(0.0, 1 - math.sqrt(wanted / found) * (1 - _SLACK))
     return min(max(_HASTE * excess, -1.0), 1.0)
