@@ -24,10 +24,10 @@ NARROW = {"width": 4, "batch": 4, "latent": 16}
 
 
 def exemplar(name: str) -> tb.Image | None:
-    """The scan that a shipped model was learnt from, where it is here."""
+    """The scan that a shipped model was learnt from, without its blank margins, where it is here."""
     scan = LEARNT_FROM.get(name, "")
     file, edge, unit = {**LABELS, **GREY}.get(scan, ("", 1.0, "voxel"))
-    return tb.read(SCANS / file, spacing=edge, unit=unit) if file and SCANS.is_dir() else None
+    return tb.crop_margins(tb.read(SCANS / file, spacing=edge, unit=unit)) if file and SCANS.is_dir() else None
 
 
 def models() -> None:

@@ -20,6 +20,7 @@ import bubbles
 import bubbles_figures
 import bubbles_fit
 import certificate_fakes
+import evenness
 import gan
 import gan_ablation
 import graded
@@ -69,6 +70,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_novelty": texture.novelty,
     "texture_repeat": texture.repeat,
     "texture_energy": texture.energy,
+    "evenness": evenness.evenness_table,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
     "gan_models": gan.models,

@@ -16,13 +16,13 @@ from trabecula.synth.shared.matching.grid import Grid, nearest_matches
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
+from trabecula.synth.shared.windows import sums
 from trabecula.synth.texture.energy import energy, mismatch, total
 from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
 from trabecula.synth.texture.grading import leaning_grid, settled
 from trabecula.synth.texture.method import Texture
 from trabecula.synth.texture.poisson import solve_votes
 from trabecula.synth.texture.shares import evened, shares_by_level, shares_of
-from trabecula.synth.texture.windows import sums
 
 CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 

@@ -11,10 +11,10 @@ from trabecula.core.recipe import digest
 from trabecula.engine import tiles
 from trabecula.errors import RequestError
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.windows import sums
 from trabecula.synth.texture.grading import Leaning, settled
 from trabecula.synth.texture.method import Texture
 from trabecula.synth.texture.shares import carried_over
-from trabecula.synth.texture.windows import sums
 
 SHAPE = (72, 36, 36)
 

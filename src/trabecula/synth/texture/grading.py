@@ -19,8 +19,8 @@ from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, with_guide
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.shared.windows import summed, summed_again, sums
 from trabecula.synth.texture.shares import share_in
-from trabecula.synth.texture.windows import summed, summed_again, sums
 
 _WINDOW, _LEAST = 24, 6  # voxels a side in which a share is taken: of the finest level, and of any at least
 _WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar

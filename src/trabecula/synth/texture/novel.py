@@ -1,14 +1,15 @@
 """New material rather than moved pieces: what `novelty` above 0 does instead of search from random patches.
 
 The coarsest level is laid out by sliced rounds, which copy nothing; then a few rounds of search and vote with narrow
-neighbourhoods make interfaces those of the exemplar, and after each a step on the two-point function keeps what narrow
-neighbourhoods forget. All of it on a torus, so that no place is special: an axis that is not to repeat is cut to its length.
+neighbourhoods make interfaces those of the exemplar. After each a step on the two-point function keeps what narrow
+neighbourhoods forget, and a step on long waves keeps the material as even as the exemplar. All of it on a torus, so that no
+place is special: an axis that is not to repeat is cut to its length.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import State, offer, resumed
+from trabecula.engine.tiles import thread_count
+from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import refined, rematched, robust_weights, voted
@@ -23,6 +26,12 @@ from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.statistics import correlate
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, correlations_at, owed
+from trabecula.synth.shared.statistics.long_waves import (
+    adjust_long_waves,
+    adjusting_bytes,
+    adjusting_slab_bytes,
+    long_waves_of,
+)
 from trabecula.synth.shared.statistics.moved import round_bytes
 from trabecula.synth.shared.statistics.sliced import sliced_round
 from trabecula.synth.shared.statistics.slices import Slices, slices_of
@@ -113,6 +122,8 @@ def aims_of(
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
     correlations = correlations_at(fields, level, edges=edges, clip=config.clip)
+    waves = long_waves_of(fields, level, softness=correlations.softness)
+    correlations = replace(correlations, waves=waves)
     made = [
         Candidates.of(stack, width=p.width, step=p.step, variance=config.variance, most=config.components)
         for p in schedule
@@ -165,14 +176,16 @@ def made_new(
 
 
 def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
-    """Memory of a step on the two-point function on the finest level, beside the field and its votes."""
-    return correlate.step_bytes(domain(request.shape, request.periodic, 0, top), correlations, request.periodic)
+    """Memory of a step on the two-point function on the finest level, or on long waves, beside the field and its votes."""
+    shape = domain(request.shape, request.periodic, 0, top)
+    return max(correlate.step_bytes(shape, correlations, request.periodic), adjusting_bytes(shape))
 
 
 def slab_bytes(correlations: Correlations, slices: Slices, request: Request, top: int) -> int:
     """Memory of what `made_new` does to the field where arrays lie in scratch files, beside search and vote."""
     shape = domain(request.shape, request.periodic, 0, top)
-    return max(correlate.step_slab_bytes(shape, correlations, request.periodic), round_bytes(slices))
+    adjusting = thread_count() * adjusting_slab_bytes(shape)
+    return max(correlate.step_slab_bytes(shape, correlations, request.periodic), adjusting, round_bytes(slices))
 
 
 def _resumed(count: int) -> tuple[int, State | None]:
@@ -197,9 +210,18 @@ def _laid_out(aims: Aims, slices: Slices, region: Region, seed: int) -> np.ndarr
         votes = sliced_round(votes, slices, key=stage, number=number, strength=_STRENGTH)
         if (number + 1) % _STEP_EVERY == 0:
             votes = corrected(rematched(region, votes, histograms), aims.correlations, periodic=_AROUND)
+            _hold_waves(votes, aims.correlations, region, histograms)
             votes = votes_of(rematched(region, votes, histograms))
         offer(_LAYOUT, number + 1, votes=votes)
     return rematched(region, votes, None)  # a step was the last: these are votes of a field
+
+
+def _hold_waves(
+    votes: np.ndarray, target: Correlations, region: Region, histograms: tuple[Histogram, ...] | None
+) -> None:
+    """Bring the long waves of votes to the exemplars', in place."""
+    assert target.waves is not None  # `aims_of` learns them
+    adjust_long_waves(votes, target.waves, lambda made: rematched(region, made, histograms))
 
 
 @dataclass
@@ -238,9 +260,12 @@ class _Run:
         aim = self.debt
         if aim is not None and round_ == p.rounds - 1:
             aim = aim * p.beyond
-        for _ in range(p.steps):
+        for step in range(p.steps):
             self.votes = None
             self.votes = corrected(self.field, target, debt=aim, periodic=periodic)
+            if step == p.steps - 1:
+                del self.field
+                _hold_waves(self.votes, target, grid.region, grid.targets)
             self.field = rematched(grid.region, self.votes, grid.targets)
 
     def _vote(self, grid: Grid, p: Pass, number: int, round_: int, seed: int, config: TextureConfig) -> None:

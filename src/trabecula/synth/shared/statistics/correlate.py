@@ -24,6 +24,7 @@ import numpy as np
 from trabecula.engine.tiles import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.statistics.bands import bands, best_length, least_squares
+from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.soft import Soft
 from trabecula.synth.shared.votes import UNIT, votes_of
@@ -40,13 +41,14 @@ class Correlations:
     nearest to z, then to y, then to x.
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel; `held` (bool) says
-    for which of them the exemplars hold any pairs.
+    for which of them the exemplars hold any pairs. With `waves` the steps leave waves longer than their smallest window alone.
     """
 
     curves: np.ndarray
     softness: float
     edges: tuple[float, ...]
     held: np.ndarray
+    waves: LongWaves | None = None
 
     @property
     def r_max(self) -> int:
@@ -222,10 +224,11 @@ def _step(
     excess = pairs.curve(spectrum, spectrum) - aim
     centred = around.forward(partial(soft.centred, mean))
 
+    shortest = target.waves.widths[0] if target.waves is not None and target.waves.widths else 0
     pushes, changes = bands(excess * weights), []
     for push in pushes:
         # Nobody holds on to a direction: each is as large as the field.
-        change = pairs.forward(_direction(push, soft, moving, centred, around).plane)
+        change = pairs.forward(_direction(push, soft, moving, centred, around, shortest).plane)
         changes.append(2 * pairs.curve(spectrum, change))
         del change
     if not pushes:
@@ -234,15 +237,17 @@ def _step(
     push = np.sum([share * push for share, push in zip(shares, pushes, strict=True)], axis=0)
     change = np.sum([share * change for share, change in zip(shares, changes, strict=True)], axis=0)
     del spectrum
-    direction = _direction(push, soft, moving, centred, around)
+    direction = _direction(push, soft, moving, centred, around, shortest)
     del centred  # the peak is ahead
     spectra = pairs.forward(direction.plane)
     return direction, np.float32(best_length(excess, change, pairs.curve(spectra, spectra), weights))
 
 
-def _direction(push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs) -> _Direction:
+def _direction(
+    push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs, shorter_than: int
+) -> _Direction:
     """What lowers the two-point function where it is pushed, on the interface of `moving` voxels."""
-    slope = around.convolved(centred, push / np.maximum(around.fits, 1))
+    slope = around.convolved(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
     sums = np.zeros(len(slope))
 
     def work(start: int, stop: int) -> None:

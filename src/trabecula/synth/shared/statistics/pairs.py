@@ -143,20 +143,26 @@ class Pairs:
         """The mean product of two fields over all pairs of each bin, from their transforms: (bins,) float64."""
         return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
 
-    def convolved(self, spectrum: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def convolved(self, spectrum: np.ndarray, weights: np.ndarray, *, shorter_than: int = 0) -> np.ndarray:
         """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X) float32.
 
-        Every axis has to wrap.
+        Every axis has to wrap. With `shorter_than` its waves longer than about twice so many voxels are left out: less
+        its mean, twice over, of boxes of that width.
         """
         kernel = self._kernel(weights)
         values = scratch.empty(self.shape, np.float32, least=0)
         depth, far = self.shape[0], self.reach[0]
+        along_z, along_y, along_x = (_box_response(side, shorter_than) ** 2 for side in self.shape)
+        along_x = along_x[: kernel.shape[2]]
 
         def product(y: int) -> np.ndarray:
             lines = np.zeros((depth, kernel.shape[2]), np.complex64)
             lines[: far + 1] = kernel[:, y]
             lines[depth - far :] = kernel[far:0:-1, y]  # a pair and its mirror image share a bin
-            return spectrum[:, y] * np.fft.fft(lines, axis=0).real
+            response = np.fft.fft(lines, axis=0).real
+            if shorter_than:
+                response *= 1 - along_z[:, None] * (along_y[y] * along_x)
+            return spectrum[:, y] * response
 
         self._inverse(product, tuple(np.arange(side) for side in self.shape), values, anywhere=True)
         return values
@@ -230,6 +236,15 @@ def _flat_transforms(values: np.ndarray | Planes, sides: tuple[int, int], spectr
             spectra[z] = np.fft.fft(np.fft.rfft(plane, width, axis=1), height, axis=0)
 
     for_slabs(work, len(spectra), least=_enough(height * width), anywhere=True)
+
+
+def _box_response(side: int, width: int) -> np.ndarray:
+    """The transform of the mean over `width` voxels of a line that wraps, (side,) float32."""
+    angle = np.pi * np.fft.fftfreq(side)
+    angle[0] = 1.0
+    response = np.sin(width * angle) / (max(1, width) * np.sin(angle))
+    response[0] = 1.0
+    return response.astype(np.float32)
 
 
 def _taken(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:

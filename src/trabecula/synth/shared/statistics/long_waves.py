@@ -1,0 +1,285 @@
+"""Long waves: how much the local fraction of a phase varies over windows that are wider than neighbourhoods see.
+
+Neighbourhoods know nothing beyond their width, and two-point functions hardly resolve a wave longer than their largest distance:
+a wave of amplitude a adds a^2 / 2 to every distance alike, .0005 for one that moves the local fraction by .03. So the field
+is split into bands by box means of doubling width, the spread of each band is compared with the exemplar's, and interfaces are
+shifted, smoothly, until it agrees. A phase keeps its overall fraction: bands have no mean.
+
+Sums are whole numbers and their variances are added plane by plane, so threads and scratch files change nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.engine import scratch
+from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.windows import summed
+
+_FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
+_PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side
+_LARGEST = 256  # voxels: sums over wider windows would leave 32 bits
+_LEAST = 3
+_FINE = 64  # of a soft indicator, in whole numbers
+_SLACK = 0.1  # a spread that falls short of the exemplar's by less is left alone
+_ENOUGH = 0.05  # so is one that exceeds it by less, which saves most second rounds
+_HASTE = 3.0  # a wave little longer than its window passes it weakly, and is shifted back weakly
+_MOST = 0.5  # of the soft step, by which an interface is shifted at once
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class LongWaves:
+    """The spread of the exemplars' local fraction by window.
+
+    Attributes
+    ----------
+    widths : tuple of int
+        Voxels a side of windows, odd and rising; about doubling.
+    variances : (C, n) float
+        Of the mean soft indicator over windows of each width, per channel.
+    bands : (C, n) float
+        The same of its difference from the mean over the next wider window around the same place; of the widest, from the
+        mean over everything.
+    softness : float
+        Width of the soft step in int8 steps of the field.
+    """
+
+    widths: tuple[int, ...]
+    variances: np.ndarray
+    bands: np.ndarray
+    softness: float
+
+    def extended(self, side: int) -> LongWaves:
+        """Return the same for volumes whose shortest side is given: windows up to half of it.
+
+        Wider windows than the exemplars have are continued with the ratio of the last two variances, which is 1/8 at least
+        (no correlation at such distances) and 1 at most.
+        """
+        count = sum(2 * width <= side for width in self.widths)
+        variances, bands, widths = self.variances[:, :count], self.bands[:, :count], list(self.widths[:count])
+        if not count:
+            return LongWaves((), variances, bands, self.softness)
+        if count < len(self.widths):
+            bands = np.concatenate([bands[:, :-1], variances[:, -1:]], axis=1)
+        else:
+            before = self.variances[:, -2:-1] if count > 1 else 8 * variances[:, -1:]
+            ratio = np.clip(variances[:, -1:] / np.maximum(before, 1e-12), 1 / 8, 1)
+            while (wider := 2 * widths[-1] + 1) <= min(side // 2, _LARGEST):
+                last = variances[:, -1:]
+                widths.append(wider)
+                variances = np.concatenate([variances, last * ratio], axis=1)
+                bands = np.concatenate([bands[:, :-1], last * (1 - ratio), last * ratio], axis=1)
+        return LongWaves(tuple(widths), variances, bands, self.softness)
+
+
+def long_waves_of(fields: Sequence[np.ndarray], level: int, *, softness: float) -> LongWaves:
+    """Return the spread of the local fraction in exemplars (C, Z, Y, X) int8 of one level (0 the finest).
+
+    Windows lie wholly within an exemplar and are at most a third of its shortest side; they vary around the mean of all
+    exemplars.
+    """
+    shortest = min(side for field in fields for side in field.shape[1:])
+    widths = _widths(shortest, level)
+    variances, bands = (np.zeros((len(fields[0]), len(widths))) for _ in range(2))
+    for c in range(len(fields[0])):
+        channels, counts = [field[c] for field in fields], sum(field[c].size for field in fields)
+        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (_FINE * counts)
+        for n, width in enumerate(widths):
+            wider = widths[n + 1] if n + 1 < len(widths) else None
+            found = np.sum([_squares_of(channel, softness, width, wider, mean) for channel in channels], axis=0)
+            variances[c, n], bands[c, n] = found[0] / found[1], found[2] / found[3]
+    return LongWaves(widths, variances, bands, softness)
+
+
+def adjust_long_waves(
+    votes: np.ndarray,
+    target: LongWaves,
+    matched: Callable[[np.ndarray], np.ndarray],
+    wraps: tuple[bool, bool, bool] = (True, True, True),
+) -> None:
+    """Shift the interfaces of votes until the spread of every band is the exemplars', in place.
+
+    A band whose spread falls short by less than a tenth, or exceeds by less than a twentieth, is left as it is. Windows wider
+    than half of the shortest side are not looked at.
+
+    Parameters
+    ----------
+    votes : (C, Z, Y, X) int16
+        1 / UNIT of an int8 step.
+    target : LongWaves
+    matched : callable
+        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: it is whose spread counts. A shift that
+        is less than what lies between two values of a distance changes the votes' soft indicator, and no label.
+    wraps : three bools
+        Axes on which windows go on beyond a face.
+    """
+    waves = target.extended(min(votes.shape[1:]))
+    if not waves.widths:
+        return
+    for _ in range(_ROUNDS):
+        field = matched(votes)
+        moved = [_adjust(votes[c], field[c], waves, waves.bands[c], wraps) for c in range(len(votes))]
+        del field
+        if not any(moved):
+            break
+
+
+def adjusting_bytes(shape: Sequence[int]) -> int:
+    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums, and the shift."""
+    return 12 * math.prod(shape)
+
+
+def adjusting_slab_bytes(shape: Sequence[int]) -> int:
+    """Return what of that a thread keeps in memory where arrays lie in scratch files."""
+    return 60 * shape[1] * shape[2] + shape[0] * 4 * shape[2] + (1 << 16)
+
+
+def _widths(shortest: int, level: int) -> tuple[int, ...]:
+    """Odd widths on a level, for exemplars whose shortest side on it is given."""
+    side = shortest * 2**level
+    width, widths = float(min(_FIRST, side / _PARTS)), []
+    while 3 * width <= side and width <= _LARGEST:
+        widths.append(max(_LEAST, 2 * int(width / 2**level / 2) + 1))
+        width *= 2
+    return tuple(sorted({w for w in widths if 2 * w <= shortest}))
+
+
+def _soft(values: np.ndarray, softness: float) -> np.ndarray:
+    """The soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
+    soft = values * np.float32(_FINE / softness) + np.float32(_FINE / 2)
+    return np.rint(np.clip(soft, 0, _FINE, out=soft), out=soft).astype(np.int32)
+
+
+def _table(softness: float) -> np.ndarray:
+    """The soft indicator (256,) int32 of every byte of a field."""
+    return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
+
+
+def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
+    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing, and that of everything."""
+    table = _table(softness)
+    return summed(lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False))
+
+
+def _squares_of(
+    channel: np.ndarray, softness: float, width: int, wider: int | None, mean: float
+) -> tuple[float, int, float, int]:
+    """The sum of squares over all windows of a width, and their number; then of the band that ends with a wider one."""
+    narrow, _ = _summed_soft(channel, softness, width)
+    alone = _Band(narrow, None, 1 / (_FINE * width**3), 1.0, mean).squares_within(width)
+    if wider is None:
+        return *alone, *alone
+    wide, _ = _summed_soft(channel, softness, wider)
+    band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
+    return *alone, *band.squares_within(wider)
+
+
+def _adjust(
+    votes: np.ndarray, field: np.ndarray, waves: LongWaves, bands: np.ndarray, wraps: tuple[bool, bool, bool]
+) -> bool:
+    """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was anything to shift."""
+    table = _table(waves.softness)
+
+    def soft(z: int) -> np.ndarray:
+        return np.asarray(table[field[z].view(np.uint8)])
+
+    moving = sum_slabs(lambda a, b: sum(_moving(soft(z)) for z in range(a, b)), len(field)) / field.size
+    if not moving:
+        return False
+    shift: np.ndarray | None = None
+    narrow, total = summed(soft, field.shape, waves.widths[0], wraps)
+    mean = total / (_FINE * field.size)
+    for n, width in enumerate(waves.widths):
+        wide, wider = None, 1
+        if n + 1 < len(waves.widths):
+            wider = waves.widths[n + 1]
+            wide, _ = summed(soft, field.shape, wider, wraps)
+        band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
+        gain = _gain(bands[n], band.variance())
+        if gain:
+            if shift is None:
+                shift = scratch.zeros(field.shape, np.float32)
+            band.add(shift, np.float32(-gain / moving))
+        if wide is not None:
+            narrow = wide
+        del band, wide  # nobody holds on to sums that the next windows make room for
+    if shift is None:
+        return False
+    change, unit, limit = shift, np.float32(UNIT * waves.softness), FULL * UNIT
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            inside = soft(z)
+            step = np.clip(change[z], -_MOST, _MOST) * unit
+            step[(inside == 0) | (inside == _FINE)] = 0
+            votes[z] = np.clip(np.rint(votes[z] + step), -limit, limit)
+
+    for_slabs(work, len(votes))
+    return True
+
+
+def _moving(soft: np.ndarray) -> int:
+    return int(np.count_nonzero((soft > 0) & (soft < _FINE)))
+
+
+def _gain(wanted: float, found: float) -> float:
+    """What share of a band is taken away; negative: added to it."""
+    if found <= 0:
+        return 0.0
+    excess = 1 - math.sqrt(wanted / found)
+    if 0 < excess < _ENOUGH:
+        return 0.0
+    if excess < 0:
+        excess = min(0.0, 1 - math.sqrt(wanted / found) * (1 - _SLACK))
+    return min(max(_HASTE * excess, -1.0), 1.0)
+
+
+@dataclass(frozen=True)
+class _Band:
+    """The difference of two means: sums over windows `narrow` and `wide` (None: `mean` everywhere), times their scales."""
+
+    narrow: np.ndarray
+    wide: np.ndarray | None
+    scale: float
+    wider_scale: float
+    mean: float
+
+    def plane(self, z: int) -> np.ndarray:
+        """Plane z (Y, X) float32."""
+        if self.wide is None:
+            return (self.narrow[z] * self.scale - self.mean).astype(np.float32)
+        return (self.narrow[z] * self.scale - self.wide[z] * self.wider_scale).astype(np.float32)
+
+    def variance(self) -> float:
+        """Return the mean square over everything."""
+        squares = np.zeros(len(self.narrow))
+
+        def work(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                squares[z] = (self.plane(z).astype(np.float64) ** 2).sum()
+
+        for_slabs(work, len(squares))
+        return math.fsum(squares.tolist()) / self.narrow.size
+
+    def squares_within(self, width: int) -> tuple[float, int]:
+        """Return the sum of squares over windows of an odd width that lie within the volume, and their number."""
+        low, sides = width // 2, self.narrow.shape
+        inner = tuple(slice(low, side - low) for side in sides[1:])
+        squares = [float((self.plane(z)[inner].astype(np.float64) ** 2).sum()) for z in range(low, sides[0] - low)]
+        return math.fsum(squares), math.prod(side - 2 * low for side in sides)
+
+    def add(self, shift: np.ndarray, factor: np.float32) -> None:
+        """Add the band, times a factor, to (Z, Y, X) float32."""
+
+        def work(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                shift[z] += self.plane(z) * factor
+
+        for_slabs(work, len(shift))
