@@ -42,7 +42,7 @@ def test_the_words_and_the_figures():
     assert "inspect" in VERBS
     found = json.loads(trabecula("inspect", "scan.tif", "--json").out)
     assert found["shape"] == [40, 40, 40] and found["recommendation"]["method"] == "texture"
-    assert found["origin"]["spacing"] == "stated in the file"
+    assert found["origin"]["spacing"] == "metadata of this package"
     text = trabecula("inspect", "scan.tif").out
     assert len(text.splitlines()) <= 40
     for word in ("scan", "phases", "spacing", "margins", "correlated", "components", "recommended", "decidable"):

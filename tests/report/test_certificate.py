@@ -198,7 +198,7 @@ def test_a_bare_margin_is_noted(exemplar):
     margin = exemplar.values.copy()
     margin[0] = 0
     certificate = verify(like(exemplar, margin), exemplar)
-    assert any("first z" in note for note in certificate.notes)
+    assert any("first plane along z" in note and "crop" in note for note in certificate.notes)
 
 
 def test_several_images_two_dimensions_and_three_phases():

@@ -37,25 +37,15 @@ kin to each other: at 0.95 every second sample of the very same material would f
 
 
 def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Image]:
-    """Yield halves of the exemplar along every axis whose halves are long enough; none where no axis is.
-
-    Every part has the same shape: of an odd side the middle slice is left out.
+    """Yield the parts of `part_boxes` as images.
 
     Parameters
     ----------
     exemplar : Image
     shape : sequence of int, optional
-        Voxels of a part, where that is less than half of a side: then as many beside each other as fit, evenly spread.
+        Largest part, voxels.
     """
-    choices = []
-    for side, wanted in zip(exemplar.shape, exemplar.shape if shape is None else shape, strict=True):
-        width = max(LEAST_PART, min(side // 2, wanted))
-        count = side // width if side // 2 >= LEAST_PART else 1
-        starts = [n * (side - width) // (count - 1) for n in range(count)] if count > 1 else []
-        choices.append([slice(start, start + width) for start in starts] or [slice(0, side)])
-    if all(len(choice) == 1 for choice in choices):
-        return
-    for box in product(*choices):
+    for box in part_boxes(exemplar.shape, largest=shape):
         yield Image(
             np.ascontiguousarray(exemplar.values[box]),
             exemplar.kind,
@@ -63,6 +53,29 @@ def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Im
             unit=exemplar.unit,
             phases=exemplar.phases,
         )
+
+
+def part_boxes(shape: Sequence[int], *, largest: Sequence[int] | None = None) -> list[tuple[slice, ...]]:
+    """Return boxes of halves of a volume, or of thirds of a picture, along every axis that is long enough.
+
+    None where no axis is. All boxes have the same shape; what is left over of a side lies between them.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Voxels of the exemplar.
+    largest : sequence of int, optional
+        Voxels of a part, where that is less: then as many beside each other as fit, evenly spread.
+    """
+    choices = []
+    for side, wanted in zip(shape, shape if largest is None else largest, strict=True):
+        # Halves give eight parts of a volume but four of a picture, too few to know a spread: thirds give nine.
+        share = 3 if len(shape) == 2 and side // 3 >= LEAST_PART else 2
+        width = max(LEAST_PART, min(side // share, wanted))
+        count = side // width if side // 2 >= LEAST_PART else 1
+        starts = [n * (side - width) // (count - 1) for n in range(count)] if count > 1 else []
+        choices.append([slice(start, start + width) for start in starts] or [slice(0, side)])
+    return [] if all(len(choice) == 1 for choice in choices) else list(product(*choices))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE
+from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE, part_boxes
 from trabecula.report.stationarity import Stationarity
 
 
@@ -60,9 +60,8 @@ def decidable(image: Image, lengths: Sequence[float], stationarity: Stationarity
         Correlation length along every axis, voxels.
     stationarity : Stationarity
     """
-    halves = [side // 2 if side // 2 >= LEAST_PART else side for side in image.shape]
-    parts = int(np.prod([side // half for side, half in zip(image.shape, halves, strict=True)]))
-    if parts == 1:
+    boxes = part_boxes(image.shape)
+    if not boxes:
         size = " x ".join(map(str, image.shape))
         reason = (
             f"{size} is too small for parts of {LEAST_PART} voxels a side, so no band says what real material differs by: a side "
@@ -70,8 +69,9 @@ def decidable(image: Image, lengths: Sequence[float], stationarity: Stationarity
         )
         return Decidable(1, image.shape, "nothing", (reason,))
     figures = "textures" if image.kind != "labels" else "fractions, correlations, sizes and connectivity"
-    limits = tuple(_limits(image, lengths, stationarity, parts))
-    return Decidable(parts, tuple(halves), figures + (" in slices" if image.ndim == 2 else ""), limits)
+    part = tuple(each.stop - each.start for each in boxes[0])
+    limits = tuple(_limits(image, lengths, stationarity, len(boxes)))
+    return Decidable(len(boxes), part, figures + (" in slices" if image.ndim == 2 else ""), limits)
 
 
 def _limits(image: Image, lengths: Sequence[float], stationarity: Stationarity, parts: int) -> list[str]:

@@ -89,6 +89,8 @@ class Reference:
         """Return local figures and trends of every phase, with bands and verdicts."""
         found: dict[str, Metric] = {}
         first = next(iter(self.own.evenness), "")
+        if not measured.evenness:  # a baseline smaller than the exemplar has none
+            return found
         for suffix, own in self.own.evenness.items():
             found |= self._judged_local(own, measured.evenness[suffix], suffix, WHATS[:1])
         if first in self.own.evenness:
