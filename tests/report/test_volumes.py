@@ -174,7 +174,8 @@ def test_grey_and_colour_by_their_texture():
 
 def test_parts_are_as_large_as_slices():
     picture = labels(smooth(0, (100, 130)))
-    assert {part.shape for part in parts(picture, shape=(64, 64))} == {(50, 64)}
+    assert {part.shape for part in parts(picture, shape=(64, 64), share=2)} == {(50, 64)}
+    assert {part.shape for part in parts(picture)} == {(33, 43)}
     tiles = list(parts(picture, shape=(30, 40)))
     assert len(tiles) == 3 * 3 and {tile.shape for tile in tiles} == {(30, 40)}
     assert {part.shape for part in parts(picture, shape=(2, 2))} == {(LEAST_PART, LEAST_PART)}

@@ -36,7 +36,7 @@ CONFIDENCE = 0.99
 kin to each other: at 0.95 every second sample of the very same material would fail somewhere."""
 
 
-def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Image]:
+def parts(exemplar: Image, *, shape: Sequence[int] | None = None, share: int | None = None) -> Iterator[Image]:
     """Yield the parts of `part_boxes` as images.
 
     Parameters
@@ -44,8 +44,10 @@ def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Im
     exemplar : Image
     shape : sequence of int, optional
         Largest part, voxels.
+    share : int, optional
+        Parts along a side. Default: as `part_boxes`.
     """
-    for box in part_boxes(exemplar.shape, largest=shape):
+    for box in part_boxes(exemplar.shape, largest=shape, share=share):
         yield Image(
             np.ascontiguousarray(exemplar.values[box]),
             exemplar.kind,
@@ -55,7 +57,9 @@ def parts(exemplar: Image, *, shape: Sequence[int] | None = None) -> Iterator[Im
         )
 
 
-def part_boxes(shape: Sequence[int], *, largest: Sequence[int] | None = None) -> list[tuple[slice, ...]]:
+def part_boxes(
+    shape: Sequence[int], *, largest: Sequence[int] | None = None, share: int | None = None
+) -> list[tuple[slice, ...]]:
     """Return boxes of halves of a volume, or of thirds of a picture, along every axis that is long enough.
 
     None where no axis is. All boxes have the same shape; what is left over of a side lies between them.
@@ -66,12 +70,14 @@ def part_boxes(shape: Sequence[int], *, largest: Sequence[int] | None = None) ->
         Voxels of the exemplar.
     largest : sequence of int, optional
         Voxels of a part, where that is less: then as many beside each other as fit, evenly spread.
+    share : int, optional
+        Parts along a side. Default: 2 of a volume; 3 of a picture with room for them, since four parts are too few to know a
+        spread.
     """
     choices = []
     for side, wanted in zip(shape, shape if largest is None else largest, strict=True):
-        # Halves give eight parts of a volume but four of a picture, too few to know a spread: thirds give nine.
-        share = 3 if len(shape) == 2 and side // 3 >= LEAST_PART else 2
-        width = max(LEAST_PART, min(side // share, wanted))
+        along = share or (3 if len(shape) == 2 and side // 3 >= LEAST_PART else 2)
+        width = max(LEAST_PART, min(side // along, wanted))
         count = side // width if side // 2 >= LEAST_PART else 1
         starts = [n * (side - width) // (count - 1) for n in range(count)] if count > 1 else []
         choices.append([slice(start, start + width) for start in starts] or [slice(0, side)])
@@ -157,6 +163,23 @@ def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
     whole = sizes.variance(sizes.whole)
     scale = math.sqrt((sizes.variance(sizes.image) + whole) / (1 - whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
+
+
+def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
+    """Return what a figure that is 0 but for chance, such as a norm of differences, stays below 99 times in 100.
+
+    Its chance falls as the standard deviation of a mean does; what it is of the exemplar is no chance.
+
+    Parameters
+    ----------
+    values, own, sizes
+        As of `value_band`.
+    """
+    count = len(values)
+    excess = np.abs(np.asarray(values) - own)
+    further = student(count - 1, (1 + CONFIDENCE) / 2) * float(excess.std(ddof=1)) * math.sqrt(1 + 1 / count)
+    scale = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
+    return own + scale * (float(excess.mean()) + further)
 
 
 def draw_limit(values: Sequence[float], noise: float) -> float:

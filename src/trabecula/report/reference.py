@@ -13,9 +13,9 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
 from trabecula.measure.evenness import Evenness
-from trabecula.report.band import LEAST_COUNT, Sizes, distance_limit, draw_limit, parts, value_band
+from trabecula.report.band import LEAST_COUNT, Sizes, distance_limit, draw_limit, excess_limit, parts, value_band
 from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
-from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order
+from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order, stem_of
 from trabecula.report.metric import Metric
 from trabecula.report.sticks import Measured, Stick
 
@@ -24,6 +24,17 @@ LAG = 4
 
 SAMPLES = 500
 """Voxels whose sources are looked up: the share is known to 0.022 at worst, to 0.01 near the independent 0.05."""
+
+
+NORMALISED = (
+    "two_point_covariance",
+    "axis_preference",
+    "anisotropy",
+    "texture_preference",
+    "autocorrelation_distance",
+    "orientation_divergence",
+)
+"""Figures that take the density, or the mean value, out."""
 
 
 class Reference:
@@ -52,7 +63,7 @@ class Reference:
         first = distances[0] if distances else {}
         self.spread: dict[str, list[float | None]] = {name: [found[name] for found in distances] for name in first}
         if copying:
-            self.spread["coherence"] = independent_coherence(pieces)
+            self.spread["coherence"] = independent_coherence(list(parts(exemplar, shape=shape, share=2)))
 
     def measure(self, image: Image) -> Measured:
         """An image by the same stick."""
@@ -107,20 +118,22 @@ class Reference:
             found[name] = Metric(value, band, passed, known[name])
         return found
 
-    def _sizes(self, measured: Measured) -> Sizes:
+    def _sizes(self, measured: Measured, name: str) -> Sizes:
+        # Long waves move the density and what goes with it; figures that take the density out do not feel them.
+        exponent = 1.0 if stem_of(name) in NORMALISED else self.exponent
         return Sizes(
             float(np.prod(self.parts[0].shape)),
             float(np.prod(self.exemplar.shape)),
             float(np.prod(measured.shape)) * measured.samples,
             self.exemplar.ndim,
-            self.exponent,
+            exponent,
         )
 
     def _judged_distance(self, name: str, value: float, measured: Measured) -> Metric:
         known = [number for number in self.spread.get(name, []) if number is not None]
         if len(known) < LEAST_COUNT:
             return Metric(value, None, None, 0.0)
-        high = distance_limit(known, self._sizes(measured))
+        high = distance_limit(known, self._sizes(measured, name))
         return Metric(value, (0.0, high), None if figure_of(name).rule == SHOWN else value <= high, 0.0)
 
     def _judged(self, name: str, value: Any, own: Any, measured: Measured) -> Metric:
@@ -137,7 +150,11 @@ class Reference:
         shown = None if own is None else own * scale / whole
         if rule == TOLD or len(known) < LEAST_COUNT or own is None:
             return Metric(value, None, None, shown)
-        low, high = (float(edge * scale) for edge in value_band(known, own / whole, self._sizes(measured)))
+        sizes = self._sizes(measured, name)
+        if rule == AT_MOST:
+            low, high = 0.0, excess_limit(known, own, sizes)
+        else:
+            low, high = (float(edge * scale) for edge in value_band(known, own / whole, sizes))
         band = (min(low, 1.0), min(high, 1.0)) if figure.share else (low, high)
         if value is None:
             return Metric(value, band, None if rule == AT_MOST else False, shown)

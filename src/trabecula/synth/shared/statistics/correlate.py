@@ -41,7 +41,8 @@ class Correlations:
     nearest to z, then to y, then to x.
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel; `held` (bool) says
-    for which of them the exemplars hold any pairs. With `waves` the steps leave waves longer than twice their largest window alone.
+    for which of them the exemplars hold any pairs. With `waves` the steps leave alone waves longer
+    than twice their largest window.
     """
 
     curves: np.ndarray
