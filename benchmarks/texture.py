@@ -15,6 +15,7 @@ import trabecula as tb
 from common import pictures, table
 from descriptors import scans
 from trabecula.core.seeds import generator
+from trabecula.report.evenness import shared_windows
 from trabecula.report.metric import Metric
 from trabecula.report.reference import Reference
 from trabecula.report.sticks import LabelStick
@@ -70,7 +71,8 @@ def has_setting(name: str) -> bool:
 def reference_of(exemplar: tb.Image) -> Reference:
     """What `tb.verify` holds an image against, measured once for all images of a table."""
     reach = min(50, min(exemplar.shape) // 2 - 1)
-    return Reference(exemplar, LabelStick(r_max=reach, level="default", box=None), copying=True)
+    windows = shared_windows(exemplar, [exemplar])
+    return Reference(exemplar, LabelStick(r_max=reach, level="default", windows=windows), copying=True)
 
 
 def judged(reference: Reference, image: tb.Image) -> dict[str, Metric]:
@@ -89,6 +91,7 @@ FIGURES = {
     "thickness": ("thickness", _RATIO),
     "Euler": ("euler_density", _RATIO),
     "pore size": ("pore_size", _RATIO),
+    "spread": ("fraction_spread_large", _RATIO),
     "lineal": ("lineal_path_distance", _PLAIN),
     "coh(4)": ("coherence", _PLAIN),
 }

@@ -124,3 +124,25 @@ def test_an_exemplar_with_a_trend_decides_nothing():
     assert certificate.failed == () and any(
         "not stationary" in reason and "along z" in reason for reason in certificate.undecided
     )
+
+
+def spheres(seed: int, side: int = 96, radius: int = 5, count: int = 700) -> np.ndarray:
+    """Overlapping spheres at random places of a torus: a Boolean model, which is no Gaussian field."""
+    rng = np.random.default_rng(seed)
+    reach = np.arange(-radius, radius + 1)
+    ball = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), -1).reshape(-1, 3)
+    ball = ball[(ball**2).sum(-1) <= radius**2]
+    solid = np.zeros((side,) * 3, np.uint8)
+    for centre in rng.integers(0, side, (rng.poisson(count), 3)):
+        solid[tuple(((ball + centre) % side).T)] = 1
+    return solid
+
+
+def test_another_sample_of_a_material_that_is_no_noise_passes():
+    found = tb.verify(tb.Image(spheres(1), "labels"), tb.Image(spheres(2), "labels"))
+    assert found.verdict == "pass" and found.undecided == () and all(found.groups.values())
+    assert any(metric.passed is False for metric in found.baseline.values())
+    text = repr(found)
+    assert "PASS" in text and len(text.splitlines()) <= 60 and "2px solid #2b6b4f" in found._repr_html_()
+    html = found.to_html()
+    assert 'class="verdict pass"' in html and "Not examined: transport and stiffness" in html
