@@ -173,7 +173,8 @@ class Model(ABC):
     def fields(self, request: Request) -> dict[str, Any]:
         """Kind, spacing, unit and phases of the result of a request."""
         found = self._result_fields()
-        spacing, unit = result_voxels(request, found["spacing"][-len(request.shape) :], found["unit"])
+        unit = found.get("unit", "voxel")
+        spacing, unit = result_voxels(request, found["spacing"][-len(request.shape) :], unit)
         return {**found, "spacing": spacing, "unit": unit}
 
     def settings(self) -> dict[str, Any]:
