@@ -21,7 +21,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index
 from trabecula.measure.correlation.length import correlation_length
 from trabecula.measure.grey import autocorrelation
-from trabecula.measure.tallies.cells import CELL, Cells, cells_of
+from trabecula.measure.tallies.cells import CELL, CellMeans, cells_of
 
 SMALLEST, WIDEST = 3.0, 20.0
 """Edges of the smallest and of the largest window in correlation lengths; the middle one is their geometric mean."""
@@ -141,7 +141,7 @@ def windows_for(image: Image, *, shortest: float | None = None) -> list[float]:
 
 
 def labels_of(image: Any, phase: str | int | None) -> list[int]:
-    """Return the rows of `Cells.shares` that make up a phase of an Image or Slabs; of grey and colour images the only one."""
+    """Return the rows of `CellMeans.shares` that make up a phase of an Image or Slabs; of grey and colour images the only one."""
     if image.kind != "labels":
         return [0]
     if phase is None and "void" in image.phases:
@@ -149,7 +149,7 @@ def labels_of(image: Any, phase: str | int | None) -> list[int]:
     return [phase_index(image, phase, default="solid")]
 
 
-def window_counts(cells: Cells, edges: Sequence[float]) -> list[tuple[int, int, int]]:
+def window_counts(cells: CellMeans, edges: Sequence[float]) -> list[tuple[int, int, int]]:
     """Return the cells that a window of each edge has along z, y and x; sizes that round to the same stand once.
 
     Raises
@@ -169,7 +169,7 @@ def window_counts(cells: Cells, edges: Sequence[float]) -> list[tuple[int, int, 
     return list(dict.fromkeys(found))
 
 
-def evenness_of(cells: Cells, windows: Sequence[tuple[int, int, int]], *, labels: Sequence[int]) -> Evenness:
+def evenness_of(cells: CellMeans, windows: Sequence[tuple[int, int, int]], *, labels: Sequence[int]) -> Evenness:
     """Return the evenness of cells that are summed already; the parameters are those of the functions above."""
     share = cells.shares[list(labels)].sum(axis=0)
     area = cells.faces.sum(axis=0)

@@ -30,7 +30,7 @@ from trabecula.measure.evenness import (
     window_means,
     windows_for,
 )
-from trabecula.measure.tallies.cells import Cells
+from trabecula.measure.tallies.cells import CellMeans
 from trabecula.report.band import CONFIDENCE
 from trabecula.report.quantiles import student, variance_ratio
 
@@ -64,7 +64,7 @@ def phases_of(image: Image | Slabs) -> dict[str, list[int]]:
     return {f"_{name}": [label] for label, name in enumerate(image.phases)}
 
 
-def measure_evenness(cells: Cells, windows: Windows, phases: Mapping[str, Sequence[int]]) -> dict[str, Evenness]:
+def measure_evenness(cells: CellMeans, windows: Windows, phases: Mapping[str, Sequence[int]]) -> dict[str, Evenness]:
     """Return the evenness of every phase, by the suffix of its figures."""
     counts = window_counts(cells, windows.edges)
     return {suffix: evenness_of(cells, counts, labels=labels) for suffix, labels in phases.items()}

@@ -24,7 +24,7 @@ from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.phases import as_inside, indicator
 from trabecula.measure.physics import describe_physics, finite
 from trabecula.measure.tallies import Lines
-from trabecula.measure.tallies.cells import Cells, CellSums, cells_of
+from trabecula.measure.tallies.cells import CellMeans, CellSums, cells_of
 from trabecula.measure.tallies.lines import Crossings
 from trabecula.measure.thickness import mean_chord
 from trabecula.report.evenness import Windows, measure_evenness, phases_of
@@ -61,7 +61,7 @@ class Measured:
     """What is told and not judged: the stiffness matrix, whether solvers converged."""
     evenness: Mapping[str, Evenness] = field(default_factory=dict)
     """Local figures of every phase by the suffix of their names; empty of parts."""
-    cells: Cells | None = None
+    cells: CellMeans | None = None
     """What the local figures are added up from."""
     samples: float = 1.0
     """Independent images of this shape that the figures are means of."""
@@ -138,7 +138,7 @@ class LabelStick:
             local,
         )
 
-    def _evenness(self, local: Cells | None, image: Image | Slabs) -> dict[str, Evenness]:
+    def _evenness(self, local: CellMeans | None, image: Image | Slabs) -> dict[str, Evenness]:
         if local is None or self.windows is None:
             return {}
         return measure_evenness(local, self.windows, phases_of(image))

@@ -16,7 +16,7 @@ CELL = 4
 
 
 @dataclass(frozen=True)
-class Cells:
+class CellMeans:
     """Sums over the cells of an image; what is left over at the far faces belongs to no cell."""
 
     edges: tuple[int, int, int]
@@ -30,7 +30,7 @@ class Cells:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along z, y and x."""
+        """CellMeans along z, y and x."""
         return self.faces.shape[1:]
 
     @property
@@ -92,16 +92,16 @@ class CellSums:
                 _sum_values(planes.astype(np.float64), np.array(self.edges), shares, faces)
             self._plane += 1
 
-    def result(self) -> Cells:
+    def result(self) -> CellMeans:
         """The cells, once every plane was given."""
         voxels = np.prod(self.edges)
         # A cell of n voxels has n - 1 faces between them along an axis.
         inner = np.array([max(1, voxels // edge * (edge - 1)) for edge in self.edges]).reshape(3, 1, 1, 1)
         step = np.array(self.spacing).reshape(3, 1, 1, 1)
-        return Cells(self.edges, self.spacing, self._shares / voxels, self._faces / inner / step)
+        return CellMeans(self.edges, self.spacing, self._shares / voxels, self._faces / inner / step)
 
 
-def cells_of(image: Image, *, cell: int = CELL) -> Cells:
+def cells_of(image: Image, *, cell: int = CELL) -> CellMeans:
     """Return the cells of an image in memory."""
     sums = CellSums(image.shape, image.spacing, len(image.phases) if image.kind == "labels" else 0, cell=cell)
     sums.add(image)
