@@ -31,7 +31,7 @@ def sentences(certificate: Certificate) -> list[str]:
     """Return why nothing is decided, what matches, and of every group that fails what is wrong and by how much."""
     verdicts = certificate.groups
     matching = [GROUPS[group].lower() for group, passed in verdicts.items() if passed]
-    lead = "Not decided" if certificate.passed is None else "Nor would a pass be decided"
+    lead = "Not decided" if certificate.passed is None else "Even without a failure not decided"
     found = [f"{lead}: {reason}." for reason in certificate.undecided]
     found += [f"Matches real material in: {', '.join(matching)}."] if matching else []
     for group, passed in verdicts.items():
