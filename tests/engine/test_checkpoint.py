@@ -207,6 +207,8 @@ def test_models_use_the_place_that_is_set(tmp_path):
 
 # Run as a program: `generate` on the command line, with the method above in the registry.
 def _program(words):
+    # A shell starts what runs in its background with interrupts ignored, and children inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     specs = {**registry.methods(), "walk": Walk.spec}
     registry.methods = lambda: specs
     original = registry.method
