@@ -1,6 +1,8 @@
-"""Volumes in blocks: what cutting costs, memory against its forecast, kills at random moments, workers.
+"""Volumes in blocks: what cutting costs, memory against its forecast, kills at random moments,
+workers.
 
-`--side N` makes another size than 256^3, `--methods NAME ...` takes some. Every run is a process of its own.
+`--side N` makes another size than 256^3, `--methods NAME ...` takes some. Every run is a process of
+its own.
 """
 
 from __future__ import annotations
@@ -25,19 +27,22 @@ import trabecula as tb
 from common import table
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import boxes_of
-from trabecula.flow import resume
-from trabecula.making import generate_to, part_of
-from trabecula.synth.base import Model
-from trabecula.synth.registry import methods
+from trabecula.pipeline.demo import resume
+from trabecula.pipeline.generate import generate_to, partial_path
+from trabecula.synth.api.method import Model
+from trabecula.synth.api.registry import methods
 
 KILLS = 100
 WORDS = {"noise": ("sample:bone", "--crop", "64", "--method", "noise"), "gan": ("--model", "bone")}
-"""Of the command, by method; window methods alone. Others that need no exemplar are added by name."""
+"""Of the command, by method; window methods alone. Others that need no exemplar are added by name.
+"""
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command took: seconds of the processor and on the wall, bytes at most, and what it printed as JSON."""
+    """What a command took: seconds of the processor and on the wall, bytes at most, and what it
+    printed as JSON.
+    """
 
     busy: float
     wall: float
@@ -53,7 +58,15 @@ def side_of() -> int:
 def command(*words: object) -> Ran:
     """Run `trabecula ... --json` as a process."""
     start = time.perf_counter()
-    program = [sys.executable, "-m", "trabecula.cli.main", *map(str, words), "--threads", "1", "--json"]
+    program = [
+        sys.executable,
+        "-m",
+        "trabecula.cli.main",
+        *map(str, words),
+        "--threads",
+        "1",
+        "--json",
+    ]
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(program, stdout=out, stderr=subprocess.PIPE, text=True)
         err = child.stderr.read() if child.stderr else ""
@@ -63,7 +76,9 @@ def command(*words: object) -> Ran:
             raise SystemExit(f"{' '.join(map(str, words))}: {err}")
         out.seek(0)
         found = json.loads(out.read())
-    return Ran(used.ru_utime + used.ru_stime, time.perf_counter() - start, used.ru_maxrss * 1024, found)
+    return Ran(
+        used.ru_utime + used.ru_stime, time.perf_counter() - start, used.ru_maxrss * 1024, found
+    )
 
 
 def sources() -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -88,14 +103,25 @@ def place() -> Iterator[Path]:
 
 
 def big_blocks() -> None:
-    """At once and in blocks, to a .zarr, one thread: seconds of the processor beyond those of 16^3, peaks, forecasts, digests.
+    """At once and in blocks, to a .zarr, one thread: seconds of the processor beyond those of 16^3,
+    peaks, forecasts, digests.
 
-    The better of two runs. `over` is what blocks cost beyond the run at once; `peak / forecast` is of the whole process. The
-    seconds of the forecast are on the wall: they say something on a quiet machine only.
+    The better of two runs. `over` is what blocks cost beyond the run at once; `peak / forecast` is
+    of the whole process. The seconds of the forecast are on the wall: they say something on a quiet
+    machine only.
     """
     side, heads = (
         side_of(),
-        ("busy s", "ns / voxel", "over", "wall s", "forecast s", "peak MiB", "/ forecast", "sha256"),
+        (
+            "busy s",
+            "ns / voxel",
+            "over",
+            "wall s",
+            "forecast s",
+            "peak MiB",
+            "/ forecast",
+            "sha256",
+        ),
     )
     row = table(f"{side}^3", *heads, wide=20)
     for name, words in sources():
@@ -132,11 +158,16 @@ def big_blocks() -> None:
 def big_kills() -> None:
     """A run in blocks of 32, killed at a random moment and gone on with: are the voxels the same?
 
-    `blocks there` is what of level 0 had been written by then. Methods that make a volume as a whole keep their state after every
-    round here; `states` is how many of the kills left one, or all voxels.
+    `blocks there` is what of level 0 had been written by then. Methods that make a volume as a
+    whole keep their state after every round here; `states` is how many of the kills left one, or
+    all voxels.
     """
-    row = table("", "kills", "while running", "identical", "blocks there", "states", "left over", wide=12)
-    picture = tb.Image(tb.sample("bone").values[32], "labels", (0.04, 0.04), "mm", ("void", "solid"))
+    row = table(
+        "", "kills", "while running", "identical", "blocks there", "states", "left over", wide=12
+    )
+    picture = tb.Image(
+        tb.sample("bone").values[32], "labels", (0.04, 0.04), "mm", ("void", "solid")
+    )
     bone = tb.crop(tb.sample("bone"), 40)
     asked = {
         "noise": (tb.method("noise", reach=4, corrections=2), tb.crop(bone, 24), 96),
@@ -164,7 +195,7 @@ def _killed(model: Model, request: tb.Request, path: Path) -> list[object]:
         generate_to(model, request, path, chunks=32)
 
     def go_on() -> None:
-        left = part_of(path).exists() or path.exists()
+        left = partial_path(path).exists() or path.exists()
         made = resume(path) if left else generate_to(model, request, path, chunks=32)
         (path.parent.parent / "sha256").write_text(made.sha256)
 
@@ -176,7 +207,9 @@ def _killed(model: Model, request: tb.Request, path: Path) -> list[object]:
     rng, same, caught, states, there = np.random.default_rng(0), 0, 0, 0, []
     for _ in range(KILLS):
         caught += _child(begin, kill_after=float(rng.uniform(0, longest)))
-        there.append(len([file for file in part_of(path).rglob("0/c/*/*/*") if not file.suffix]))
+        there.append(
+            len([file for file in partial_path(path).rglob("0/c/*/*/*") if not file.suffix])
+        )
         scratch = path.with_name(path.name + ".scratch")
         states += (scratch / "state").exists() or (scratch / "made.json").exists()
         _child(go_on)
@@ -188,17 +221,34 @@ def _killed(model: Model, request: tb.Request, path: Path) -> list[object]:
 
 
 def big_workers() -> None:
-    """The same volume by 1, 2 and 3 processes of this machine: digests, and seconds on the wall (start of workers included)."""
+    """The same volume by 1, 2 and 3 processes of this machine: digests, and seconds on the wall
+    (start of workers included).
+    """
     row = table(f"{side_of()}^3 noise", "wall s", "sha256")
     with place() as folder:
-        asked = ("--seed", 1, *WORDS["noise"], "--shape", side_of(), "--out", folder / "x.zarr", "--chunks", 128)
+        asked = (
+            "--seed",
+            1,
+            *WORDS["noise"],
+            "--shape",
+            side_of(),
+            "--out",
+            folder / "x.zarr",
+            "--chunks",
+            128,
+        )
         for count in (0, 1, 2, 3):
             made = command("generate", *asked, *(("--workers", count) if count else ()))
-            row(f"{count} workers" if count else "this process", f"{made.wall:.1f}", made.found["sha256"][:8])
+            row(
+                f"{count} workers" if count else "this process",
+                f"{made.wall:.1f}",
+                made.found["sha256"][:8],
+            )
 
 
 def _child(job: Callable[[], None], *, kill_after: float | None = None) -> bool:
-    """Run a job in a copy of this process, which it may not outlive; whether it was killed while it ran.
+    """Run a job in a copy of this process, which it may not outlive; whether it was killed while it
+    ran.
 
     The parent never opens a store, so that no thread of zarr is lost in the copy.
     """
@@ -220,5 +270,5 @@ def _child(job: Callable[[], None], *, kill_after: float | None = None) -> bool:
 
 
 def _remove(path: Path) -> None:
-    for one in (path, part_of(path)):
+    for one in (path, partial_path(path)):
         shutil.rmtree(one, ignore_errors=True)

@@ -1,8 +1,10 @@
-"""Scaling on paper: a volume of 4096^3 on 1 to 1,000 workers, reckoned from what one block costs here.
+"""Scaling on paper: a volume of 4096^3 on 1 to 1,000 workers, reckoned from what one block costs
+here.
 
-Measured: seconds of making, of packing and writing one block and one block of a coarser level, bytes of its file, seconds a task
-costs a Dask scheduler, seconds a byte of the digest. Then a simulation of what the client does: every task passes the one
-scheduler, workers take the next that can be done, what they write shares the file system, and the digest comes at the end.
+Measured: seconds of making, of packing and writing one block and one block of a coarser level,
+bytes of its file, seconds a task costs a Dask scheduler, seconds a byte of the digest. Then a
+simulation of what the client does: every task passes the one scheduler, workers take the next that
+can be done, what they write shares the file system, and the digest comes at the end.
 """
 
 from __future__ import annotations
@@ -22,10 +24,10 @@ import trabecula as tb
 from big import place
 from common import table
 from trabecula.core.recipe import digest
-from trabecula.engine.cuts import Task, sources_of, tasks_of
-from trabecula.engine.levels import halved, shapes_of
+from trabecula.engine.chunking import Task, sources_of, tasks_of
+from trabecula.engine.multiscale import halved, shapes_of
 from trabecula.engine.store import CHUNK
-from trabecula.synth.windows import WindowModel
+from trabecula.synth.api.windows import WindowModel
 
 SIDE = 4096
 WORKERS = (1, 10, 100, 1000)
@@ -43,10 +45,14 @@ class Cost:
 
 
 def big_scaling() -> None:
-    """Time, and how many times faster than one worker, for 4096^3 in blocks of 128 and 256. The digest at the end is on top."""
+    """Time, and how many times faster than one worker, for 4096^3 in blocks of 128 and 256. The
+    digest at the end is on top.
+    """
     side = int(os.environ.get("TRABECULA_BENCH_SIDE", SIDE))
     each = _task_seconds()
-    print(f"{each * 1e3:.2f} ms a task for the scheduler; {SHARED / 1e9:.0f} GB/s are taken for the file system\n")
+    print(
+        f"{each * 1e3:.2f} ms a task for the scheduler; {SHARED / 1e9:.0f} GB/s are taken for the file system\n"
+    )
     heads = ("a block s", "KiB", *(f"{count} workers" for count in WORKERS), "digest")
     row = table(f"{side}^3", *heads, wide=14)
     shapes = shapes_of((side,) * 3, 2 * CHUNK)
@@ -62,7 +68,11 @@ def big_scaling() -> None:
 
 
 def simulated(
-    tasks: Sequence[Task], sources: Sequence[Sequence[int]], costs: Sequence[Cost], workers: int, each: float
+    tasks: Sequence[Task],
+    sources: Sequence[Sequence[int]],
+    costs: Sequence[Cost],
+    workers: int,
+    each: float,
 ) -> float:
     """Seconds until the last task is done."""
     waits, next_ = [len(before) for before in sources], [[] for _ in tasks]
@@ -96,7 +106,9 @@ def _models() -> list[tuple[str, WindowModel]]:
 
 
 def _costs(model: WindowModel, edge: int) -> tuple[list[Cost], float]:
-    """Of a block of voxels and of one of a coarser level, and seconds a voxel of reading for the digest."""
+    """Of a block of voxels and of one of a coarser level, and seconds a voxel of reading for the
+    digest.
+    """
     request, box = tb.Request(1024, seed=1), tuple((2 * edge, 3 * edge) for _ in range(3))
     model.values_of(request, tuple((0, 16) for _ in range(3)))
     making, values = _timed(lambda: model.values_of(request, box))
@@ -130,7 +142,9 @@ def _task_seconds() -> float:
     import distributed
 
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         client.gather(client.map(abs, range(100), pure=False))

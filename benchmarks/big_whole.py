@@ -1,6 +1,8 @@
-"""Methods that make a volume as a whole, in memory and in scratch files: what the files cost, and what stays resident.
+"""Methods that make a volume as a whole, in memory and in scratch files: what the files cost, and
+what stays resident.
 
-`--side N` makes all of one size, `--methods NAME ...` takes some. Every run is a process of its own.
+`--side N` makes all of one size, `--methods NAME ...` takes some. Every run is a process of its
+own.
 """
 
 from __future__ import annotations
@@ -48,10 +50,12 @@ CASES = (
 
 
 def big_whole() -> None:
-    """In memory and in scratch files, one thread: seconds of the processor beyond those of 32^3, peaks, allowances, digests.
+    """In memory and in scratch files, one thread: seconds of the processor beyond those of 32^3,
+    peaks, allowances, digests.
 
-    `over` is what scratch files cost beyond memory. A run in them is allowed 0.4 of the forecast of the one in memory (or what
-    it needs at least); its peak is of the whole process, the interpreter and what it learnt included.
+    `over` is what scratch files cost beyond memory. A run in them is allowed 0.4 of the forecast of
+    the one in memory (or what it needs at least); its peak is of the whole process, the interpreter
+    and what it learnt included.
     """
     heads = (
         "in memory s",
@@ -80,7 +84,16 @@ def _chosen() -> Iterator[Case]:
 
 def _measured(case: Case, folder: Path) -> list[str]:
     """The cells of a row."""
-    asked = (*_exemplar(case, folder), "--method", case.method, *case.words, "--seed", 1, "--out", folder / "x.zarr")
+    asked = (
+        *_exemplar(case, folder),
+        "--method",
+        case.method,
+        *case.words,
+        "--seed",
+        1,
+        "--out",
+        folder / "x.zarr",
+    )
     sized = (*asked, "--shape", case.side)
     least = _best(*asked, "--shape", _LEAST)
     whole = _best(*sized)
@@ -115,7 +128,9 @@ def _exemplar(case: Case, folder: Path) -> tuple[object, ...]:
     if not case.flat:
         return ("sample:bone",)
     bone = tb.sample("bone")
-    section = tb.Image(bone.values[len(bone.values) // 2], "labels", bone.spacing[1:], bone.unit, bone.phases)
+    section = tb.Image(
+        bone.values[len(bone.values) // 2], "labels", bone.spacing[1:], bone.unit, bone.phases
+    )
     tb.write(section, folder / "section.tif")
     return (folder / "section.tif",)
 

@@ -1,7 +1,9 @@
-"""Figures 1 to 7 of Baravalle et al. (2016), drawn again with `bubbles`; apart from its photographs and renderings.
+"""Figures 1 to 7 of Baravalle et al. (2016), drawn again with `bubbles`; apart from its photographs
+and renderings.
 
-Slices are as in the paper: bubbles black, mass white; what is outside of a form grey. Both ways to grow are drawn where the
-figure is about growth: the paper's particles on the lattice, and the fronts that stand in for them.
+Slices are as in the paper: bubbles black, mass white; what is outside of a form grey. Both ways to
+grow are drawn where the figure is about growth: the paper's particles on the lattice, and the
+fronts that stand in for them.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ Panel = tuple[str, np.ndarray]
 
 
 def bubbles_figures() -> None:
-    """Figures 1 to 7, each a sheet in TRABECULA_BENCH_OUT; a line each with the seconds it took and its porosities."""
+    """Figures 1 to 7, each a sheet in TRABECULA_BENCH_OUT; a line each with the seconds it took and
+    its porosities.
+    """
     folder = pictures()
     if folder is None:
         print("(name a folder for the figures in TRABECULA_BENCH_OUT)")
@@ -49,14 +53,19 @@ def bubbles_figures() -> None:
         row(
             name,
             f"{seconds:.1f}",
-            " ".join(f"{share(panel):.2f}" for panels in rows for _, panel in panels if share(panel)),
+            " ".join(
+                f"{share(panel):.2f}" for panels in rows for _, panel in panels if share(panel)
+            ),
         )
 
 
 def separation() -> list[list[Panel]]:
     """Figure 1: particles that grow at random, and the width of the mass between them."""
     return [
-        [(f"{growth}, separation {width}", grown(growth=growth, separation=width, distance=17)) for width in (1, 2, 4)]
+        [
+            (f"{growth}, separation {width}", grown(growth=growth, separation=width, distance=17))
+            for width in (1, 2, 4)
+        ]
         for growth in GROWTHS
     ]
 
@@ -82,7 +91,9 @@ def randomness() -> list[list[Panel]]:
 
 
 def silhouettes() -> list[list[Panel]]:
-    """Figure 4: the gradient of the blurred slice turned by 90 degrees, on a slice of one part and on one of several."""
+    """Figure 4: the gradient of the blurred slice turned by 90 degrees, on a slice of one part and
+    on one of several.
+    """
     mask = form("bunny", SIDE)
     config = FlowConfig(silhouette=SIDE / 14)
     places = {"of one part": mask[int(0.6 * SIDE)], "of several": mask[int(0.42 * SIDE)]}
@@ -90,28 +101,55 @@ def silhouettes() -> list[list[Panel]]:
 
 
 def slices() -> list[list[Panel]]:
-    """Figure 5: the outline at the border, a system inside; the first is the most random, the last the least."""
+    """Figure 5: the outline at the border, a system inside; the first is the most random, the last
+    the least.
+    """
     mask = form("spot", 256)
-    shares = {"distance": 11, "thickness": 0.14, "silhouette_share": 2, "crust_share": 0.5, "flow_axis": "x"}
+    shares = {
+        "distance": 11,
+        "thickness": 0.14,
+        "silhouette_share": 2,
+        "crust_share": 0.5,
+        "flow_axis": "x",
+    }
     found = []
     for r, flow in ((1.0, "none"), (0.6, "roll"), (0.45, "spiral"), (0.3, "concentric")):
         material = made(mask, randomness=r, flow=flow, **shares)
         plane = mask[:, :, 128].T
-        found.append((f"{flow}, randomness {r}", cropped(drawn(material[:, :, 128].T, plane), plane)))
+        found.append(
+            (f"{flow}, randomness {r}", cropped(drawn(material[:, :, 128].T, plane), plane))
+        )
     return [found[:2], found[2:]]
 
 
 def ratios() -> list[list[Panel]]:
     """Figure 6: one model, of which wide slices flow horizontally and tall ones vertically."""
     loaf = np.hypot(*np.ogrid[-1:1:200j, -1:1:300j]) < 1
-    settings = {"flow_aspect": 1.2, "randomness": 0.35, "distance": 13, "separation": 1.5, "crust": 3}
-    return [[(words, drawn(made(mask, **settings), mask)) for words, mask in (("wide", loaf), ("tall", loaf.T.copy()))]]
+    settings = {
+        "flow_aspect": 1.2,
+        "randomness": 0.35,
+        "distance": 13,
+        "separation": 1.5,
+        "crust": 3,
+    }
+    return [
+        [
+            (words, drawn(made(mask, **settings), mask))
+            for words, mask in (("wide", loaf), ("tall", loaf.T.copy()))
+        ]
+    ]
 
 
 def bunny() -> list[list[Panel]]:
     """Figure 7: slices of one volume, each about its own centre of mass, walls of 2 voxels."""
     mask = form("bunny", 256)
-    settings = {"flow": "concentric", "randomness": 0.35, "distance": 11, "separation": 2, "crust": 3}
+    settings = {
+        "flow": "concentric",
+        "randomness": 0.35,
+        "distance": 11,
+        "separation": 2,
+        "crust": 3,
+    }
     material = made(mask, **settings)
     places = [int(part * len(mask)) for part in (0.42, 0.5, 0.58)]
     return [[(f"z = {at}", cropped(drawn(material[at], mask[at]), mask[at])) for at in places]]
@@ -130,7 +168,9 @@ def made(mask: np.ndarray, **settings: Any) -> np.ndarray:
 def form(name: str, side: int) -> np.ndarray:
     """A mesh of the data folder in a cube of voxels."""
     mesh = tb.read_mesh(SCANS / f"mesh_{name}.ply")
-    return tb.voxelise(fitted(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side).values.astype(bool)
+    return tb.voxelise(
+        fitted(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side
+    ).values.astype(bool)
 
 
 def drawn(labels: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
@@ -161,7 +201,10 @@ def streaks(config: FlowConfig, mask: np.ndarray | None = None) -> np.ndarray:
     for sign in (1, -1):
         place = start.copy()
         for _ in range(14):
-            at = tuple(np.clip(np.rint(part), 0, side - 1).astype(int) for part, side in zip(place, shape, strict=True))
+            at = tuple(
+                np.clip(np.rint(part), 0, side - 1).astype(int)
+                for part, side in zip(place, shape, strict=True)
+            )
             place += sign * np.moveaxis(vectors[at], -1, 0)
             total += noise[at]
     shades = 128 + 55 * (total - total.mean()) / total.std()
@@ -173,8 +216,13 @@ def streaks(config: FlowConfig, mask: np.ndarray | None = None) -> np.ndarray:
 
 def save(rows: Sequence[Sequence[Panel]], path: Path) -> None:
     """Panels in rows, their captions below them."""
-    wide = max(sum(max(panel.shape[1], _WIDE) + _GAP for _, panel in panels) for panels in rows) + _GAP
-    tall = sum(max(panel.shape[0] for _, panel in panels) + 2 * _LETTERS + _GAP for panels in rows) + _GAP
+    wide = (
+        max(sum(max(panel.shape[1], _WIDE) + _GAP for _, panel in panels) for panels in rows) + _GAP
+    )
+    tall = (
+        sum(max(panel.shape[0] for _, panel in panels) + 2 * _LETTERS + _GAP for panels in rows)
+        + _GAP
+    )
     sheet = Pillow.new("L", (wide, tall), 255)
     pen, top = ImageDraw.Draw(sheet), _GAP
     for panels in rows:

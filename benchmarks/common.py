@@ -30,7 +30,9 @@ def unit() -> float:
     return min(busy(lambda: np.fft.rfftn(volume))[0] for _ in range(5))
 
 
-def timed(job: Callable[[], Any], *, clock: Callable[[], float] = time.perf_counter) -> tuple[float, Any]:
+def timed(
+    job: Callable[[], Any], *, clock: Callable[[], float] = time.perf_counter
+) -> tuple[float, Any]:
     """Seconds by the clock on the wall, and what the job returned."""
     start = clock()
     result = job()
@@ -58,7 +60,9 @@ def tell(*cells: object) -> None:
 
 
 def table(first: str, *heads: str, wide: int = 22) -> Callable[..., None]:
-    """Print the heads of a table, and give what prints a row below them; the first column is `wide`."""
+    """Print the heads of a table, and give what prints a row below them; the first column is
+    `wide`.
+    """
     widths = [max(12, len(head)) for head in heads]
 
     def row(name: object, *cells: object) -> None:

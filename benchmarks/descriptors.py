@@ -1,4 +1,6 @@
-"""Descriptors and the certificate: every scan's figures with the seconds they took, speed and memory at size."""
+"""Descriptors and the certificate: every scan's figures with the seconds they took, speed and
+memory at size.
+"""
 
 from __future__ import annotations
 
@@ -35,15 +37,28 @@ def scans() -> dict[str, tb.Image]:
     """Every volume there is, grey ones cut at Otsu's threshold."""
     if not SCANS.is_dir():
         return {name: tb.sample(name) for name in tb.samples()}
-    found = {name: tb.read(SCANS / file, spacing=edge, unit=unit) for name, (file, edge, unit) in LABELS.items()}
+    found = {
+        name: tb.read(SCANS / file, spacing=edge, unit=unit)
+        for name, (file, edge, unit) in LABELS.items()
+    }
     for name, (file, edge, length) in GREY.items():
         found[f"{name}, Otsu"] = tb.segment(tb.read(SCANS / file, spacing=edge, unit=length))
     return found
 
 
 def descriptors() -> None:
-    """Figures of every scan, one a line, in the scan's unit; transport and stiffness of a centre box; seconds."""
-    names = ("porosity", "specific_surface", "thickness", "pore_size", "chord_length", "anisotropy", "euler_density")
+    """Figures of every scan, one a line, in the scan's unit; transport and stiffness of a centre
+    box; seconds.
+    """
+    names = (
+        "porosity",
+        "specific_surface",
+        "thickness",
+        "pore_size",
+        "chord_length",
+        "anisotropy",
+        "euler_density",
+    )
     names += ("components", "largest_fraction")
     tell("scan", "shape", "unit", *names, "seconds", "D", "k", "E", "seconds in the box")
     for name, image in scans().items():
@@ -53,11 +68,21 @@ def descriptors() -> None:
         stiff = _mean({axis: physics["stiffness"]["moduli"][axis] for axis in "zyx"})
         size = "x".join(map(str, image.shape))
         cells = [_short(found[key]) for key in names]
-        tell(name, size, image.unit, *cells, f"{seconds:.1f}", *map(_short, (*means, stiff)), f"{slow:.0f}")
+        tell(
+            name,
+            size,
+            image.unit,
+            *cells,
+            f"{seconds:.1f}",
+            *map(_short, (*means, stiff)),
+            f"{slow:.0f}",
+        )
 
 
 def large() -> None:
-    """Speed and memory at 256^3 (bone, tiled where the scan is smaller), r = 50; two_point at 500^3 as well."""
+    """Speed and memory at 256^3 (bone, tiled where the scan is smaller), r = 50; two_point at 500^3
+    as well.
+    """
     base = unit()
     solid = _tiled(256)
     jobs: dict[str, Callable[[], Any]] = {
@@ -79,7 +104,9 @@ def large() -> None:
 
 
 def certificate() -> None:
-    """Seconds of the certificate of 128^3 from a crop of 128^3, at every level (two threads for "full")."""
+    """Seconds of the certificate of 128^3 from a crop of 128^3, at every level (two threads for
+    "full").
+    """
     exemplar = tb.crop(next(iter(scans().values())), 128)
     material = tb.method("texture").fit(exemplar).generate(128, seed=0)
     tb.verify(exemplar, material)
@@ -87,9 +114,14 @@ def certificate() -> None:
     for level, count in (("quick", 1), ("default", 1), ("full", 2)):
         with tb.threads(count):
             seconds, found = timed(lambda at=level: tb.verify(exemplar, material, level=at))
-        tell(level, f"{seconds:.1f}", "pass" if found.passed else f"FAIL: {', '.join(found.failed)}")
+        tell(
+            level, f"{seconds:.1f}", "pass" if found.passed else f"FAIL: {', '.join(found.failed)}"
+        )
     crop = tb.crop(exemplar, 100)
-    for name, image in (("texture", tb.method("texture")), ("noise", tb.method("noise", exact=True))):
+    for name, image in (
+        ("texture", tb.method("texture")),
+        ("noise", tb.method("noise", exact=True)),
+    ):
         other = image.fit(crop).generate(128, seed=0)
         seconds, share = timed(lambda o=other: tb.measure.coherence(crop, o))
         shares = ", ".join(f"{k}: {value:.2f}" for k, value in share.items())

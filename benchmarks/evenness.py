@@ -1,9 +1,12 @@
-"""`evenness`: how the local fraction of results varies over windows, beside the exemplar's band, for seeds, sizes and methods.
+"""`evenness`: how the local fraction of results varies over windows, beside the exemplar's band,
+for seeds, sizes and methods.
 
-Windows and bands are those of the certificate: edges of about 3, 8 and 20 correlation lengths, where they fit. An exemplar of a
-given side is the centre of its scan; pictures are the exemplar's middle slice, for methods that learn from pictures.
+Windows and bands are those of the certificate: edges of about 3, 8 and 20 correlation lengths,
+where they fit. An exemplar of a given side is the centre of its scan; pictures are the exemplar's
+middle slice, for methods that learn from pictures.
 
-`python benchmarks/evenness.py METHOD[:PRESET] EXEMPLAR SIDE TIMES SEED [SEED ...]` is one block of the table.
+`python benchmarks/evenness.py METHOD[:PRESET] EXEMPLAR SIDE TIMES SEED [SEED ...]` is one block of
+the table.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from trabecula.measure.evenness import evenness, windows_for
 from trabecula.report.evenness import SIZES, evenness_bands
 
 SEEDS = tuple(range(1, 21))
-BLOCKS = tuple((name, 48, times) for name in ("sample bone", "Berea", "NMC") for times in (1.25, 2.0, 4.0))
+BLOCKS = tuple(
+    (name, 48, times) for name in ("sample bone", "Berea", "NMC") for times in (1.25, 2.0, 4.0)
+)
 """Exemplar, its side, and how many times that the result is."""
 
 FROM_PICTURES = ("mrf", "kopf", "chen", "sliced")
@@ -50,7 +55,9 @@ def show_block(method: str, name: str, side: int, times: float, seeds: Sequence[
     given = exemplar
     if kind in FROM_PICTURES:
         middle = exemplar.shape[0] // 2
-        given = tb.Image(exemplar.values[middle], "labels", spacing=exemplar.spacing[1:], phases=exemplar.phases)
+        given = tb.Image(
+            exemplar.values[middle], "labels", spacing=exemplar.spacing[1:], phases=exemplar.phases
+        )
     row = table(f"{method}, {name} {side} x {times:g}", *HEADS)
     maker = tb.method(kind, **({"preset": preset} if preset else {}))
     model = maker.fit(given)
@@ -66,7 +73,9 @@ def show_block(method: str, name: str, side: int, times: float, seeds: Sequence[
         cells = []
         for size, mine, theirs in zip(sizes, own.fraction, found.fraction, strict=True):
             band = bands.get(f"fraction_spread_{size}")
-            cells.append(f"{mine.edge / exemplar.spacing[0]:.0f}: {mine.deviation:.4f} {theirs.deviation:.4f}")
+            cells.append(
+                f"{mine.edge / exemplar.spacing[0]:.0f}: {mine.deviation:.4f} {theirs.deviation:.4f}"
+            )
             if band is not None:
                 held = band[0] <= theirs.deviation <= band[1]
                 inside, asked = inside + held, asked + 1
@@ -79,4 +88,6 @@ def show_block(method: str, name: str, side: int, times: float, seeds: Sequence[
 
 if __name__ == "__main__":
     words = sys.argv[1:]
-    show_block(words[0], words[1], int(words[2]), float(words[3]), [int(word) for word in words[4:]])
+    show_block(
+        words[0], words[1], int(words[2]), float(words[3]), [int(word) for word in words[4:]]
+    )

@@ -1,4 +1,6 @@
-"""`gan`: the models that come with the package, seconds, and the paper's recipe as far as a processor gets."""
+"""`gan`: the models that come with the package, seconds, and the paper's recipe as far as a
+processor gets.
+"""
 
 from __future__ import annotations
 
@@ -27,28 +29,45 @@ def exemplar(name: str) -> tb.Image | None:
     """The scan that a shipped model was learnt from, without its blank margins, where it is here."""
     scan = LEARNT_FROM.get(name, "")
     file, edge, unit = {**LABELS, **GREY}.get(scan, ("", 1.0, "voxel"))
-    return tb.crop_margins(tb.read(SCANS / file, spacing=edge, unit=unit)) if file and SCANS.is_dir() else None
+    return (
+        tb.crop_margins(tb.read(SCANS / file, spacing=edge, unit=unit))
+        if file and SCANS.is_dir()
+        else None
+    )
 
 
 def models() -> None:
-    """Shipped models (or TRABECULA_BENCH_MODELS), 10 samples of 120^3 each: figures and band, diversity, permeability."""
+    """Shipped models (or TRABECULA_BENCH_MODELS), 10 samples of 120^3 each: figures and band,
+    diversity, permeability.
+    """
     for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped():
         scan = exemplar(name)
         if scan is None:
             continue
         model = tb.load_model(name)
         model.generate(SIDE, seed=0)
-        seconds, samples = busy(lambda m=model: [m.generate(SIDE, seed=seed) for seed in range(SAMPLES)])
+        seconds, samples = busy(
+            lambda m=model: [m.generate(SIDE, seed=seed) for seed in range(SAMPLES)]
+        )
         tell(f"\n{name}", f"{SAMPLES} samples of {SIDE}^3", f"{seconds / SAMPLES:.2f} s each")
         _certified(scan, samples)
         if scan.kind == "labels":
             found, apart = tb.measure.diversity(samples[:4]), ~np.eye(4, dtype=bool)
             tell(
-                "diversity", f"distance {found.distance[apart].min():.3f}", f"copied {found.coherence[apart].max():.3f}"
+                "diversity",
+                f"distance {found.distance[apart].min():.3f}",
+                f"copied {found.coherence[apart].max():.3f}",
             )
-            for what, image in (("exemplar", scan), *((f"seed {i}", sample) for i, sample in enumerate(samples[:3]))):
+            for what, image in (
+                ("exemplar", scan),
+                *((f"seed {i}", sample) for i, sample in enumerate(samples[:3])),
+            ):
                 physics = tb.measure.describe_physics(image, box=BOX)
-                tell(what, "permeability", {axis: f"{value:.4g}" for axis, value in physics["permeability"].items()})
+                tell(
+                    what,
+                    "permeability",
+                    {axis: f"{value:.4g}" for axis, value in physics["permeability"].items()},
+                )
         _drawn(name, scan, samples)
 
 
@@ -59,11 +78,18 @@ def speed() -> None:
         model.generate(64, seed=0)
         for side in (SIDE, 200, 420):
             seconds, made = busy(lambda m=model, n=side: m.generate(n, seed=1))
-            tell(name, f"{side}^3", f"{seconds:.2f} s", f"{1e9 * seconds / made.values.size:.0f} ns a voxel")
+            tell(
+                name,
+                f"{side}^3",
+                f"{seconds:.2f} s",
+                f"{1e9 * seconds / made.values.size:.0f} ns a voxel",
+            )
 
 
 def smoke() -> None:
-    """200 iterations of the paper's whole loss on networks of width 4: nothing is infinite; seconds each, figures."""
+    """200 iterations of the paper's whole loss on networks of width 4: nothing is infinite; seconds
+    each, figures.
+    """
     scan = exemplar("bone") or tb.sample("bone")
     settings = {**NARROW, "iterations": 200, "looks": 1, "device": "cpu"}
     for reading in ("deconvolution", "deconvolution+conv"):
@@ -79,10 +105,20 @@ def _certified(scan: tb.Image, samples: Sequence[tb.Image]) -> None:
         values = [one.metrics[key].value for one in certificates]
         if not all(isinstance(value, (int, float, np.number)) for value in values):
             continue
-        band = "" if metric.real_band is None else f"{metric.real_band[0]:.4g} .. {metric.real_band[1]:.4g}"
+        band = (
+            ""
+            if metric.real_band is None
+            else f"{metric.real_band[0]:.4g} .. {metric.real_band[1]:.4g}"
+        )
         passed = sum(bool(one.metrics[key].passed) for one in certificates)
         there = "" if metric.exemplar is None else f"{float(metric.exemplar):.4g}"
-        row(key, there, band, *(f"{value:.4g}" for value in (np.mean(values), min(values), max(values))), passed)
+        row(
+            key,
+            there,
+            band,
+            *(f"{value:.4g}" for value in (np.mean(values), min(values), max(values))),
+            passed,
+        )
 
 
 def _drawn(name: str, scan: tb.Image, samples: Sequence[tb.Image]) -> None:

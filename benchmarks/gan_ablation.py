@@ -1,4 +1,6 @@
-"""Table 1 of the paper on what trains on a processor: the losses that the judge's features offer, at equal processor time."""
+"""Table 1 of the paper on what trains on a processor: the losses that the judge's features offer,
+at equal processor time.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,20 @@ LEARNT = 100
 """Edge of the exemplar, voxels, as the paper's: a corner of the scan."""
 
 SIDE = 96
-"""Edge of what is made, and of the other corners of the scan, which share no voxel with the exemplar."""
+"""Edge of what is made, and of the other corners of the scan, which share no voxel with the
+exemplar.
+"""
 
 SAMPLES = 5
 _TURNS = 10
 
-_SCORE: dict[str, Any] = {"discriminator": "score", "sliced": 0.0, "crop": 32, "batch": 4, "specks": 0}
+_SCORE: dict[str, Any] = {
+    "discriminator": "score",
+    "sliced": 0.0,
+    "crop": 32,
+    "batch": 4,
+    "specks": 0,
+}
 
 VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
     "adversarial only": (_SCORE, "1.51 5.95 40/17"),
@@ -34,9 +44,10 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
     "+ structural": ({**_SCORE, "structural": 1.0}, "0.71 3.27 8/5"),
     "all": ({**_SCORE, "gram": 0.1, "structural": 1.0}, "0.59 3.05 6/3"),
 }
-"""Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in percent, D2 (not of this
-package's scale), components / floating. The paper's judges at width 16; generator, warm-up, relativistic loss and schedule of
-`compact`, crops of 32^3, and no sliced distributions after the warm-up."""
+"""Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in
+percent, D2 (not of this package's scale), components / floating. The paper's judges at width 16;
+generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no sliced
+distributions after the warm-up."""
 
 _FIGURES = (
     "porosity_error",
@@ -50,7 +61,9 @@ _FIGURES = (
 
 
 def ablation() -> None:
-    """Table 1 of the paper at compact width, bone and Berea: TRABECULA_BENCH_ITERATIONS (1000), or fewer of what is dearer."""
+    """Table 1 of the paper at compact width, bone and Berea: TRABECULA_BENCH_ITERATIONS (1000), or
+    fewer of what is dearer.
+    """
     most = int(os.environ.get("TRABECULA_BENCH_ITERATIONS", "1000"))
     for name in ("bone", "berea"):
         scan = exemplar(name)
@@ -61,14 +74,20 @@ def ablation() -> None:
         row = table(name, "ms an iter.", "iterations", *_FIGURES, "paper's bone", wide=18)
         last = min(scan.shape) - SIDE
         corners = [corner for corner in product((0, last), repeat=3) if any(corner)]
-        row("scan elsewhere", "", "", *_means(learnt, [tb.crop(scan, SIDE, corner=corner) for corner in corners]), "")
+        row(
+            "scan elsewhere",
+            "",
+            "",
+            *_means(learnt, [tb.crop(scan, SIDE, corner=corner) for corner in corners]),
+            "",
+        )
         shown = {"exemplar": tb.crop(learnt, SIDE)}
         for (variant, (settings, paper)), cost in zip(VARIANTS.items(), costs, strict=True):
             iterations = round(most * min(costs) / cost)
             try:
-                model = tb.method("gan", minutes=0, iterations=iterations, looks=4, device="cpu", **settings).fit(
-                    learnt
-                )
+                model = tb.method(
+                    "gan", minutes=0, iterations=iterations, looks=4, device="cpu", **settings
+                ).fit(learnt)
             except TrainingError as error:
                 tell(variant, error)
                 continue
@@ -82,13 +101,14 @@ def ablation() -> None:
 def _costs(image: tb.Image) -> list[float]:
     """Seconds of the processor that an iteration takes of each variant, warm-up included.
 
-    Taken in turns, so that what else the machine does slows all of them alike: equal time is then a number of iterations.
+    Taken in turns, so that what else the machine does slows all of them alike: equal time is then a
+    number of iterations.
     """
     import torch
 
+    from trabecula.synth.gan.adversarial import Players
     from trabecula.synth.gan.data import fields_of
     from trabecula.synth.gan.perceptual import Table
-    from trabecula.synth.gan.players import Players
     from trabecula.synth.gan.train import CHUNK, TABLE
 
     configs = [GanConfig(**settings) for settings, _ in VARIANTS.values()]
@@ -113,4 +133,7 @@ def _costs(image: tb.Image) -> list[float]:
 
 def _means(exemplar: tb.Image, images: Sequence[tb.Image]) -> list[str]:
     certificates = tb.verify(exemplar, *images, level="quick")
-    return [f"{np.mean([float(one.metrics[key].value) for one in certificates]):.4g}" for key in _FIGURES]
+    return [
+        f"{np.mean([float(one.metrics[key].value) for one in certificates]):.4g}"
+        for key in _FIGURES
+    ]

@@ -38,19 +38,42 @@ PAPER_1 = {
 
 
 def graded_lattice() -> None:
-    """Table 2: lattice graded to a cantilever of 300 x 160 x 80 and to a wheel, s = 14, o = 4, from 80^3.
+    """Table 2: lattice graded to a cantilever of 300 x 160 x 80 and to a wheel, s = 14, o = 4, from
+    80^3.
 
-    `frac`: difference of the volume fraction from the field, in the cell amid every neighbourhood; `mism`: share of an
-    overlap that differs. `paper` is its table 2, of another lattice.
+    `frac`: difference of the volume fraction from the field, in the cell amid every neighbourhood;
+    `mism`: share of an overlap that differs. `paper` is its table 2, of another lattice.
     """
-    row = table("case", "frac max", "frac mean", "mism max", "mism mean", "parts", "gave way", "seconds", wide=30)
+    row = table(
+        "case",
+        "frac max",
+        "frac mean",
+        "mism max",
+        "mism mean",
+        "parts",
+        "gave way",
+        "seconds",
+        wide=30,
+    )
     cantilever = fields.resample(fields.simp("cantilever"), (160, 80, 300))
     wheel = fields.resample(fields.simp("wheel"), (100, 200, 200))
     settings = {"patch": PATCH, "overlap": OVERLAP}
     cases: list[tuple[str, tuple[str, ...], Any, dict[str, Any], bool]] = [
         ("cantilever", ("figure 7",), cantilever, {}, False),
-        ("cantilever, 48 turns", ("figure 7", "figure 8, type 1"), cantilever, {"orientations": "all"}, False),
-        ("type 2 (frames), 48 turns", ("figure 8, type 2",), cantilever, {"orientations": "all"}, True),
+        (
+            "cantilever, 48 turns",
+            ("figure 7", "figure 8, type 1"),
+            cantilever,
+            {"orientations": "all"},
+            False,
+        ),
+        (
+            "type 2 (frames), 48 turns",
+            ("figure 8, type 2",),
+            cantilever,
+            {"orientations": "all"},
+            True,
+        ),
         ("wheel, 48 turns", ("figure 9",), wheel, {"orientations": "all"}, False),
     ]
     for name, figures, field, more, frames in cases:
@@ -61,9 +84,21 @@ def graded_lattice() -> None:
         told = report(made)
         off = errors(made.values, np.asarray(field.values), **CELLS)
         cells = (off.max(), off.mean(), told["mismatch"]["max"], told["mismatch"]["mean"])
-        row(name, *(f"{value:.4f}" for value in cells), tb.measure.components(made), told["gave_way"], f"{seconds:.1f}")
+        row(
+            name,
+            *(f"{value:.4f}" for value in cells),
+            tb.measure.components(made),
+            told["gave_way"],
+            f"{seconds:.1f}",
+        )
         for figure in figures:
-            row(f"  paper, {figure}", *(f"{value:.4f}" for value in PAPER_2[figure]), "-", "-", "5400")
+            row(
+                f"  paper, {figure}",
+                *(f"{value:.4f}" for value in PAPER_2[figure]),
+                "-",
+                "-",
+                "5400",
+            )
         show(made, f"graded-{name.partition(',')[0].replace(' ', '-')}")
     procedural = lattice(np.asarray(cantilever.values))
     off = errors(procedural.values, np.asarray(cantilever.values), **CELLS)
@@ -80,23 +115,34 @@ def graded_lattice() -> None:
 
 
 def graded_cells() -> None:
-    """Figure 8: pieces of the size of a cell, chosen by volume fraction and Euler number: one or the other dual cell.
+    """Figure 8: pieces of the size of a cell, chosen by volume fraction and Euler number: one or
+    the other dual cell.
 
-    The paper's frame has -4, its node 1; windows of 10^3 of ours, whose faces cut struts, hold what `held` says (at a volume
-    fraction within .02 of the one asked for).
+    The paper's frame has -4, its node 1; windows of 10^3 of ours, whose faces cut struts, hold what
+    `held` says (at a volume fraction within .02 of the one asked for).
     """
-    row = table("asked for", "Euler of pieces", "held", "fraction off", "mismatch mean", "parts", wide=26)
+    row = table(
+        "asked for", "Euler of pieces", "held", "fraction off", "mismatch mean", "parts", wide=26
+    )
     both = [reference(60), reference(60, frames=True)]
-    found = [fields.windowed(sample, size=PERIOD, names=["volume_fraction", "euler"]) for sample in both]
+    found = [
+        fields.windowed(sample, size=PERIOD, names=["volume_fraction", "euler"]) for sample in both
+    ]
     near = [np.abs(one["volume_fraction"] - 0.45) < 0.02 for one in found]
-    euler_of = np.concatenate([one["euler"][n] for one, n in zip(found, near, strict=True)]) * (PERIOD - 1) ** 3
+    euler_of = (
+        np.concatenate([one["euler"][n] for one, n in zip(found, near, strict=True)])
+        * (PERIOD - 1) ** 3
+    )
     held = f"{euler_of.min():.1f}..{euler_of.max():.1f}"
     for name, euler in (("type 1, +1", 1.0), ("type 2, -3", -3.0)):
         target = {"volume_fraction": 0.45, "euler": euler / (PERIOD - 1) ** 3}
         settings = {"patch": PERIOD, "overlap": 1, "period": "none", "orientations": "mirrors"}
         method = tb.method("quilt", **settings, weights={"euler": 4.0}, alpha=0.3)
         made = method.fit(both).generate((45, 45, 45), seed=1, target=target)
-        windows = fields.windowed(made, size=PERIOD, names=["euler"])["euler"][::9, ::9, ::9] * (PERIOD - 1) ** 3
+        windows = (
+            fields.windowed(made, size=PERIOD, names=["euler"])["euler"][::9, ::9, ::9]
+            * (PERIOD - 1) ** 3
+        )
         told = report(made)
         off = abs(float(made.values.mean()) - 0.45)
         cells = (f"{windows.mean():.2f}", held, f"{off:.4f}", f"{told['mismatch']['mean']:.4f}")
@@ -105,14 +151,27 @@ def graded_cells() -> None:
 
 
 def graded_section() -> None:
-    """Figures 5 and 6, table 1: a section of bone made from its own fields and without, and a removed region made again.
+    """Figures 5 and 6, table 1: a section of bone made from its own fields and without, and a
+    removed region made again.
 
-    Differences from the section's own functionals over the region that was made, each over its range in the section.
+    Differences from the section's own functionals over the region that was made, each over its
+    range in the section.
     """
     section, names = bone_section(), ("volume_fraction", "perimeter", "euler")
     size = 25
     own = {name: fields.measure(section, name, size=size) for name in names}
-    row = table("case", "area max", "mean", "perim max", "mean", "Euler max", "mean", "same voxels", "seconds", wide=30)
+    row = table(
+        "case",
+        "area max",
+        "mean",
+        "perim max",
+        "mean",
+        "Euler max",
+        "mean",
+        "same voxels",
+        "seconds",
+        wide=30,
+    )
     known = np.ones(section.shape, bool)
     high, wide = section.shape
     known[high // 3 : 2 * high // 3, wide // 3 : 2 * wide // 3] = False
@@ -125,9 +184,13 @@ def graded_section() -> None:
     ]
     shown = [section]
     for name, target, parts in cases:
-        method = tb.method("quilt", patch=size, overlap=8, share=1.0, candidates=1 << 20, connected="none")
+        method = tb.method(
+            "quilt", patch=size, overlap=8, share=1.0, candidates=1 << 20, connected="none"
+        )
         model = method.fit(section if not parts else without(section, known))
-        seconds, made = busy(lambda m=model, t=target, p=parts: m.generate(section.shape, seed=1, target=t, **p))
+        seconds, made = busy(
+            lambda m=model, t=target, p=parts: m.generate(section.shape, seed=1, target=t, **p)
+        )
         region = ~known if parts else np.ones(section.shape, bool)
         cells = []
         for field in names:
@@ -141,19 +204,36 @@ def graded_section() -> None:
         row(f"  paper, repair, {name}", *(f"{value:.4f}" for value in cells), "-", "-")
     folder = pictures()
     if folder:
-        tb.write(montage(shown, ["section", *(name for name, *_ in cases)]), folder / "graded-section.png")
+        tb.write(
+            montage(shown, ["section", *(name for name, *_ in cases)]),
+            folder / "graded-section.png",
+        )
 
 
 def graded_bone() -> None:
     """Bone graded to a cantilever's loads, by `quilt` and by `texture`, beside the field.
 
-    `frac`: differences of the volume fraction in windows of 20^3 from the field; `largest`: share of the solid in one body;
-    `struts`: voxels that no piece had, over the solid's.
+    `frac`: differences of the volume fraction in windows of 20^3 from the field; `largest`: share
+    of the solid in one body; `struts`: voxels that no piece had, over the solid's.
     """
     step = 12
-    row = table("method", "frac max", "frac mean", "parts", "largest", "struts", "gave way", "seconds", wide=20)
+    row = table(
+        "method",
+        "frac max",
+        "frac mean",
+        "parts",
+        "largest",
+        "struts",
+        "gave way",
+        "seconds",
+        wide=20,
+    )
     bone, field = bone_scan(), bone_field()
-    for name, settings in (("quilt", {"patch": 20}), ("quilt", {"patch": 16, "overlap": 6}), ("texture", {})):
+    for name, settings in (
+        ("quilt", {"patch": 20}),
+        ("quilt", {"patch": 16, "overlap": 6}),
+        ("texture", {}),
+    ):
         model = tb.method(name, **settings).fit(bone)
         model.generate((32, 32, 48), seed=1)
         request = tb.Request(field.shape, seed=1, target={"volume_fraction": field})
@@ -163,16 +243,24 @@ def graded_bone() -> None:
         told = report(made) if name == "quilt" else {"strut_voxels": 0, "gave_way": ""}
         share = told["strut_voxels"] / int(np.count_nonzero(made.values))
         label = f"{name} {settings.get('patch', '')}"
-        cells = (f"{off.max():.3f}", f"{off.mean():.4f}", parts, f"{largest:.4f}", f"{share:.4f}", told["gave_way"])
+        cells = (
+            f"{off.max():.3f}",
+            f"{off.mean():.4f}",
+            parts,
+            f"{largest:.4f}",
+            f"{share:.4f}",
+            told["gave_way"],
+        )
         row(label, *cells, f"{seconds:.1f}")
         show(made, f"graded-bone-{label.strip().replace(' ', '-')}")
 
 
 def graded_seams() -> None:
-    """Along the seams of graded bone: shares of differing voxels from a neighbourhood to its nearest in the sample.
+    """Along the seams of graded bone: shares of differing voxels from a neighbourhood to its
+    nearest in the sample.
 
-    A voxel is on a seam where what its neighbour was taken from lies elsewhere in the sample. Beside it parts of the scan that
-    the sample does not hold: what its own spread is.
+    A voxel is on a seam where what its neighbour was taken from lies elsewhere in the sample.
+    Beside it parts of the scan that the sample does not hold: what its own spread is.
     """
     row = table("interfaces of", "size", "voxels", "mean", "median", "q 90", "q 99", wide=34)
     bone, scan, field = bone_scan(), whole_scan(), bone_field()
@@ -192,14 +280,19 @@ def graded_seams() -> None:
             seam = on_seams(taken) & counted
             held = name.startswith("held")
             for label, where in (
-                ((name, counted),) if held else ((f"{name}: seams", seam), (f"{name}: rest", counted & ~seam))
+                ((name, counted),)
+                if held
+                else ((f"{name}: seams", seam), (f"{name}: rest", counted & ~seam))
             ):
                 off = taken.distance[where]
                 row(
                     label,
                     size,
                     off.size,
-                    *(f"{value:.3f}" for value in (off.mean(), *np.quantile(off, [0.5, 0.9, 0.99]))),
+                    *(
+                        f"{value:.3f}"
+                        for value in (off.mean(), *np.quantile(off, [0.5, 0.9, 0.99]))
+                    ),
                 )
 
 
@@ -209,7 +302,8 @@ def on_seams(taken: Any) -> np.ndarray:
     known, found = taken.position[..., 0] >= 0, np.zeros(taken.distance.shape, bool)
     for axis in range(3):
         after, before = (
-            tuple(part if a == axis else slice(None) for a in range(3)) for part in (slice(1, None), slice(-1))
+            tuple(part if a == axis else slice(None) for a in range(3))
+            for part in (slice(1, None), slice(-1))
         )
         differ = (away[after] != away[before]).any(axis=-1) & known[after] & known[before]
         found[after] |= differ
@@ -218,11 +312,18 @@ def on_seams(taken: Any) -> np.ndarray:
 
 
 def graded_speed() -> None:
-    """Seconds of one thread, kernels loaded, and bytes that one voxel more of the output costs at the peak."""
+    """Seconds of one thread, kernels loaded, and bytes that one voxel more of the output costs at
+    the peak.
+    """
     row = table("case", "seconds", "per place, ms", "bytes/voxel", wide=36)
     bone = bone_scan()
     for name, exemplar, shape, settings in (
-        ("lattice 80^3 -> 300 x 160 x 80, 14/4", reference(), (300, 160, 80), {"patch": PATCH, "overlap": OVERLAP}),
+        (
+            "lattice 80^3 -> 300 x 160 x 80, 14/4",
+            reference(),
+            (300, 160, 80),
+            {"patch": PATCH, "overlap": OVERLAP},
+        ),
         ("bone 96^3 -> 128^3, 20/8", bone, (128, 128, 128), {"patch": 20}),
         ("bone 96^3 -> 128^3, 20/8, fast", bone, (128, 128, 128), {"patch": 20, "preset": "fast"}),
         ("bone 96^3, any pieces", bone, (128, 128, 128), {"patch": 20, "connected": "none"}),
@@ -234,7 +335,9 @@ def graded_speed() -> None:
         request = tb.Request(shape, seed=1, target={"volume_fraction": field})
         seconds, made = busy(lambda model=model, request=request: model.generate(request))
         places = report(made)["places"]
-        small, large = ((shape[0] // 2, shape[1] // 2, side) for side in (shape[2] // 4, shape[2] // 2))
+        small, large = (
+            (shape[0] // 2, shape[1] // 2, side) for side in (shape[2] // 4, shape[2] // 2)
+        )
         taken = []
         for part in (small, large):
             asked = tb.Request(part, seed=1, target={"volume_fraction": (low + high) / 2})
@@ -248,13 +351,22 @@ def report(made: tb.Image) -> dict[str, Any]:
     return made.recipe.steps[-1]["report"]
 
 
-def errors(values: np.ndarray, field: np.ndarray, *, size: int, step: int, first: int = 0) -> np.ndarray:
-    """Differences of the volume fraction in windows, one every `step` voxels, from the field in their middles."""
+def errors(
+    values: np.ndarray, field: np.ndarray, *, size: int, step: int, first: int = 0
+) -> np.ndarray:
+    """Differences of the volume fraction in windows, one every `step` voxels, from the field in
+    their middles.
+    """
     found = []
     for place in np.ndindex(tuple((side - first - size) // step + 1 for side in values.shape)):
         corner = [first + at * step for at in place]
         box = tuple(slice(at, at + size) for at in corner)
-        found.append(abs(float(values[box].mean()) - float(field[tuple(at + (size - 1) // 2 for at in corner)])))
+        found.append(
+            abs(
+                float(values[box].mean())
+                - float(field[tuple(at + (size - 1) // 2 for at in corner)])
+            )
+        )
     return np.array(found)
 
 
@@ -264,7 +376,9 @@ def bone_scan(side: int = 96) -> tb.Image:
 
 
 def bone_field() -> Any:
-    """The density of a cantilever, 96 x 48 x 180, brought into what windows of 20^3 of that bone hold."""
+    """The density of a cantilever, 96 x 48 x 180, brought into what windows of 20^3 of that bone
+    hold.
+    """
     low, high = np.quantile(fields.windowed(bone_scan(), size=20)["volume_fraction"], [0.05, 0.95])
     density = fields.simp("cantilever", low=0.3, high=0.85)
     return fields.resample(fields.rescale(density, low=float(low), high=float(high)), (96, 48, 180))
@@ -287,9 +401,17 @@ def without(section: tb.Image, known: np.ndarray) -> list[tb.Image]:
     """The four parts of a section around a region that is gone."""
     gone = np.argwhere(~known)
     (top, left), (bottom, right) = gone.min(axis=0), gone.max(axis=0) + 1
-    parts = (section.values[:top], section.values[bottom:], section.values[:, :left], section.values[:, right:])
+    parts = (
+        section.values[:top],
+        section.values[bottom:],
+        section.values[:, :left],
+        section.values[:, right:],
+    )
     return [
-        tb.Image(np.ascontiguousarray(part), "labels", section.spacing, section.unit, section.phases) for part in parts
+        tb.Image(
+            np.ascontiguousarray(part), "labels", section.spacing, section.unit, section.phases
+        )
+        for part in parts
     ]
 
 

@@ -1,8 +1,10 @@
-"""The lattices of the cases: cells of one period whose struts swell with a volume fraction, and the two cells that they hold.
+"""The lattices of the cases: cells of one period whose struts swell with a volume fraction, and the
+two cells that they hold.
 
-Solid is where cos z + cos y + cos x lies below a level. A cell that begins in the middle of a hollow is a node with six arms
-(type 1: one piece without a hole); one that begins in a node is the frame around a hollow (type 2: its Euler number is -4, and 2
-once the windows in its faces have closed). Both are windows of the same lattice, half a period apart.
+Solid is where cos z + cos y + cos x lies below a level. A cell that begins in the middle of a
+hollow is a node with six arms (type 1: one piece without a hole); one that begins in a node is the
+frame around a hollow (type 2: its Euler number is -4, and 2 once the windows in its faces have
+closed). Both are windows of the same lattice, half a period apart.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ PERIOD = 10
 
 
 def lattice(fraction: np.ndarray, *, period: int = PERIOD, frames: bool = False) -> tb.Image:
-    """A lattice with this volume fraction at every voxel; of nodes in the cells' middles, or of frames."""
+    """A lattice with this volume fraction at every voxel; of nodes in the cells' middles, or of
+    frames.
+    """
     places = (np.indices(fraction.shape, np.float32) + 0.5) * np.float32(2 * np.pi / period)
     values = np.cos(places).sum(axis=0) * (-1 if frames else 1)
     at = np.cos((np.arange(40) + 0.5) / 40 * 2 * np.pi)
@@ -24,8 +28,12 @@ def lattice(fraction: np.ndarray, *, period: int = PERIOD, frames: bool = False)
     return tb.Image((values < level).astype(np.uint8), "labels")
 
 
-def reference(side: int = 80, *, low: float = 0.28, high: float = 0.87, frames: bool = False) -> tb.Image:
-    """The sample: a cube of the lattice that is dense here and open there, even in parts, with gradients in many directions."""
+def reference(
+    side: int = 80, *, low: float = 0.28, high: float = 0.87, frames: bool = False
+) -> tb.Image:
+    """The sample: a cube of the lattice that is dense here and open there, even in parts, with
+    gradients in many directions.
+    """
     z, y, x = 1.5 * np.pi * np.indices((side,) * 3) / (side - 1)
     wave = np.cos(x + 0.5 * y) * np.cos(0.9 * y + 0.3 * z) * np.cos(0.5 * z - 0.2 * x)
     wave = np.clip(1.5 * wave, -1, 1)

@@ -1,8 +1,9 @@
-"""Methods that learn from pictures: how like the picture the slices of their volumes are, as the 2014 paper compares.
+"""Methods that learn from pictures: how like the picture the slices of their volumes are, as the
+2014 paper compares.
 
-Every method of the registry that learns from pictures is in the tables. Of a long table a part can be run: `--only`, `--methods`
-(a preset after a colon: `mrf:fast`) and `--side` of `trabecula bench`, or TRABECULA_BENCH_ONLY, _METHODS and _SIDE,
-whose words are parted by semicolons.
+Every method of the registry that learns from pictures is in the tables. Of a long table a part can
+be run: `--only`, `--methods` (a preset after a colon: `mrf:fast`) and `--side` of `trabecula
+bench`, or TRABECULA_BENCH_ONLY, _METHODS and _SIDE, whose words are parted by semicolons.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ from common import SCANS, busy, pictures, table
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
 from trabecula.measure.correlation import covariance_form, two_point
-from trabecula.measure.correlation.preference import preference, two_point_diagonal
+from trabecula.measure.correlation.axis_preference import preference, two_point_diagonal
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler
 from trabecula.measure.orientation import orientation
-from trabecula.report.faces import Face, faces_of, slices_of
-from trabecula.synth.registry import methods
+from trabecula.report.planes import Face, faces_of, slices_of
+from trabecula.synth.api.registry import methods
 
 LAGS = 32
 REACH = 40
 LEVEL = 0.002
-"""Figures that differ by less are level: where a histogram is matched exactly, digits behind that are rounding."""
+"""Figures that differ by less are level: where a histogram is matched exactly, digits behind that
+are rounding.
+"""
 
 CROP = 192
 """Pixels a side of the centre of a picture that is learnt from."""
@@ -66,7 +69,9 @@ class Likeness:
     orientation: float
     """Kullback-Leibler divergence of the local orientations."""
     covariance: float | None
-    """Of labels: l2 of the difference of the radial covariance over that of the picture, mean over phases."""
+    """Of labels: l2 of the difference of the radial covariance over that of the picture, mean over
+    phases.
+    """
     preference: float | None
     """Of labels: `axis_preference` of the slices, less that of the picture."""
 
@@ -77,13 +82,19 @@ class Likeness:
 
     def cells(self) -> list[str]:
         """The cells of a row."""
-        more = ["-" if value is None else f"{value:.3f}" for value in (self.covariance, self.preference)]
+        more = [
+            "-" if value is None else f"{value:.3f}" for value in (self.covariance, self.preference)
+        ]
         return [f"{value:.4f}" for value in self.three] + more
 
 
 def asked(name: str) -> list[str]:
     """The words that an option of `trabecula bench` gave, none where it was not given."""
-    return [word.strip() for word in os.environ.get(f"TRABECULA_BENCH_{name}", "").split(";") if word.strip()]
+    return [
+        word.strip()
+        for word in os.environ.get(f"TRABECULA_BENCH_{name}", "").split(";")
+        if word.strip()
+    ]
 
 
 def side_of(default: int) -> int:
@@ -92,7 +103,9 @@ def side_of(default: int) -> int:
 
 
 def exemplars() -> dict[str, list[tb.Image]]:
-    """Pictures by name, their centres; a slice of the sample where the folder of pictures is not here."""
+    """Pictures by name, their centres; a slice of the sample where the folder of pictures is not
+    here.
+    """
     if not SCANS.is_dir():
         return {"sample": [tb.Image(tb.sample("foam").values[48], "labels")]}
     wanted = asked("ONLY") or list(PICTURES)
@@ -105,8 +118,14 @@ def exemplars() -> dict[str, list[tb.Image]]:
 
 
 def makers(kind: str) -> dict[str, Maker]:
-    """Every method that learns from pictures of a kind, as named or with its defaults, and for labels the Gaussian field."""
-    known = {name: spec for name, spec in methods().items() if spec.exemplar == "2d" and kind in spec.kinds}
+    """Every method that learns from pictures of a kind, as named or with its defaults, and for
+    labels the Gaussian field.
+    """
+    known = {
+        name: spec
+        for name, spec in methods().items()
+        if spec.exemplar == "2d" and kind in spec.kinds
+    }
     found: dict[str, Maker] = {}
     for word in asked("METHODS") or [*known, "gaussian"]:
         name, _, preset = word.partition(":")
@@ -144,14 +163,17 @@ def likeness(face: Face, slices: Sequence[tb.Image]) -> Likeness:
     """Of slices, or of other pictures, to the picture of a face."""
     own, others = shown(face.picture), [shown(each) for each in slices]
     reach = min(LAGS, *(min(each.shape) - 1 for each in others))
-    rho = np.mean([autocorrelation(each, lags=reach) for each in others], axis=0) - autocorrelation(own, lags=reach)
+    rho = np.mean([autocorrelation(each, lags=reach) for each in others], axis=0) - autocorrelation(
+        own, lags=reach
+    )
     shares = np.mean([histogram(each) for each in slices], axis=0)
     ways = np.mean([orientation(each).shares for each in others], axis=0)
     labels = face.picture.kind == "labels"
     return Likeness(
         kullback_leibler(shares, histogram(face.picture)),
         float(np.sqrt(np.mean(rho**2))),
-        kullback_leibler(ways, orientation(own).shares) if ways.any() else math.inf,  # nothing is left but one value
+        # nothing is left but one value
+        kullback_leibler(ways, orientation(own).shares) if ways.any() else math.inf,
         _covariance_error(face.picture, slices) if labels else None,
         _preference(slices) - _preference([face.picture]) if labels else None,
     )
@@ -160,8 +182,12 @@ def likeness(face: Face, slices: Sequence[tb.Image]) -> Likeness:
 def _preference(slices: Sequence[tb.Image]) -> float:
     """`axis_preference` of several pictures as one."""
     reach = min(LAGS, *(min(each.shape) // 2 for each in slices))
-    axial = np.mean([two_point(each, r_max=reach, axis=axis) for each in slices for axis in range(2)], axis=0)
-    return preference(axial, np.mean([two_point_diagonal(each, r_max=reach) for each in slices], axis=0))
+    axial = np.mean(
+        [two_point(each, r_max=reach, axis=axis) for each in slices for axis in range(2)], axis=0
+    )
+    return preference(
+        axial, np.mean([two_point_diagonal(each, r_max=reach) for each in slices], axis=0)
+    )
 
 
 def _covariance_error(picture: tb.Image, slices: Sequence[tb.Image]) -> float:
@@ -169,7 +195,9 @@ def _covariance_error(picture: tb.Image, slices: Sequence[tb.Image]) -> float:
     errors = []
     for phase in range(len(picture.phases)) if len(picture.phases) > 2 else (1,):
         own = covariance_form(two_point(picture, r_max=reach, phase=phase))
-        mean = covariance_form(np.mean([two_point(each, r_max=reach, phase=phase) for each in slices], axis=0))
+        mean = covariance_form(
+            np.mean([two_point(each, r_max=reach, phase=phase) for each in slices], axis=0)
+        )
         errors.append(np.linalg.norm(mean - own) / np.linalg.norm(own))
     return float(np.mean(errors))
 
@@ -190,9 +218,14 @@ def own_spread(images: Sequence[tb.Image]) -> Likeness:
         for axis, side in enumerate(image.shape):
             halves = [
                 tb.Image(np.ascontiguousarray(part), image.kind, phases=image.phases)
-                for part in (image.values.take(range(side // 2), axis), image.values.take(range(side // 2, side), axis))
+                for part in (
+                    image.values.take(range(side // 2), axis),
+                    image.values.take(range(side // 2, side), axis),
+                )
             ]
-            found += [likeness(Face(here, (), ""), [there]) for here, there in (halves, halves[::-1])]
+            found += [
+                likeness(Face(here, (), ""), [there]) for here, there in (halves, halves[::-1])
+            ]
     return _mean(found)
 
 
@@ -203,21 +236,29 @@ def _mean(found: Sequence[Likeness]) -> Likeness:
         for name in ("histogram", "autocorrelation", "orientation")
     }
     both = {
-        name: None if getattr(first, name) is None else float(np.mean([getattr(one, name) for one in found]))
+        name: None
+        if getattr(first, name) is None
+        else float(np.mean([getattr(one, name) for one in found]))
         for name in ("covariance", "preference")
     }
     return Likeness(**means, **both)
 
 
 def oblique(volume: tb.Image) -> tb.Image:
-    """The plane through the middle that holds the z axis and the diagonal of y and x, the nearest voxels of it."""
+    """The plane through the middle that holds the z axis and the diagonal of y and x, the nearest
+    voxels of it.
+    """
     side = min(volume.shape[1:])
     steps = np.rint(np.arange(int(side * np.sqrt(2))) / np.sqrt(2)).astype(int).clip(0, side - 1)
-    return tb.Image(np.ascontiguousarray(volume.values[:, steps, steps]), volume.kind, phases=volume.phases)
+    return tb.Image(
+        np.ascontiguousarray(volume.values[:, steps, steps]), volume.kind, phases=volume.phases
+    )
 
 
 def draw(name: str, images: Sequence[tb.Image], volumes: dict[str, tb.Image]) -> None:
-    """The pictures, and of every volume three slices and an oblique one, where pictures are asked for."""
+    """The pictures, and of every volume three slices and an oblique one, where pictures are asked
+    for.
+    """
     folder = pictures()
     if folder is None:
         return
@@ -229,7 +270,9 @@ def draw(name: str, images: Sequence[tb.Image], volumes: dict[str, tb.Image]) ->
         rows.append([_pixels(plane) for plane in (*planes, oblique(volume))])
     gap = 6
     width = max(sum(pixels.shape[1] + gap for pixels in row) for row in rows)
-    sheet = np.full((sum(max(p.shape[0] for p in row) + gap for row in rows), width, 3), 160, np.uint8)
+    sheet = np.full(
+        (sum(max(p.shape[0] for p in row) + gap for row in rows), width, 3), 160, np.uint8
+    )
     top = 0
     for row in rows:
         left = 0
@@ -244,11 +287,17 @@ def draw(name: str, images: Sequence[tb.Image], volumes: dict[str, tb.Image]) ->
 
 def _pixels(image: tb.Image, *, zoom: int = 2) -> np.ndarray:
     values = shown(image).values
-    values = values if image.kind == "colour" else np.repeat(values.astype(np.uint8)[..., None], 3, axis=-1)
+    values = (
+        values
+        if image.kind == "colour"
+        else np.repeat(values.astype(np.uint8)[..., None], 3, axis=-1)
+    )
     return values.repeat(zoom, axis=0).repeat(zoom, axis=1)
 
 
-def made(images: Sequence[tb.Image], side: int, *, seed: int = 0) -> Iterator[tuple[str, float, tb.Image | str]]:
+def made(
+    images: Sequence[tb.Image], side: int, *, seed: int = 0
+) -> Iterator[tuple[str, float, tb.Image | str]]:
     """Name, processor seconds and volume of every method, or why there is none."""
     for name, make in makers(images[0].kind).items():
         try:
@@ -260,14 +309,18 @@ def made(images: Sequence[tb.Image], side: int, *, seed: int = 0) -> Iterator[tu
 
 
 def image_likeness() -> None:
-    """Every picture, 64^3 by every method: the measures of the 2014 paper's figure 10, over slices of the views.
+    """Every picture, 64^3 by every method: the measures of the 2014 paper's figure 10, over slices
+    of the views.
 
-    `real` is how far the halves of the picture are from each other. For labels also the covariance's error, and how much more
-    than the picture the slices prefer the axes. Seconds are the processor's, learning and compiling included. Last, of how many
-    pictures `mrf` is ahead of the others, or level with them (0.002), in the three measures together and in each.
+    `real` is how far the halves of the picture are from each other. For labels also the
+    covariance's error, and how much more than the picture the slices prefer the axes. Seconds are
+    the processor's, learning and compiling included. Last, of how many pictures `mrf` is ahead of
+    the others, or level with them (0.002), in the three measures together and in each.
     """
     side = side_of(64)
-    row = table("picture, method", "histogram", "autocorr.", "orientation", "S2 cov", "axes", "s", wide=34)
+    row = table(
+        "picture, method", "histogram", "autocorr.", "orientation", "S2 cov", "axes", "s", wide=34
+    )
     ahead: dict[str, list[bool]] = defaultdict(list)
     for name, images in exemplars().items():
         row(f"{name}: real", *own_spread(images).cells(), "-")
@@ -283,9 +336,13 @@ def image_likeness() -> None:
             if method.startswith("mrf"):
                 continue
             for rival in (word for word in found if word.startswith("mrf")):
-                better = [a < b + LEVEL for a, b in zip(found[rival].three, here.three, strict=True)]
+                better = [
+                    a < b + LEVEL for a, b in zip(found[rival].three, here.three, strict=True)
+                ]
                 ahead[f"{rival} ahead of {method}"].append(all(better))
-                for measure, won in zip(("histogram", "autocorrelation", "orientation"), better, strict=True):
+                for measure, won in zip(
+                    ("histogram", "autocorrelation", "orientation"), better, strict=True
+                ):
                     ahead[f"{rival} ahead of {method} in {measure}"].append(won)
     for words, won in ahead.items():
         print(f"{words}: {sum(won)} of {len(won)}")

@@ -1,4 +1,6 @@
-"""`mrf` as its paper compares: the heuristics that make one density of the views', and the ways to relax."""
+"""`mrf` as its paper compares: the heuristics that make one density of the views', and the ways to
+relax.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import trabecula as tb
 from common import busy, table
 from image import draw, exemplars, likeness_of_volume, side_of
 from trabecula.core.errors import TrabeculaError
-from trabecula.synth.registry import methods
+from trabecula.synth.api.registry import methods
 
 PICTURES = ("ceramics", "composite", "gravel", "bread 2")
 CROP = 64
@@ -22,7 +24,8 @@ RELAXATIONS: dict[str, dict[str, Any]] = {
 
 
 def image_paper() -> None:
-    """32^3 from 64^2 with the paper's setting: heuristics H1a .. H2b by ICM, then ICM, annealing and Gibbs with H2b.
+    """32^3 from 64^2 with the paper's setting: heuristics H1a .. H2b by ICM, then ICM, annealing
+    and Gibbs with H2b.
 
     The last row is the method's default. Measures as in case `image_likeness`.
     """
@@ -30,16 +33,26 @@ def image_paper() -> None:
         print("(no method 'mrf' yet: left out)")
         return
     side = side_of(32)
-    row = table("picture, setting", "histogram", "autocorr.", "orientation", "S2 cov", "axes", "s", wide=34)
-    runs: dict[str, Mapping[str, Any]] = {f"icm, {name}": {"preset": "paper", "heuristic": name} for name in HEURISTICS}
-    runs |= {f"{name}, h2b": {"preset": "paper", **settings} for name, settings in RELAXATIONS.items() if name != "icm"}
+    row = table(
+        "picture, setting", "histogram", "autocorr.", "orientation", "S2 cov", "axes", "s", wide=34
+    )
+    runs: dict[str, Mapping[str, Any]] = {
+        f"icm, {name}": {"preset": "paper", "heuristic": name} for name in HEURISTICS
+    }
+    runs |= {
+        f"{name}, h2b": {"preset": "paper", **settings}
+        for name, settings in RELAXATIONS.items()
+        if name != "icm"
+    }
     runs["default"] = {}
     for name, images in _smaller().items():
         volumes = {}
         for words, settings in runs.items():
             try:
                 seconds, volume = busy(
-                    lambda s=settings, i=images: tb.method("mrf", **s).fit(i[0]).generate(side, seed=0)
+                    lambda s=settings, i=images: (
+                        tb.method("mrf", **s).fit(i[0]).generate(side, seed=0)
+                    )
                 )
             except TrabeculaError as error:
                 print(f"{name}: {words}: {error}")
@@ -52,4 +65,7 @@ def image_paper() -> None:
 def _smaller() -> dict[str, Sequence[tb.Image]]:
     found = exemplars()
     names = [name for name in PICTURES if name in found] or list(found)[:1]
-    return {name: [tb.crop(image, min(CROP, *image.shape)) for image in found[name][:1]] for name in names}
+    return {
+        name: [tb.crop(image, min(CROP, *image.shape)) for image in found[name][:1]]
+        for name in names
+    }

@@ -1,4 +1,6 @@
-"""From the middle slice of a scan to a volume, beside the scan itself: what one picture is enough for."""
+"""From the middle slice of a scan to a volume, beside the scan itself: what one picture is enough
+for.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from image import asked, draw, made, side_of
 from trabecula.core.checks import check_name
 from trabecula.exemplar.views import PLANES
 from trabecula.measure.correlation import axis_preference, covariance_form, two_point
-from trabecula.measure.correlation.preference import two_point_diagonal
-from trabecula.report.faces import slices_of
+from trabecula.measure.correlation.axis_preference import two_point_diagonal
+from trabecula.report.planes import slices_of
 
 SCANS = ("Berea", "bone a", "NMC", "cement, Otsu", "cathode, coarse")
 SEVERAL = ("bone a",)
@@ -40,7 +42,9 @@ class Truth:
     @classmethod
     def of(cls, scan: tb.Image, side: int) -> Truth:
         """Of a whole scan; counts and transport of its centre, as large as what is made."""
-        return cls(scan, curves(scan), figures(tb.crop(scan, [min(side, have) for have in scan.shape])))
+        return cls(
+            scan, curves(scan), figures(tb.crop(scan, [min(side, have) for have in scan.shape]))
+        )
 
     def errors(self, found: Mapping[str, np.ndarray]) -> list[float]:
         """Radial, the worst axis, the diagonals: relative l2 of the covariance."""
@@ -50,7 +54,10 @@ class Truth:
 
 def curves(image: tb.Image) -> dict[str, np.ndarray]:
     """The covariances of the solid."""
-    found = {"radial": two_point(image, r_max=REACH), "diagonal": two_point_diagonal(image, r_max=REACH)}
+    found = {
+        "radial": two_point(image, r_max=REACH),
+        "diagonal": two_point_diagonal(image, r_max=REACH),
+    }
     found |= {name: two_point(image, r_max=REACH, axis=axis) for axis, name in enumerate("zyx")}
     return {name: covariance_form(curve) for name, curve in found.items()}
 
@@ -71,12 +78,15 @@ def figures(image: tb.Image) -> dict[str, float]:
 
 
 def image_truth() -> None:
-    """96^3 from the middle slice of a scan by every method, beside the scan: S2, what only a volume shows, preferred axes.
+    """96^3 from the middle slice of a scan by every method, beside the scan: S2, what only a volume
+    shows, preferred axes.
 
-    S2 errors are of the covariance over r = 0 .. 32, relative l2 to the whole scan's: radial, along the worst axis, along the
-    diagonals of faces. `floor` is the mean of real slices, the picture's own beside it. Euler is per 1e6 voxels, k the
-    permeability in voxels^2 of the centre 64^3, mean of the axes. `axes` is `axis_preference`. The scan's rows are of its first
-    and last 96^3. Of a scan that differs by direction, rows with `3 views` are made from the middle slices of all planes.
+    S2 errors are of the covariance over r = 0 .. 32, relative l2 to the whole scan's: radial, along
+    the worst axis, along the diagonals of faces. `floor` is the mean of real slices, the picture's
+    own beside it. Euler is per 1e6 voxels, k the permeability in voxels^2 of the centre 64^3, mean
+    of the axes. `axes` is `axis_preference`. The scan's rows are of its first and last 96^3. Of a
+    scan that differs by direction, rows with `3 views` are made from the middle slices of all
+    planes.
     """
     side = side_of(96)
     heads = ("S2 radial", "S2 worst axis", "S2 diagonal", "axes", *figures_heads(), "s")
@@ -100,7 +110,16 @@ def image_truth() -> None:
 
 def figures_heads() -> Sequence[str]:
     """The names of `figures`."""
-    return ("porosity", "Euler", "pores", "largest pore", "largest solid", "thickness", "pore size", "k")
+    return (
+        "porosity",
+        "Euler",
+        "pores",
+        "largest pore",
+        "largest solid",
+        "thickness",
+        "pore size",
+        "k",
+    )
 
 
 def _chosen() -> dict[str, tb.Image]:
@@ -114,7 +133,9 @@ def _chosen() -> dict[str, tb.Image]:
 def _tell_floor(name: str, truth: Truth, picture: tb.Image) -> None:
     values, phases = truth.scan.values, truth.scan.phases
     places = [(2 * n + 1) * len(values) // (2 * FLOOR) for n in range(FLOOR)]
-    slices = [tb.Image(np.ascontiguousarray(values[place]), "labels", phases=phases) for place in places]
+    slices = [
+        tb.Image(np.ascontiguousarray(values[place]), "labels", phases=phases) for place in places
+    ]
     lines = [covariance_form(two_point(each, r_max=REACH)) for each in (picture, *slices)]
     own, *others = (_relative(line, truth.curves["radial"]) for line in lines)
     floor = np.mean(others)
@@ -129,7 +150,13 @@ def _real_rows(row, name: str, truth: Truth, side: int) -> None:
         ("first", [0, 0, 0]),
         ("last", [h - s for h, s in zip(truth.scan.shape, sides, strict=True)]),
     ):
-        _row(row, f"{name}: {words} {sides[0]}", truth, tb.crop(truth.scan, sides, corner=corner), "-")
+        _row(
+            row,
+            f"{name}: {words} {sides[0]}",
+            truth,
+            tb.crop(truth.scan, sides, corner=corner),
+            "-",
+        )
 
 
 def _row(row, words: str, truth: Truth, volume: tb.Image, seconds: str) -> None:

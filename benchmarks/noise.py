@@ -29,18 +29,32 @@ CASES: dict[str, Mapping[str, Any]] = {
 
 
 def noise() -> None:
-    """256^3 of every kind at cells or lengths of 10 voxels, porosity 0.6 asked for, one thread, kernels compiled, best of two.
+    """256^3 of every kind at cells or lengths of 10 voxels, porosity 0.6 asked for, one thread,
+    kernels compiled, best of two.
 
-    Seconds are the processor's; `fit` holds the trial that finds the level of a pattern. `bytes` are those held at most
-    per voxel of a 256^3, beyond it. `porosity` is that of eight windows with cells of 3.3 voxels (of several
-    octaves in the last), 96^3 each: mean and
+    Seconds are the processor's; `fit` holds the trial that finds the level of a pattern. `bytes`
+    are those held at most per voxel of a 256^3, beyond it. `porosity` is that of eight windows with
+    cells of 3.3 voxels (of several octaves in the last), 96^3 each: mean and
     spread. The last row is the covariance of a scan of 96^3, followed as far as 40 voxels.
     """
     base = unit()
-    row = table(f"kind (unit {base:.3f} s)", "fit s", "make s", "/ unit", "bytes", "porosity", "spread", wide=24)
+    row = table(
+        f"kind (unit {base:.3f} s)",
+        "fit s",
+        "make s",
+        "/ unit",
+        "bytes",
+        "porosity",
+        "spread",
+        wide=24,
+    )
     for name, settings in CASES.items():
         model = _model(settings)
-        fine = {} if settings.get("kind") == "white" else {"length": 3.3 * 2 ** (settings.get("octaves", 1) - 1)}
+        fine = (
+            {}
+            if settings.get("kind") == "white"
+            else {"length": 3.3 * 2 ** (settings.get("octaves", 1) - 1)}
+        )
         made, spread = _windows({**settings, **fine})
         row(name, *_cost(lambda s=settings: _model(s), model, base), made, spread)
     bone = tb.sample("bone")
@@ -65,5 +79,8 @@ def _cost(fit: Any, model: Any, base: float) -> tuple[str, ...]:
 
 def _windows(settings: Mapping[str, Any]) -> tuple[str, str]:
     model = _model(settings)
-    shares = [1 - model.window(96, [(500 * i, 500 * i + 96), (0, 96), (0, 96)], seed=1).mean() for i in range(8)]
+    shares = [
+        1 - model.window(96, [(500 * i, 500 * i + 96), (0, 96), (0, 96)], seed=1).mean()
+        for i in range(8)
+    ]
     return f"{np.mean(shares):.4f}", f"{np.std(shares):.4f}"

@@ -1,10 +1,12 @@
 """The tables: `make bench`, `trabecula bench [CASE ...]`, or `python benchmarks/run.py [CASE ...]`.
 
-A word stands for every case that begins so: `texture` for all of that method's. `--list` names them.
+A word stands for every case that begins so: `texture` for all of that method's. `--list` names
+them.
 
-Cases are frozen: exemplar, crop, shape and seeds stay as they are, so that figures can be compared over time. Seconds are
-of one thread with kernels compiled, and stand beside the time of a fixed NumPy job in the same run (`unit`), so that
-machines can be compared too. Quality comes from `trabecula.measure` and `verify` alone.
+Cases are frozen: exemplar, crop, shape and seeds stay as they are, so that figures can be compared
+over time. Seconds are of one thread with kernels compiled, and stand beside the time of a fixed
+NumPy job in the same run (`unit`), so that machines can be compared too. Quality comes from
+`trabecula.measure` and `verify` alone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Where the seconds of `texture` go: its stages timed by wrapping their functions, beside the least that they could take.
+"""Where the seconds of `texture` go: its stages timed by wrapping their functions, beside the least
+that they could take.
 
-The least is by counting what a stage cannot do without, at rates measured on this machine in the same run. It leaves out
-what a stage could in principle avoid (gathering rows for the product, writing the ranks of a histogram, reading candidates that
-lie side by side), so a stage at 2 of it is fast, and one far above it has room.
+The least is by counting what a stage cannot do without, at rates measured on this machine in the
+same run. It leaves out what a stage could in principle avoid (gathering rows for the product,
+writing the ranks of a histogram, reading candidates that lie side by side), so a stage at 2 of it
+is fast, and one far above it has room.
 """
 
 from __future__ import annotations
@@ -30,14 +32,18 @@ STAGES = {
     "histogram": ("rematched", "match_histogram"),
     "choice": ("brightest",),
 }
-"""Stage -> functions of `texture` and `shared` by their names. What one spends inside another counts for the inner."""
+"""Stage -> functions of `texture` and `shared` by their names. What one spends inside another
+counts for the inner.
+"""
 
 _ROOMS = ("trabecula.synth.texture.", "trabecula.synth.shared.")
 
 
 @dataclass
 class Stage:
-    """What a stage took and did; `work` is in the unit of `COUNTED`, and None where nothing was counted."""
+    """What a stage took and did; `work` is in the unit of `COUNTED`, and None where nothing was
+    counted.
+    """
 
     seconds: float = 0.0
     calls: int = 0
@@ -73,7 +79,9 @@ class Profile:
 
 @dataclass(frozen=True)
 class Counted:
-    """What a stage is counted in, and how much of it a call on a grid or field does (None: elsewhere)."""
+    """What a stage is counted in, and how much of it a call on a grid or field does (None:
+    elsewhere).
+    """
 
     unit: str
     of: Callable[[Profile, Any], float | None] | None = None
@@ -89,7 +97,9 @@ def _products(profile: Profile, grid: Grid) -> float:
 
 
 def _rows(profile: Profile, grid: Grid) -> float | None:
-    """Bytes of the rows at random places that a sweep looks at; a site's own and its neighbours' lie near those before."""
+    """Bytes of the rows at random places that a sweep looks at; a site's own and its neighbours'
+    lie near those before.
+    """
     if profile.config.search != "coherent":
         return None
     rows = grid.candidates.features
@@ -160,14 +170,18 @@ def _transform(function: Callable[..., Any], profile: Profile) -> Callable[..., 
         if profile.running[-1:] == ["two-point"]:
             real = values if np.isrealobj(values) else result
             length = real.shape[axis]
-            profile.stages["two-point"].add((2.5 if np.isrealobj(real) else 5) * real.size * np.log2(length))
+            profile.stages["two-point"].add(
+                (2.5 if np.isrealobj(real) else 5) * real.size * np.log2(length)
+            )
         return result
 
     return wrapper
 
 
 def rates(candidates: np.ndarray) -> dict[str, float]:
-    """By stage what this machine does in a second, one thread, best of five each; rows are those of `candidates`."""
+    """By stage what this machine does in a second, one thread, best of five each; rows are those of
+    `candidates`.
+    """
     draw = np.random.default_rng(0)
     square = draw.random((1024, 1024), np.float32)
     cube = draw.random((128, 128, 128), np.float32)
@@ -182,7 +196,9 @@ def rates(candidates: np.ndarray) -> dict[str, float]:
     return {
         "two-point": 2.5 * cube.size * np.log2(cube.size) / _best(lambda: np.fft.rfftn(cube)),
         "project": 1024**3 / _best(lambda: square @ square),
-        "search": chosen.size * candidates[0].nbytes / _best(lambda: _read_rows(candidates, chosen)),
+        "search": chosen.size
+        * candidates[0].nbytes
+        / _best(lambda: _read_rows(candidates, chosen)),
         "vote": 4096**2 / _best(adds),
         "histogram": 2 * volume.nbytes / _best(lambda: np.copyto(copied, volume)),
     }
@@ -209,12 +225,27 @@ def _best(job: Callable[[], Any]) -> float:
 def show(profile: Profile, whole: float, title: str) -> None:
     """The stages of a run that took `whole` seconds."""
     rate = rates(profile.candidates)
-    row = table(f"{title}: stage", "s", "share", "calls", "counted, 1e9", "1e9/s", "floor, s", "s / floor", wide=36)
+    row = table(
+        f"{title}: stage",
+        "s",
+        "share",
+        "calls",
+        "counted, 1e9",
+        "1e9/s",
+        "floor, s",
+        "s / floor",
+        wide=36,
+    )
     least = 0.0
     for name, stage in profile.stages.items():
         if not stage.calls:
             continue
-        cells: list[object] = [f"{stage.seconds:.3f}", f"{stage.seconds / whole:.0%}", stage.calls, *["-"] * 4]
+        cells: list[object] = [
+            f"{stage.seconds:.3f}",
+            f"{stage.seconds / whole:.0%}",
+            stage.calls,
+            *["-"] * 4,
+        ]
         if stage.work:
             floor = stage.work / rate[name]
             least += floor

@@ -1,4 +1,5 @@
-"""`texture`: fidelity beside band and baseline, the dial of novelty, repetition on itself, the energy's course.
+"""`texture`: fidelity beside band and baseline, the dial of novelty, repetition on itself, the
+energy's course.
 
 Speed and memory are in texture_speed.py.
 """
@@ -15,11 +16,11 @@ import trabecula as tb
 from common import pictures, table
 from descriptors import scans
 from trabecula.core.seeds import generator
+from trabecula.report.descriptors import LabelStick
 from trabecula.report.evenness import shared_windows
 from trabecula.report.metric import Metric
 from trabecula.report.reference import Reference
-from trabecula.report.sticks import LabelStick
-from trabecula.synth.texture import SPEC
+from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.view.slices import montage
 
@@ -54,7 +55,7 @@ def presets(*names: str) -> Iterator[tuple[str, dict[str, Any]]]:
     for name in names:
         if name == "default":
             yield name, {}
-        elif name in SPEC.presets:
+        elif name in CAPABILITIES.presets:
             yield name, {"preset": name}
         else:
             print(f"(no preset {name!r} yet: left out)")
@@ -72,7 +73,9 @@ def reference_of(exemplar: tb.Image) -> Reference:
     """What `tb.verify` holds an image against, measured once for all images of a table."""
     reach = min(50, min(exemplar.shape) // 2 - 1)
     windows = shared_windows(exemplar, [exemplar])
-    return Reference(exemplar, LabelStick(r_max=reach, level="default", windows=windows), copying=True)
+    return Reference(
+        exemplar, LabelStick(r_max=reach, level="default", windows=windows), copying=True
+    )
 
 
 def judged(reference: Reference, image: tb.Image) -> dict[str, Metric]:
@@ -106,7 +109,9 @@ def told(metric: Metric | None, how: str) -> str:
 
 
 def band_of(metric: Metric | None, how: str) -> str:
-    """The real band: its upper end where it begins at 0, its lower end where it ends at 1, else both."""
+    """The real band: its upper end where it begins at 0, its lower end where it ends at 1, else
+    both.
+    """
     if metric is None or metric.real_band is None:
         return "-"
     low, high = sorted(_scaled(end, metric, how) for end in metric.real_band)
@@ -128,7 +133,13 @@ def _scaled(value: float, metric: Metric, how: str) -> float:
 def _short(value: float) -> str:
     if isinstance(value, int) or abs(value) >= 100:
         return f"{value:.0f}"
-    return f"{value:.2f}" if abs(value) >= 2 else f"{value:.4f}" if abs(value) < 0.1 else f"{value:.3f}"
+    return (
+        f"{value:.2f}"
+        if abs(value) >= 2
+        else f"{value:.4f}"
+        if abs(value) < 0.1
+        else f"{value:.3f}"
+    )
 
 
 def cells(metrics: Mapping[str, Metric], names: Sequence[str] = tuple(FIGURES)) -> list[str]:
@@ -137,17 +148,26 @@ def cells(metrics: Mapping[str, Metric], names: Sequence[str] = tuple(FIGURES)) 
 
 
 def fidelity() -> None:
-    """120^3 of every exemplar, three seeds: figures beside the real band and a thresholded Gaussian field of that size.
+    """120^3 of every exemplar, three seeds: figures beside the real band and a thresholded Gaussian
+    field of that size.
 
-    `thickness`, `Euler` and `pore size` are over the exemplar's own, `!` marks what lies outside the band, `expected` are
-    the exemplar's parts at the result's volume, `floating` is after `finish.connect`.
+    `thickness`, `Euler` and `pore size` are over the exemplar's own, `!` marks what lies outside
+    the band, `expected` are the exemplar's parts at the result's volume, `floating` is after
+    `finish.connect`.
     """
     row = table("exemplar, what, seed", *FIGURES, "expected", "floating", wide=36)
     kinds = list(presets("default", "best"))
     for name, exemplar in exemplars().items():
         reference = reference_of(exemplar)
-        baseline = judged(reference, tb.method("noise", exact=True).fit(exemplar).generate(SIDE, seed=0))
-        row(f"{name}, real band", *(band_of(baseline.get(figure), how) for figure, how in FIGURES.values()), "", "")
+        baseline = judged(
+            reference, tb.method("noise", exact=True).fit(exemplar).generate(SIDE, seed=0)
+        )
+        row(
+            f"{name}, real band",
+            *(band_of(baseline.get(figure), how) for figure, how in FIGURES.values()),
+            "",
+            "",
+        )
         row(f"{name}, Gaussian field", *cells(baseline), "", "")
         for kind, settings in kinds:
             model = fitted(exemplar, settings)
@@ -155,11 +175,17 @@ def fidelity() -> None:
                 material = model.generate(SIDE, seed=seed)
                 metrics = judged(reference, material)
                 floating = tb.measure.floating(tb.finish.connect(material))
-                row(f"{name}, {kind}, {seed}", *cells(metrics), f"{metrics['components'].exemplar:.0f}", floating)
+                row(
+                    f"{name}, {kind}, {seed}",
+                    *cells(metrics),
+                    f"{metrics['components'].exemplar:.0f}",
+                    floating,
+                )
 
 
 def novelty() -> None:
-    """The dial between novelty and fidelity: copying at full (k = 1, 4, 8) and half resolution (k = 4), and what is kept.
+    """The dial between novelty and fidelity: copying at full (k = 1, 4, 8) and half resolution (k =
+    4), and what is kept.
 
     Maps of sources are drawn where TRABECULA_BENCH_OUT names a folder.
     """
@@ -179,10 +205,11 @@ def novelty() -> None:
 
 
 def draw_sources(exemplar: tb.Image, material: tb.Image, title: str, name: str) -> None:
-    """Middle slices of exemplar and result, and of where the result was taken from, as a PNG in the folder of pictures.
+    """Middle slices of exemplar and result, and of where the result was taken from, as a PNG in the
+    folder of pictures.
 
-    A colour of the map is a shift from a voxel to its source: an even patch is one piece of the exemplar, and its border a seam.
-    Black voxels have no source.
+    A colour of the map is a shift from a voxel to its source: an even patch is one piece of the
+    exemplar, and its border a seam. Black voxels have no source.
     """
     folder = pictures()
     if folder is None:
@@ -194,7 +221,9 @@ def draw_sources(exemplar: tb.Image, material: tb.Image, title: str, name: str) 
     colours[position[..., 0] < 0] = 0
     taken = tb.Image(colours, "colour", spacing=material.spacing, unit=material.unit)
     sheet = folder / f"{name.replace(' ', '-')}.png"
-    montage([exemplar, material, taken], ["exemplar", title, "shift to the source"], sheet, side=300)
+    montage(
+        [exemplar, material, taken], ["exemplar", title, "shift to the source"], sheet, side=300
+    )
 
 
 PAPER_DRIFT = (0.1243, 0.1514, 0.1191, 0.1511)
@@ -202,7 +231,8 @@ PAPER_DRIFT = (0.1243, 0.1514, 0.1191, 0.1511)
 
 
 def repeat() -> None:
-    """Section 5, figure 9: four rounds, each made from a random 80 % (by volume) of the last result, against the original.
+    """Section 5, figure 9: four rounds, each made from a random 80 % (by volume) of the last
+    result, against the original.
 
     `copied` is coherence(4) with the piece that the round was made from.
     """
@@ -223,15 +253,19 @@ def _some_of(image: tb.Image, share: float, *, round_: int) -> tb.Image:
     """A box with this share of the voxels, at a random place."""
     draw = generator(round_, "benchmarks/repeat")
     sides = [round(side * share ** (1 / 3)) for side in image.shape]
-    corner = [int(draw.integers(0, side - kept + 1)) for side, kept in zip(image.shape, sides, strict=True)]
+    corner = [
+        int(draw.integers(0, side - kept + 1))
+        for side, kept in zip(image.shape, sides, strict=True)
+    ]
     return tb.crop(image, sides, corner=corner)
 
 
 def energy() -> None:
     """Figure 5: the paper's pieces with and without adaptive weights, 60^3 from 40^3, three seeds.
 
-    `last` and `least` are sums of squared distances of neighbourhoods, which have no weights in them, so that runs can be
-    compared; `rises` counts the rounds in which they rose. Of the first seed also the curves, over their first round.
+    `last` and `least` are sums of squared distances of neighbourhoods, which have no weights in
+    them, so that runs can be compared; `rises` counts the rounds in which they rose. Of the first
+    seed also the curves, over their first round.
     """
     name, exemplar = next(iter(chosen_exemplars("bone a", "sample bone").items()))
     piece = tb.crop(exemplar, 40)
@@ -243,7 +277,13 @@ def energy() -> None:
             for label, courses in runs.items():
                 course = courses[place]
                 rises = np.count_nonzero(np.diff(course) > 0)
-                row(f"{seed}, {place}, {label}", len(course), f"{course[-1]:.3e}", f"{min(course):.3e}", rises)
+                row(
+                    f"{seed}, {place}, {label}",
+                    len(course),
+                    f"{course[-1]:.3e}",
+                    f"{min(course):.3e}",
+                    rises,
+                )
                 rounds[label] += len(course)
                 if seed == SEEDS[0]:
                     print("    " + " ".join(f"{value / course[0]:.2f}" for value in course))
@@ -256,6 +296,8 @@ def _courses(exemplar: tb.Image, *, adaptive: bool, seed: int) -> dict[str, list
     material = fitted(exemplar, {"preset": "paper", "adaptive": adaptive}).generate(60, seed=seed)
     levels = material.recipe.steps[-1]["report"]["levels"]
     return {
-        f"1/{2 ** level['level']}, {level['width']}^3": [round_["squares"] for round_ in level["energy"]]
+        f"1/{2 ** level['level']}, {level['width']}^3": [
+            round_["squares"] for round_ in level["energy"]
+        ]
         for level in levels
     }

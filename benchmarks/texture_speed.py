@@ -1,4 +1,6 @@
-"""`texture`: seconds, threads and memory, each beside the floor by counting (see stages.py); cost against size."""
+"""`texture`: seconds, threads and memory, each beside the floor by counting (see stages.py); cost
+against size.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,22 @@ from texture import fitted, presets
 
 
 def speed() -> None:
-    """One thread, kernels compiled, best of two: 120^3 from 60^3, and 256^3 from 100^3; threads, memory, stages.
+    """One thread, kernels compiled, best of two: 120^3 from 60^3, and 256^3 from 100^3; threads,
+    memory, stages.
 
-    Seconds are the processor's; `1 / 2 threads` compares seconds on the wall, so it says something on a quiet machine only.
-    `bytes` are those held at most per voxel of the output, beyond the output and the model.
+    Seconds are the processor's; `1 / 2 threads` compares seconds on the wall, so it says something
+    on a quiet machine only. `bytes` are those held at most per voxel of the output, beyond the
+    output and the model.
     """
     base = unit()
     heads = ("fit s", "make s", "/ unit", "ns / voxel", "1 / 2 threads", "bytes")
     shown = []
     row = table(f"shape, preset (unit {base:.3f} s)", *heads, wide=30)
     for side, exemplar, name, settings in [
-        *((120, _bone(60), name, settings) for name, settings in presets("fast", "default", "best")),
+        *(
+            (120, _bone(60), name, settings)
+            for name, settings in presets("fast", "default", "best")
+        ),
         *((256, _bone(100), name, settings) for name, settings in presets("fast")),
     ]:
         title = f"{side}^3 from {exemplar.shape[0]}^3, {name}"
@@ -38,14 +45,20 @@ def speed() -> None:
 def _bone(side: int) -> tb.Image:
     """A crop of a scan, of the sample where there is none."""
     file, edge, length = LABELS["bone a"]
-    whole = tb.read(SCANS / file, spacing=edge, unit=length) if SCANS.is_dir() else tb.sample("bone")
+    whole = (
+        tb.read(SCANS / file, spacing=edge, unit=length) if SCANS.is_dir() else tb.sample("bone")
+    )
     return tb.crop(whole, min(side, *whole.shape))
 
 
-def _measured(side: int, exemplar: tb.Image, settings: Mapping[str, Any], base: float) -> tuple[list[str], Any]:
+def _measured(
+    side: int, exemplar: tb.Image, settings: Mapping[str, Any], base: float
+) -> tuple[list[str], Any]:
     """The cells of a row, and the stages of one run with its seconds."""
     fitted(exemplar, settings).generate(24)  # compiles
-    fit, model = min((busy(lambda: fitted(exemplar, settings)) for _ in range(2)), key=lambda pair: pair[0])
+    fit, model = min(
+        (busy(lambda: fitted(exemplar, settings)) for _ in range(2)), key=lambda pair: pair[0]
+    )
     runs = []
     for _ in range(2):
         with watched(model.config) as profile:
@@ -68,7 +81,8 @@ def _measured(side: int, exemplar: tb.Image, settings: Mapping[str, Any], base: 
 
 
 def sizes() -> None:
-    """Cost against size: processor seconds and nanoseconds a voxel; bytes a voxel beside those of the forecast.
+    """Cost against size: processor seconds and nanoseconds a voxel; bytes a voxel beside those of
+    the forecast.
 
     Bytes are held at most beyond the model: the output is one of them.
     """

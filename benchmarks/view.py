@@ -32,8 +32,12 @@ _HOLD = "new Promise((done) => { const wait = () => (app.passes >= 4 ? done(0) :
 def bone(side: int) -> tb.Image:
     """The sample, mirrored until it has that many voxels a side."""
     sample = tb.sample("bone")
-    values = np.pad(sample.values, [(0, max(0, side - length)) for length in sample.shape], mode="symmetric")
-    return tb.Image(values[:side, :side, :side], "labels", sample.spacing, sample.unit, sample.phases)
+    values = np.pad(
+        sample.values, [(0, max(0, side - length)) for length in sample.shape], mode="symmetric"
+    )
+    return tb.Image(
+        values[:side, :side, :side], "labels", sample.spacing, sample.unit, sample.phases
+    )
 
 
 def scan(side: int) -> tb.Image:
@@ -41,7 +45,10 @@ def scan(side: int) -> tb.Image:
     labels = bone(side)
     noise = np.random.default_rng(0).normal(0, 12, labels.shape)
     return tb.Image(
-        np.clip(np.round(90 + 70.0 * labels.values + noise), 0, 255).astype(np.uint8), "grey", labels.spacing, "um"
+        np.clip(np.round(90 + 70.0 * labels.values + noise), 0, 255).astype(np.uint8),
+        "grey",
+        labels.spacing,
+        "um",
     )
 
 
@@ -58,7 +65,9 @@ def view_still() -> None:
 
 
 def view_page() -> None:
-    """The page of 200^3 in headless Chromium's software rasteriser, 512 x 512: size, load, frame, samples, memory."""
+    """The page of 200^3 in headless Chromium's software rasteriser, 512 x 512: size, load, frame,
+    samples, memory.
+    """
     import chromium
 
     if chromium.found() is None:
@@ -70,11 +79,22 @@ def view_page() -> None:
         for name, volume in (("labels", bone(200)), ("grey", scan(200))):
             found = _opened(volume, folder)
             memory = (found["memory"] - empty) / volume.values.size
-            tell(name, f"{found['size'] / 1e6:.2f}", f"{found['first'] / 1000:.2f}", f"{memory:.1f}")
+            tell(
+                name, f"{found['size'] / 1e6:.2f}", f"{found['first'] / 1000:.2f}", f"{memory:.1f}"
+            )
             tell("", "frame, ms", "of processor, ms", "samples a pixel")
-            for how, kind in (("whole", "skipping"), ("plain", "no skipping"), ("half", "dragging, half size")):
+            for how, kind in (
+                ("whole", "skipping"),
+                ("plain", "no skipping"),
+                ("half", "dragging, half size"),
+            ):
                 each = found[how]
-                tell(kind, f"{each['milliseconds']:.0f}", f"{each['busy']:.0f}", f"{each['samples']:.1f}")
+                tell(
+                    kind,
+                    f"{each['milliseconds']:.0f}",
+                    f"{each['busy']:.0f}",
+                    f"{each['samples']:.1f}",
+                )
 
 
 def _opened(volume: tb.Image, folder: str) -> dict:
@@ -89,7 +109,9 @@ def _opened(volume: tb.Image, folder: str) -> dict:
         tab.run(_SQUARE)
         tab.run(_HOLD)
         tab.call("HeapProfiler.collectGarbage")
-        memory = sum(size for kind, size, _ in browser.processes() if kind in ("renderer", "gpu-process"))
+        memory = sum(
+            size for kind, size, _ in browser.processes() if kind in ("renderer", "gpu-process")
+        )
         found = {"size": path.stat().st_size, "first": first, "memory": memory}
         if volume.values.size > 1000:
             for name, options in (("whole", ""), ("plain", "skip: false"), ("half", "scale: 0.5")):
@@ -100,9 +122,13 @@ def _opened(volume: tb.Image, folder: str) -> dict:
 
 
 def _measured(browser, tab, options: str) -> dict:
-    """What the page measures, and the processor's milliseconds a frame: other work on the machine does not lengthen them."""
+    """What the page measures, and the processor's milliseconds a frame: other work on the machine
+    does not lengthen them.
+    """
     before = sum(seconds for _, _, seconds in browser.processes())
     found = tab.run(f"app.measure({{ frames: {FRAMES}, {options} }})")
     # One frame before the clock starts, and one that counts samples.
-    found["busy"] = 1000 * (sum(seconds for _, _, seconds in browser.processes()) - before) / (FRAMES + 2)
+    found["busy"] = (
+        1000 * (sum(seconds for _, _, seconds in browser.processes()) - before) / (FRAMES + 2)
+    )
     return found

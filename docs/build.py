@@ -1,12 +1,14 @@
-"""Build the documentation: write pages, run examples, draw pictures, call Sphinx. `make docs` runs this.
+"""Build the documentation: write pages, run examples, draw pictures, call Sphinx. `make docs` runs
+this.
 
-1. Pages that follow from the code: methods, settings, formats, command line, measures, API (steps/pages.py).
+1. Pages that follow from the code: methods, settings, formats, command line, measures, API
+(steps/pages.py).
 2. Every example of every page and of the README, in a folder of its own (steps/examples.py).
 3. The pictures of the gallery (steps/pictures.py).
 4. sphinx-build with warnings as errors, into docs/_build/html.
 
-With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are run and nothing is built; with
-`gallery` only the pictures are drawn.
+With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are
+run and nothing is built; with `gallery` only the pictures are drawn.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ def main(names: list[str]) -> int:
 
 def written_pages() -> list[Path]:
     """Every page of the documentation, the generated ones included."""
-    return sorted(path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in NOT_PAGES)
+    return sorted(
+        path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in NOT_PAGES
+    )
 
 
 def sphinx() -> int:

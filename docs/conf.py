@@ -26,5 +26,6 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
 
-# A word of a shape, such as (ndim, 3), may be an attribute of several classes: it is meant as a word.
+# A word of a shape, such as (ndim, 3), may be an attribute of several classes: it is meant as a
+# word.
 suppress_warnings = ["ref.python"]

@@ -21,7 +21,11 @@ class Output:
     @property
     def lines(self) -> list[str]:
         """Lines on standard error, apart from the notice that kernels are being compiled."""
-        return [line for line in self.err.splitlines() if not line.startswith("trabecula: compiling kernels")]
+        return [
+            line
+            for line in self.err.splitlines()
+            if not line.startswith("trabecula: compiling kernels")
+        ]
 
     @property
     def sha256(self) -> str:
@@ -60,4 +64,8 @@ def refused(*words: object) -> str:
 
 def contents(folder) -> dict[str, bytes]:
     """Every file below a folder, hidden ones too."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import settings
 
 import trabecula as tb
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -15,7 +15,7 @@ DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 @pytest.fixture(autouse=True)
 def small_work_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there are other processes they get the small arrays of tests as well."""
-    monkeypatch.setattr(scratch, "WORTH", 0)
+    monkeypatch.setattr(memmap, "WORTH", 0)
 
 
 @pytest.fixture
@@ -32,7 +32,8 @@ def bone() -> tb.Image:
     return tb.sample("bone")
 
 
-# A first call may compile a kernel, so a time limit on one example says nothing. The suite tries the same examples every
+# A first call may compile a kernel, so a time limit on one example says nothing. The suite tries
+# the same examples every
 # time; HYPOTHESIS_EXAMPLES=1000 looks for new ones.
 _SEARCH = os.environ.get("HYPOTHESIS_EXAMPLES")
 settings.register_profile("same", deadline=None, derandomize=True)

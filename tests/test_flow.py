@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula import flow, loading
 from trabecula.core.recipe import Recipe, digest
 from trabecula.errors import FileError, InputError, NotReproducedError, UnknownNameError
+from trabecula.pipeline import demo, inputs
 
 SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 
@@ -17,7 +17,7 @@ SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 def place(tmp_path, monkeypatch, bone):
     """A working folder with a small scan, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
-    for room in (flow, loading):
+    for room in (demo, inputs):
         monkeypatch.setattr(room, "sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 24).values)
     np.save("grey.npy", tb.crop(bone, 24).values * np.uint8(90) + np.arange(24, dtype=np.uint8))
@@ -37,14 +37,28 @@ def test_the_sentence(place):
 
 
 def test_load_crops_and_segments(place, bone):
-    image = tb.load("grey.npy", crop=(10, 12, 14), threshold="auto", spacing=2, unit="mm", phases=("void", "bone"))
-    assert image.shape == (10, 12, 14) and image.kind == "labels" and image.phases == ("void", "bone")
+    image = tb.load(
+        "grey.npy",
+        crop=(10, 12, 14),
+        threshold="auto",
+        spacing=2,
+        unit="mm",
+        phases=("void", "bone"),
+    )
+    assert (
+        image.shape == (10, 12, 14) and image.kind == "labels" and image.phases == ("void", "bone")
+    )
     assert image.spacing == (2.0,) * 3 and image.unit == "mm"
     assert [step["verb"] for step in image.recipe.steps] == ["read", "segment", "crop"]
-    np.testing.assert_array_equal(image.values, tb.crop(tb.segment(tb.read("grey.npy")), (10, 12, 14)).values)
+    np.testing.assert_array_equal(
+        image.values, tb.crop(tb.segment(tb.read("grey.npy")), (10, 12, 14)).values
+    )
     assert tb.load("grey.npy").kind == "grey"
     np.testing.assert_array_equal(tb.load("sample:bone", crop=20).values, tb.crop(bone, 20).values)
-    assert tb.load("scan.npy", threshold="auto", phases=("marrow", "bone")).phases == ("marrow", "bone")
+    assert tb.load("scan.npy", threshold="auto", phases=("marrow", "bone")).phases == (
+        "marrow",
+        "bone",
+    )
 
 
 def test_load_refuses_what_has_no_meaning(place):
@@ -58,12 +72,12 @@ def test_load_refuses_what_has_no_meaning(place):
 
 def test_what_states_nothing_takes_the_exemplars_meaning(place, bone):
     exemplar = tb.Image(np.load("scan.npy"), "labels", 40, "um", ("marrow", "bone"))
-    plain = flow.load_like("scan.npy", exemplar)
+    plain = demo.load_like("scan.npy", exemplar)
     assert (plain.spacing, plain.unit, plain.phases) == ((40.0,) * 3, "um", ("marrow", "bone"))
     tb.write(tb.Image(plain.values, "labels", 2, "mm", ("pore", "bone")), "own.zarr")
-    own = flow.load_like("own.zarr", exemplar)
+    own = demo.load_like("own.zarr", exemplar)
     assert (own.spacing, own.unit, own.phases) == ((2.0,) * 3, "mm", ("pore", "bone"))
-    assert flow.load_like("grey.npy", exemplar).kind == "labels"
+    assert demo.load_like("grey.npy", exemplar).kind == "labels"
 
 
 def test_export_chooses_by_the_suffix(place):
@@ -77,23 +91,31 @@ def test_export_chooses_by_the_suffix(place):
 
 def test_targets(place):
     for good in ("x.zarr", "deep/er/x.npy", "x.nii.gz", "slices/", "./x.TIF"):
-        flow.check_target(good)
-    flow.check_target("x.stl", surfaces=True)
+        demo.check_target(good)
+    demo.check_target("x.stl", surfaces=True)
     for bad in ("x.stl", "x", "x.gz", "x.zarr.txt"):
         with pytest.raises(UnknownNameError):
-            flow.check_target(bad)
+            demo.check_target(bad)
     with pytest.raises(FileError, match=r"about 1048576 MiB are needed, \d+ MiB are free"):
-        flow.check_target("x.npy", size=1 << 40)
+        demo.check_target("x.npy", size=1 << 40)
     assert not (place / "deep").exists()
 
 
 def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     small = tb.crop(bone, 28)
-    monkeypatch.setattr(flow, "sample", lambda name: small)
-    monkeypatch.setattr(flow, "method", lambda name: tb.method(name, **SETTINGS))
-    verdict = flow.demo("out", shape=24)
+    monkeypatch.setattr(demo, "sample", lambda name: small)
+    monkeypatch.setattr(demo, "method", lambda name: tb.method(name, **SETTINGS))
+    verdict = demo.demo("out", shape=24)
     names = {path.name for path in (place / "out").iterdir()}
-    assert names == {"exemplar.zarr", "bone.zarr", "part.zarr", "part.stl", "part.png", "slices.png", "report.html"}
+    assert names == {
+        "exemplar.zarr",
+        "bone.zarr",
+        "part.zarr",
+        "part.stl",
+        "part.png",
+        "slices.png",
+        "report.html",
+    }
     part = tb.read("out/part.zarr")
     assert part.shape == (24, 24, 24) and verdict.metrics["components"].value == 1
     assert verdict.metrics["porosity"].value == pytest.approx((part.values == 0).mean())
@@ -115,15 +137,19 @@ def test_replay_does_every_step(place):
     recipe = Recipe.from_json(made(place))
     assert [step["verb"] for step in recipe.steps] == ["generate", "finish", "render"]
     assert [step["verb"] for step in recipe.steps[0]["exemplars"][0]] == ["read", "segment", "crop"]
-    assert digest(flow.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
+    assert digest(demo.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
 
 
 def test_every_step_is_compared(place):
-    for change in (lambda steps: steps[0], lambda steps: steps[1], lambda steps: steps[0]["exemplars"][0][1]):
+    for change in (
+        lambda steps: steps[0],
+        lambda steps: steps[1],
+        lambda steps: steps[0]["exemplars"][0][1],
+    ):
         steps = made(place)
         change(steps)["sha256"] = "0" * 64
         with pytest.raises(NotReproducedError, match=f"step '{change(steps)['verb']}'"):
-            flow.replay(Recipe.from_json(steps), folder=place)
+            demo.replay(Recipe.from_json(steps), folder=place)
 
 
 @pytest.mark.parametrize(
@@ -131,19 +157,34 @@ def test_every_step_is_compared(place):
     [
         (lambda steps: steps.clear(), "the recipe is empty"),
         (lambda steps: steps.pop(0), "needs an image that no step made"),
-        (lambda steps: steps[0].update(verb="generat"), "unknown step of a recipe 'generat': did you mean 'generate'"),
+        (
+            lambda steps: steps[0].update(verb="generat"),
+            "unknown step of a recipe 'generat': did you mean 'generate'",
+        ),
         (lambda steps: steps[0].update(verb=["generate"]), "unknown step of a recipe"),
         (lambda steps: steps[0].pop("sha256"), "the recipe is damaged: its step 'generate'"),
         (lambda steps: steps[0].pop("exemplars"), "the recipe is damaged: its step 'generate'"),
         (lambda steps: steps[0].update(exemplars=[]), "no exemplar was given"),
-        (lambda steps: steps[0].update(exemplars=[3]), "the recipe is damaged: it should be a list of steps"),
+        (
+            lambda steps: steps[0].update(exemplars=[3]),
+            "the recipe is damaged: it should be a list of steps",
+        ),
         (lambda steps: steps[0].update(method="textrue"), "did you mean 'texture'"),
         (lambda steps: steps[0]["settings"].update(wings=2), "unknown setting of texture 'wings'"),
-        (lambda steps: steps[0]["request"].update(wings=2), "the recipe is damaged, or .*: its step 'generate'.*wings"),
+        (
+            lambda steps: steps[0]["request"].update(wings=2),
+            "the recipe is damaged, or .*: its step 'generate'.*wings",
+        ),
         (lambda steps: steps[0]["request"].update(shape="x"), "shape 'x' is not made of integers"),
         (lambda steps: steps[0]["request"].update(shape=10**30), "more than 2"),
-        (lambda steps: steps[1].update(operation="conect"), "the recipe is damaged: its step 'finish'"),
-        (lambda steps: steps[1].update(settings=None), "the recipe is damaged, or .*: its step 'finish'"),
+        (
+            lambda steps: steps[1].update(operation="conect"),
+            "the recipe is damaged: its step 'finish'",
+        ),
+        (
+            lambda steps: steps[1].update(settings=None),
+            "the recipe is damaged, or .*: its step 'finish'",
+        ),
         (lambda steps: steps[2].pop("look"), "the recipe is damaged: its step 'render'"),
     ],
 )
@@ -151,18 +192,19 @@ def test_damaged_recipes_are_told(place, damage, says):
     steps = made(place)
     damage(steps)
     with pytest.raises((InputError, NotReproducedError), match=says):
-        flow.replay(Recipe.from_json(steps), folder=place)
+        demo.replay(Recipe.from_json(steps), folder=place)
 
 
 def test_a_missing_exemplar_is_told(place):
     steps = made(place)
     (place / "grey.npy").unlink()
     with pytest.raises(
-        FileError, match=r"the recipe starts from grey\.npy, which is not here: give its place with --exempl"
+        FileError,
+        match=r"the recipe starts from grey\.npy, which is not here: give its place with --exempl",
     ):
-        flow.replay(Recipe.from_json(steps), folder=place)
+        demo.replay(Recipe.from_json(steps), folder=place)
     with pytest.raises(FileError, match=r"there is no file grye\.npy"):
-        flow.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
+        demo.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
 
 
 def test_a_target_field_is_found_again(tmp_path, monkeypatch):
@@ -175,16 +217,16 @@ def test_a_target_field_is_found_again(tmp_path, monkeypatch):
         def generate(self, request):
             return tb.Image(request.target["porosity"] > 0.5, "labels")
 
-    monkeypatch.setattr("trabecula.replay.method", lambda name, **settings: Method())
+    monkeypatch.setattr("trabecula.pipeline.replay.method", lambda name, **settings: Method())
     np.save(tmp_path / "field.npy", np.linspace(0, 1, 27).reshape(3, 3, 3))
     field, exemplar = tb.read(tmp_path / "field.npy"), tb.sample("foam")
     values = (field.values > 0.5).astype(np.uint8)
     step = {"method": "any", "settings": {}, "exemplars": [exemplar.recipe.to_json()]}
     request = tb.Request(3, target={"porosity": field})
     recipe = tb.Recipe().then("generate", values, request=request.to_json(), **step)
-    assert np.array_equal(flow.replay(recipe, folder=tmp_path).values, values)
+    assert np.array_equal(demo.replay(recipe, folder=tmp_path).values, values)
     (tmp_path / "field.npy").rename(tmp_path / "moved.npy")
     with pytest.raises(FileError, match="--target"):
-        flow.replay(recipe, folder=tmp_path)
-    again = flow.replay(recipe, folder=tmp_path, target=tmp_path / "moved.npy")
+        demo.replay(recipe, folder=tmp_path)
+    again = demo.replay(recipe, folder=tmp_path, target=tmp_path / "moved.npy")
     assert np.array_equal(again.values, values)

@@ -27,4 +27,6 @@ def test_the_oldest_versions_that_are_tried_are_the_lower_bounds():
 
 def test_the_pythons_that_are_named_begin_with_the_oldest_that_is_allowed():
     named = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"]))
-    assert PROJECT["requires-python"] == f">={named[0]}" and named == sorted(named, key=lambda one: int(one[2:]))
+    assert PROJECT["requires-python"] == f">={named[0]}" and named == sorted(
+        named, key=lambda one: int(one[2:])
+    )

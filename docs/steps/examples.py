@@ -1,11 +1,13 @@
 """Run the examples of a page, in order, in a fresh folder with one namespace.
 
 - ```python blocks are executed. A ```text block right after one is what it prints.
-- ```console blocks: every line `$ trabecula ...` is run and must exit with 0, or with 2 where a line of the block says
+- ```console blocks: every line `$ trabecula ...` is run and must exit with 0, or with 2 where a
+line of the block says
   `# exit 2`. The other lines are what it prints; a block that shows nothing promises nothing.
 
-In what is shown `...` stands for anything, and runs of blanks count as one. Other languages, and other commands than
-trabecula, are not run. The folder holds stand-ins for a user's scans (see `stand_ins`).
+In what is shown `...` stands for anything, and runs of blanks count as one. Other languages, and
+other commands than trabecula, are not run. The folder holds stand-ins for a user's scans (see
+`stand_ins`).
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ _COMPILING = re.compile(r"^trabecula: compiling kernels.*\n", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block of a page; `line` is the number of its first line of text, `shown` what a python block prints."""
+    """A fenced block of a page; `line` is the number of its first line of text, `shown` what a
+    python block prints.
+    """
 
     language: str
     text: str
@@ -45,7 +49,9 @@ class Block:
 
 
 class WrongExampleError(Exception):
-    """An example that does not do what its page says; the message begins with the line in the block, from 0."""
+    """An example that does not do what its page says; the message begins with the line in the
+    block, from 0.
+    """
 
     def __init__(self, line: int, what: str) -> None:
         super().__init__(what)
@@ -71,7 +77,9 @@ def run(paths: list[Path], *, home: Path) -> list[str]:
 
 
 def stand_ins(folder: Path) -> None:
-    """`femur.tif`, a segmented scan of 0 and 255, and `scan.tif`, a noisy grey one: made from sample:bone, without metadata."""
+    """`femur.tif`, a segmented scan of 0 and 255, and `scan.tif`, a noisy grey one: made from
+    sample:bone, without metadata.
+    """
     import tifffile
 
     from trabecula import sample
@@ -107,7 +115,9 @@ def runnable(text: str) -> Iterator[Block]:
         elif block.language == "python":
             end = block.line + block.text.count("\n")  # the line number of the closing fence
             follows = (
-                after is not None and after.language == "text" and not "".join(lines[end : after.line - 2]).strip()
+                after is not None
+                and after.language == "text"
+                and not "".join(lines[end : after.line - 2]).strip()
             )
             yield Block("python", block.text, block.line, after.text if follows else None)
 
@@ -150,13 +160,17 @@ def _run_console(block: Block) -> None:
     for start, command, shown in _commands(lines):
         got, printed = _call(shlex.split(command, comments=True)[1:])
         if got != status:
-            raise WrongExampleError(start, f"{command!r} exits with {got}, not {status}: {printed.strip()}")
+            raise WrongExampleError(
+                start, f"{command!r} exits with {got}, not {status}: {printed.strip()}"
+            )
         if shown.strip():
             _check_same(shown, printed, line=start + 1)
 
 
 def _commands(lines: list[str]) -> Iterator[tuple[int, str, str]]:
-    """Every `$ trabecula ...` with its place in the block and the lines shown after it; `\\` continues a command."""
+    """Every `$ trabecula ...` with its place in the block and the lines shown after it; `\\`
+    continues a command.
+    """
     at = 0
     while at < len(lines):
         start, command, shown = at, lines[at], []

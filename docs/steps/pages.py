@@ -1,5 +1,5 @@
-"""Write the pages that follow from the code: docs/methods and docs/reference. A new method, setting, format, verb,
-measure or public name appears without an edit here."""
+"""Write the pages that follow from the code: docs/methods and docs/reference. A new method,
+setting, format, verb, measure or public name appears without an edit here."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from pathlib import Path
 
 import trabecula
 from steps.presets import pictured
-from trabecula.synth.base import Spec
-from trabecula.synth.registry import methods
+from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.registry import methods
 
-# Rooms in the order of the data, with what the API page calls them; a room that is not named here comes last.
+# Rooms in the order of the data, with what the API page calls them; a room that is not named here
+# comes last.
 _ROOMS = {
     "core": "What everything speaks of",
     "io": "Files",
@@ -54,7 +55,8 @@ _ALSO = {
     "engine.plan": ("Plan",),
     "engine.slabs": ("Slabs", "slabs_of"),
 }
-# Sections of the measures page and the modules and packages of each; one that is not named here comes last.
+# Sections of the measures page and the modules and packages of each; one that is not named here
+# comes last.
 _MEASURES = {
     "Everything at once": ("describe", "blockwise", "physics"),
     "Amount and surface": ("amount", "minkowski"),
@@ -88,7 +90,7 @@ def write(docs: Path) -> None:
         (docs / name).write_text(text, encoding="utf-8")
 
 
-def methods_index(found: dict[str, Spec]) -> str:
+def methods_index(found: dict[str, Capabilities]) -> str:
     """The table of methods."""
     dimensions = {"2d": "2-D", "3d": "3-D", None: "none"}
     rows = [
@@ -120,11 +122,15 @@ A method learns from an exemplar and gives a model; the model makes material. `t
 """
 
 
-def method_page(spec: Spec) -> str:
-    """A method's card, what its SPEC says, and its settings."""
+def method_page(spec: Capabilities) -> str:
+    """A method's card, what its CAPABILITIES says, and its settings."""
     package = importlib.import_module(f"trabecula.synth.{_folder(spec)}")
     card = Path(package.__file__).with_name("README.md")
-    text = _without_dead_links(card.read_text(encoding="utf-8").strip()) if card.exists() else spec.summary
+    text = (
+        _without_dead_links(card.read_text(encoding="utf-8").strip())
+        if card.exists()
+        else spec.summary
+    )
     if not text.startswith("# "):
         text = f"# {spec.name}\n\n{text}"
     facts = [
@@ -152,16 +158,25 @@ In Python `tb.method("{spec.name}", name=value)`; on the command line `--set nam
 {presets}"""
 
 
-def presets_of(spec: Spec) -> str:
-    """The settings of every preset, and what it looks like where it can be drawn without an exemplar."""
+def presets_of(spec: Capabilities) -> str:
+    """The settings of every preset, and what it looks like where it can be drawn without an
+    exemplar.
+    """
     if not spec.presets:
         return ""
     module, _, attribute = spec.target.partition(":")
     config = getattr(importlib.import_module(module), attribute).config_type
     rows = []
     for name in spec.presets:
-        shown = f"![{name}](../gallery/{spec.name}-{name}.png)" if name in pictured().get(spec.name, ()) else ""
-        words = ", ".join(f"`{key}={value}`" for key, value in config.preset(name).items()) or "the defaults"
+        shown = (
+            f"![{name}](../gallery/{spec.name}-{name}.png)"
+            if name in pictured().get(spec.name, ())
+            else ""
+        )
+        words = (
+            ", ".join(f"`{key}={value}`" for key, value in config.preset(name).items())
+            or "the defaults"
+        )
         rows.append((f"`{name}`", words, shown))
     drawn = any(row[2] for row in rows)
     head = ("preset", "settings", "a still, and a slice") if drawn else ("preset", "settings")
@@ -175,7 +190,7 @@ before a preset's.
 """
 
 
-def settings_of(spec: Spec) -> list[tuple[str, str, str]]:
+def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
     """Name, default and meaning of every setting: fields of the config and the strings below them."""
     module, _, attribute = spec.target.partition(":")
     config = getattr(importlib.import_module(module), attribute).config_type
@@ -231,7 +246,11 @@ def measures_page() -> str:
     """Every public measure by section, with what it returns."""
     sections = _measures_by_section()
     rows = [
-        (f"[{title}](#{title.lower().replace(' ', '-')})", f"{{py:obj}}`{name} <trabecula.measure.{name}>`", what)
+        (
+            f"[{title}](#{title.lower().replace(' ', '-')})",
+            f"{{py:obj}}`{name} <trabecula.measure.{name}>`",
+            what,
+        )
         for title, homes in sections.items()
         for names in homes.values()
         for name, what in names.items()
@@ -258,10 +277,14 @@ def _measures_by_section() -> dict[str, dict[str, dict[str, str]]]:
     from trabecula import measure
 
     homes: dict[str, dict[str, str]] = {}
-    for name in sorted(measure.__all__, key=lambda name: inspect.isclass(getattr(measure, name))):  # classes last
+    # classes last
+    for name in sorted(measure.__all__, key=lambda name: inspect.isclass(getattr(measure, name))):
         thing = getattr(measure, name)
         homes.setdefault(thing.__module__.split(".")[2], {})[name] = _summary(thing)
-    sections = {title: {home: homes.pop(home) for home in own if home in homes} for title, own in _MEASURES.items()}
+    sections = {
+        title: {home: homes.pop(home) for home in own if home in homes}
+        for title, own in _MEASURES.items()
+    }
     sections |= {home.capitalize(): {home: names} for home, names in sorted(homes.items())}
     return {title: own for title, own in sections.items() if own}
 
@@ -270,7 +293,9 @@ def _returned(names: Iterable[str]) -> list[str]:
     """Classes that these measures return and that are no public measures themselves."""
     from trabecula import measure
 
-    functions = [thing for thing in (getattr(measure, name) for name in names) if inspect.isfunction(thing)]
+    functions = [
+        thing for thing in (getattr(measure, name) for name in names) if inspect.isfunction(thing)
+    ]
     found = dict.fromkeys(typing.get_type_hints(function).get("return") for function in functions)
     return [
         f"{kind.__module__}.{kind.__qualname__}"
@@ -287,8 +312,12 @@ def api_page() -> str:
     for name, home in trabecula._HOMES.items():
         rooms.setdefault(home.partition(".")[0], []).append(f"trabecula.{name}")
     for home, names in _ALSO.items():
-        rooms.setdefault(home.partition(".")[0], []).extend(f"trabecula.{home}.{name}" for name in names)
-    rooms["fields"] += [f"trabecula.fields.{name}" for name in trabecula.fields.__all__ if name[0].islower()]
+        rooms.setdefault(home.partition(".")[0], []).extend(
+            f"trabecula.{home}.{name}" for name in names
+        )
+    rooms["fields"] += [
+        f"trabecula.fields.{name}" for name in trabecula.fields.__all__ if name[0].islower()
+    ]
     rooms["finish"] += [f"trabecula.finish.{name}" for name in trabecula.finish.OPERATIONS]
     parts = [
         "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its first use, so "
@@ -321,21 +350,39 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
 
     def row(cells: Iterable[str]) -> str:
-        return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
+        return (
+            "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
+        )
 
     return "\n".join([row(head), "|" + " --- |" * len(head), *(row(cells) for cells in rows)])
 
 
 def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
-    usage = parser.format_usage().strip().replace("usage: ", "").replace("\n" + " " * len("usage: "), "\n")
+    usage = (
+        parser.format_usage()
+        .strip()
+        .replace("usage: ", "")
+        .replace("\n" + " " * len("usage: "), "\n")
+    )
     parts = [f"## {verb}\n\n{parser.description}\n\n```text\n{usage}\n```\n"]
     for group in parser._action_groups:
-        rows = [(_spelled(action), action.help or "") for action in group._group_actions if action.dest != "help"]
+        rows = [
+            (_spelled(action), action.help or "")
+            for action in group._group_actions
+            if action.dest != "help"
+        ]
         if rows:
-            title = {"positional arguments": "what", "options": "option"}.get(group.title, group.title)
+            title = {"positional arguments": "what", "options": "option"}.get(
+                group.title, group.title
+            )
             parts.append(table((title, ""), rows) + "\n")
-    for kinds in [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]:
-        parts += [_verb_section(f"{verb} {kind}", sub).replace("## ", "### ", 1) for kind, sub in kinds.choices.items()]
+    for kinds in [
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ]:
+        parts += [
+            _verb_section(f"{verb} {kind}", sub).replace("## ", "### ", 1)
+            for kind, sub in kinds.choices.items()
+        ]
     return "\n".join(parts)
 
 
@@ -343,22 +390,34 @@ def _spelled(action: argparse.Action) -> str:
     if not action.option_strings:
         return f"`{action.metavar or action.dest}`"
     value = "" if action.nargs == 0 else action.metavar or action.dest.upper()
-    words = " ".join(value) if isinstance(value, tuple) else value + (" ..." if action.nargs == "+" else "")
+    words = (
+        " ".join(value)
+        if isinstance(value, tuple)
+        else value + (" ..." if action.nargs == "+" else "")
+    )
     return f"`{' '.join([', '.join(action.option_strings), words]).strip()}`"
 
 
-def _folder(spec: Spec) -> str:
+def _folder(spec: Capabilities) -> str:
     return spec.target.partition(":")[0].split(".")[2]
 
 
 def _strings_below_fields(config: type) -> dict[str, str]:
-    shared = [_strings_below_fields(base) for base in config.__bases__ if dataclasses.is_dataclass(base)]
+    shared = [
+        _strings_below_fields(base) for base in config.__bases__ if dataclasses.is_dataclass(base)
+    ]
     tree = ast.parse(inspect.getsource(inspect.getmodule(config)))
-    body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == config.__name__)
+    body = next(
+        node.body
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name == config.__name__
+    )
     own = {
         field.target.id: inspect.cleandoc(below.value.value)
         for field, below in pairwise(body)
-        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(below, ast.Expr)
+        and isinstance(below.value, ast.Constant)
     }
     return {name: text for strings in (*shared, own) for name, text in strings.items()}
 
@@ -366,7 +425,11 @@ def _strings_below_fields(config: type) -> dict[str, str]:
 def _default(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
         return repr(field.default)
-    return repr(field.default_factory()) if field.default_factory is not dataclasses.MISSING else "required"
+    return (
+        repr(field.default_factory())
+        if field.default_factory is not dataclasses.MISSING
+        else "required"
+    )
 
 
 def _summary(thing: object) -> str:
@@ -374,5 +437,7 @@ def _summary(thing: object) -> str:
 
 
 def _without_dead_links(text: str) -> str:
-    """A card lies beside the code: its links to files there lead nowhere in the site and become plain words."""
+    """A card lies beside the code: its links to files there lead nowhere in the site and become
+    plain words.
+    """
     return re.sub(r"(?<!!)\[([^\]]+)\]\((?!https?:|#|mailto:)[^)]+\)", r"\1", text)

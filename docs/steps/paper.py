@@ -1,4 +1,6 @@
-"""Draw the pictures of Baravalle et al. (2016) again, figures 9 to 14, and some of what other methods make."""
+"""Draw the pictures of Baravalle et al. (2016) again, figures 9 to 14, and some of what other
+methods make.
+"""
 
 from __future__ import annotations
 
@@ -70,15 +72,21 @@ def _draw_breads(folder: Path) -> None:
         _bubbles("baguette", loaf(_LONG), flow="concentric", randomness=0.35),
     ]
     _sheet(
-        [_still(breads[0], "bread", cut="y=0.5"), _still(breads[1], "bread", cut="x=0.6")], folder / "paper-breads.png"
+        [_still(breads[0], "bread", cut="y=0.5"), _still(breads[1], "bread", cut="x=0.6")],
+        folder / "paper-breads.png",
     )
-    slices = [_still(breads[0], "bread", cut=f"y={at}", camera=(10.0, 16.0)) for at in (0.25, 0.5, 0.75)]
+    slices = [
+        _still(breads[0], "bread", cut=f"y={at}", camera=(10.0, 16.0)) for at in (0.25, 0.5, 0.75)
+    ]
     _sheet(slices, folder / "paper-slices.png")
 
 
 def _draw_materials(folder: Path) -> None:
     stills = []
-    for preset, look, sides in (("sponge", "sponge", (72, 100, 140)), ("stone", "stone", (96, 112, 128))):
+    for preset, look, sides in (
+        ("sponge", "sponge", (72, 100, 140)),
+        ("stone", "stone", (96, 112, 128)),
+    ):
         for randomness in (0.5, 1.0):
             ball = _pebble(sides) if preset == "stone" else None
             settings = {"flow": "horizontal", "randomness": randomness}
@@ -91,7 +99,9 @@ def _draw_rivals(folder: Path) -> None:
     stills = []
     for kind, length in _RIVALS.items():
         pores = {"invert": True} if kind == "worley" else {}  # round pores instead of balls
-        model = tb.method("noise", kind=kind, length=length, porosity=0.6, exact=True, **pores).fit()
+        model = tb.method(
+            "noise", kind=kind, length=length, porosity=0.6, exact=True, **pores
+        ).fit()
         made = model.generate(100, seed=_SEED)
         stills.append(_still(made, "bread"))
     _sheet(stills, folder / "paper-rivals.png")
@@ -101,13 +111,22 @@ def _draw_cantilever(folder: Path) -> None:
     """As the how-to, larger."""
     z, y, x = np.indices((64, 64, 64))
     level = np.cos(np.pi * z / 5) + np.cos(np.pi * y / 5) + np.cos(np.pi * x / 5)
-    sample = Image((level < 0.9 * np.cos(x / 11) * np.cos(y / 14 + z / 19)).astype(np.uint8), "labels")
+    sample = Image(
+        (level < 0.9 * np.cos(x / 11) * np.cos(y / 14 + z / 19)).astype(np.uint8), "labels"
+    )
     density = tb.fields.resample(tb.fields.simp("cantilever", (10, 5, 20)), (80, 40, 150))
     field = tb.fields.rescale(density, low=0.32, high=0.68)
     made = tb.method("quilt", orientations="all").fit(sample).generate(
         field.shape, seed=_SEED, target={"volume_fraction": field}
     )  # fmt: skip
-    tb.render(made, folder / "ours-cantilever.png", look="foam", size=(800, 480), cut="none", camera=(24.0, 24.0))
+    tb.render(
+        made,
+        folder / "ours-cantilever.png",
+        look="foam",
+        size=(800, 480),
+        cut="none",
+        camera=(24.0, 24.0),
+    )
 
 
 def _drawn_bunny(folder: Path) -> bool:
@@ -118,18 +137,31 @@ def _drawn_bunny(folder: Path) -> bool:
     lying = tb.voxelise(form, spacing=1.0).values > 0
     upright = np.ascontiguousarray(lying.transpose(1, 0, 2)[:, ::-1])
     made = _bubbles("bone", upright, distance=11)
-    tb.render(made, folder / "ours-bunny.png", look="bone", size=(640, 480), cut="y=0.5", camera=(20.0, 12.0))
+    tb.render(
+        made,
+        folder / "ours-bunny.png",
+        look="bone",
+        size=(640, 480),
+        cut="y=0.5",
+        camera=(20.0, 12.0),
+    )
     return True
 
 
-def _bubbles(preset: str, mask: np.ndarray | None, *, sides: Sequence[int] = (), **settings: object) -> Image:
+def _bubbles(
+    preset: str, mask: np.ndarray | None, *, sides: Sequence[int] = (), **settings: object
+) -> Image:
     model = tb.method("bubbles", preset=preset, **settings).fit()
     return model.generate(tuple(sides) if mask is None else mask.shape, seed=_SEED, mask=mask)
 
 
 def _pebble(sides: Sequence[int]) -> np.ndarray:
-    z, y, x = (2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True))
-    return np.abs(x) ** 2.4 + np.abs(y) ** 2.2 + np.abs(z) ** 2 < 1 - 0.12 * np.sin(4 * x + 2 * y) * np.cos(3 * z)
+    z, y, x = (
+        2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True)
+    )
+    return np.abs(x) ** 2.4 + np.abs(y) ** 2.2 + np.abs(z) ** 2 < 1 - 0.12 * np.sin(
+        4 * x + 2 * y
+    ) * np.cos(3 * z)
 
 
 def _still(image: Image, look: str, **settings: object) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Draw the gallery and write its page, docs/gallery: what the package makes today of its own samples, and its certificates."""
+"""Draw the gallery and write its page, docs/gallery: what the package makes today of its own
+samples, and its certificates.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,19 @@ def draw_sample(name: str, folder: Path) -> str:
     verdict = tb.verify(exemplar, material, names=[f"{name}.zarr"])
     (folder / f"{name}-certificate.txt").write_text(verdict.to_table() + "\n", encoding="utf-8")
     return _SAMPLE.format(
-        name=name, side=_SIDE, seed=_SEED, look=look, summary=tb.samples()[name].capitalize(), own=exemplar.shape[0]
+        name=name,
+        side=_SIDE,
+        seed=_SEED,
+        look=look,
+        summary=tb.samples()[name].capitalize(),
+        own=exemplar.shape[0],
     )
 
 
 def draw_shapes(folder: Path) -> str:
-    """A filled form cut open, a tile set beside itself, a repaired hole; the section that shows them."""
+    """A filled form cut open, a tile set beside itself, a repaired hole; the section that shows
+    them.
+    """
     foam, bone = tb.sample("foam"), tb.sample("bone")
     fill = tb.method("texture").fit(foam)
     sides = (_SIDE // 2, 3 * _SIDE // 2, 3 * _SIDE // 2)
@@ -63,11 +72,18 @@ def draw_shapes(folder: Path) -> str:
     tb.render(wall, folder / "shape-tile.png", look="foam", size=(640, 480))
 
     half = (*bone.shape[:2], bone.shape[2] // 2)
-    whole, other = tb.crop(bone, half, corner=(0, 0, 0)), tb.crop(bone, half, corner=(0, 0, half[2]))
+    whole, other = (
+        tb.crop(bone, half, corner=(0, 0, 0)),
+        tb.crop(bone, half, corner=(0, 0, half[2])),
+    )
     hole = np.zeros(half, bool)
     hole[34:62, 34:62, 10:38] = True
-    damaged = tb.Image(np.where(hole, 0, whole.values), "labels", spacing=bone.spacing, unit=bone.unit)
-    repaired = tb.method("texture").fit(other).generate(half, fixed=damaged, known=~hole, seed=_SEED)
+    damaged = tb.Image(
+        np.where(hole, 0, whole.values), "labels", spacing=bone.spacing, unit=bone.unit
+    )
+    repaired = (
+        tb.method("texture").fit(other).generate(half, fixed=damaged, known=~hole, seed=_SEED)
+    )
     names = ["a half of sample:bone", "with a hole of 28^3", "repaired after the other half"]
     montage([whole, damaged, repaired], names, folder / "shape-repair.png", side=300)
     return _SHAPES

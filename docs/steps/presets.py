@@ -1,4 +1,6 @@
-"""Draw the presets of methods that need no exemplar: a still and a slice of each, `METHOD-PRESET.png`, and one sheet of all."""
+"""Draw the presets of methods that need no exemplar: a still and a slice of each,
+`METHOD-PRESET.png`, and one sheet of all.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 from PIL import Image as Pillow
 
 import trabecula as tb
-from trabecula.synth.registry import methods
+from trabecula.synth.api.registry import methods
 from trabecula.view.looks import LOOKS
 
 _SEED = 7
@@ -47,9 +49,15 @@ def draw_presets(folder: Path) -> str:
         half = -(-len(stills) // 2)
         rows = [_beside(stills[:half]), _beside(stills[half:])]
         wide = max(row.shape[1] for row in rows)
-        sheet = [np.pad(row, [(0, 0), (0, wide - row.shape[1]), (0, 0)], mode="edge") for row in rows]
+        sheet = [
+            np.pad(row, [(0, 0), (0, wide - row.shape[1]), (0, 0)], mode="edge") for row in rows
+        ]
         Pillow.fromarray(np.concatenate(sheet)).save(folder / f"{method}.png")
-        sections.append(_SECTION.format(method=method, names=", ".join(f"`{name}`" for name in presets), seed=_SEED))
+        sections.append(
+            _SECTION.format(
+                method=method, names=", ".join(f"`{name}`" for name in presets), seed=_SEED
+            )
+        )
     return "\n".join(sections)
 
 
@@ -59,10 +67,18 @@ def _drawn(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
     mask = loaf(_LOAVES[preset]) if preset in _LOAVES else None
     sides = _SIDES if mask is None else mask.shape
     material = tb.method(method, preset=preset).fit().generate(sides, seed=_SEED, mask=mask)
-    still = tb.render(material, look=_LOOK_OF.get(preset, preset if preset in LOOKS else "stone"), size=(420, _TALL))
+    still = tb.render(
+        material,
+        look=_LOOK_OF.get(preset, preset if preset in LOOKS else "stone"),
+        size=(420, _TALL),
+    )
     colours = np.array([look.void, look.solid], np.uint8)
     # A loaf across its length, a block from the side.
-    plane = material.values[:, :, sides[2] // 2] if mask is not None else material.values[:, sides[1] // 2]
+    plane = (
+        material.values[:, :, sides[2] // 2]
+        if mask is not None
+        else material.values[:, sides[1] // 2]
+    )
     within = np.ones_like(plane, bool) if mask is None else mask[:, :, sides[2] // 2]
     shown = np.where(within[..., None], colours[plane], np.array(look.background, np.uint8))[::-1]
     times = (_TALL - 40) // shown.shape[0]
@@ -71,7 +87,9 @@ def _drawn(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
 
 def loaf(sides: tuple[int, ...]) -> np.ndarray:
     """Flat below, round above, blunt at its ends."""
-    z, y, x = (2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True))
+    z, y, x = (
+        2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True)
+    )
     return (np.abs(x) ** 3.5 + np.abs(y) ** 2.5 + np.abs(z) ** np.where(z < 0, 5, 2.2)) < 1
 
 

@@ -1,4 +1,6 @@
-"""The exceptions by their public address: `from trabecula.errors import TrabeculaError`. They are defined in `core.errors`."""
+"""The exceptions by their public address: `from trabecula.errors import TrabeculaError`. They are
+defined in `core.errors`.
+"""
 
 from trabecula.core.errors import (
     ClusterError,

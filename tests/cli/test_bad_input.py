@@ -1,4 +1,6 @@
-"""What cannot work is refused: one line that says what to do, exit status 2, nothing written and nothing lost."""
+"""What cannot work is refused: one line that says what to do, exit status 2, nothing written and
+nothing lost.
+"""
 
 import errno
 import os
@@ -35,7 +37,9 @@ def scans(tmp_path_factory, bone):
     (folder / "folder.npy").mkdir()
     (folder / "nothing").mkdir()
     with (folder / "huge.npy").open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (10**5,) * 3})
+        np.lib.format.write_array_header_1_0(
+            file, {"descr": "|u1", "fortran_order": False, "shape": (10**5,) * 3}
+        )
     np.save(folder / "nan.npy", np.where(good == 1, np.nan, 1.5 * good))
     np.save(folder / "infinite.npy", np.where(good == 1, np.inf, 1.5 * good))
     np.save(folder / "complex.npy", good + 1j)
@@ -79,7 +83,10 @@ UNREADABLE = [
     ("missing.npy", "there is no file missing.npy"),
     ("scna.npy", "did you mean scan.npy"),
     ("nowhere/scan.npy", "there is no folder nowhere either"),
-    *((f"empty{suffix}", "it is empty (0 bytes)") for suffix in (".npy", ".tif", ".mha", ".nrrd", ".nii.gz", ".vti")),
+    *(
+        (f"empty{suffix}", "it is empty (0 bytes)")
+        for suffix in (".npy", ".tif", ".mha", ".nrrd", ".nii.gz", ".vti")
+    ),
     *(
         (f"short{suffix}", f"cannot read short{suffix} as")
         for suffix in (".npy", ".tif", ".mha", ".nrrd", ".nii.gz", ".vti", ".zarr")
@@ -126,7 +133,9 @@ READERS = [
 ]
 
 
-@pytest.mark.parametrize("words", READERS, ids=lambda words: "-".join(word for word in words[:6] if word[0].isalpha()))
+@pytest.mark.parametrize(
+    "words", READERS, ids=lambda words: "-".join(word for word in words[:6] if word[0].isalpha())
+)
 def test_files_that_cannot_be_read(place, words):
     for name, says in UNREADABLE:
         line = refused(*(word.format(name) for word in words))
@@ -158,7 +167,10 @@ def test_exemplars_that_nothing_can_be_learnt_from(place, name, says):
         (("--shape", "16", "-1", "16"), "must be positive"),
         (("--shape", "16.5"), "--shape 16.5: give one whole number or three"),
         (("--shape", "nan"), "--shape nan: give one whole number"),
-        (("--shape", "16", "16"), "makes 3-D images of this exemplar, the request is for (16, 16): give 3 numbers"),
+        (
+            ("--shape", "16", "16"),
+            "makes 3-D images of this exemplar, the request is for (16, 16): give 3 numbers",
+        ),
         (("--shape", "1", "2", "3", "4"), "has 4 numbers"),
         (("--shape", "1" * 5000), "give one whole number"),
         (("--shape", "9" * 30), "more than 2**48 voxels"),
@@ -205,7 +217,10 @@ def test_shapes(place, words, says):
         (("--set", "tries"), "write --set name=value"),
         (("--set", "=3"), "write --set name=value"),
         (("--set", "preset=quick"), "unknown preset of texture 'quick'"),
-        (("--preset", "fast", "--set", "preset=best"), "--preset fast and --set preset=best: give one of them"),
+        (
+            ("--preset", "fast", "--set", "preset=best"),
+            "--preset fast and --set preset=best: give one of them",
+        ),
         (("--set", "tries=many"), "tries='many' should be a whole number from 0 to 64"),
         (("--set", "tries=-1"), "tries=-1 is outside 0 .. 64"),
         (("--set", "tries=1.5"), "tries=1.5 should be a whole number"),
@@ -253,7 +268,10 @@ def test_settings_of_the_wrong_type(place, setting):
 
 
 def test_a_whole_number_may_be_written_with_a_point():
-    assert tb.method("texture", levels=2.0, rounds=3).config == tb.method("texture", levels=2, rounds=[3]).config
+    assert (
+        tb.method("texture", levels=2.0, rounds=3).config
+        == tb.method("texture", levels=2, rounds=[3]).config
+    )
 
 
 @pytest.mark.parametrize(
@@ -271,14 +289,20 @@ def test_a_whole_number_may_be_written_with_a_point():
     ],
 )
 def test_thresholds(place, threshold, says):
-    for words in (("generate", "grey.npy", "--shape", 16, "--out", "old.npy", *SMALL), ("measure", "grey.npy")):
+    for words in (
+        ("generate", "grey.npy", "--shape", 16, "--out", "old.npy", *SMALL),
+        ("measure", "grey.npy"),
+    ):
         assert says in refused(*words, "--threshold", threshold)
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("generat", "scan.npy"), "unknown verb 'generat': did you mean 'generate'? known are demo, methods"),
+        (
+            ("generat", "scan.npy"),
+            "unknown verb 'generat': did you mean 'generate'? known are demo, methods",
+        ),
         (("",), "unknown verb ''"),
         (("--bogus",), "unrecognized arguments: --bogus (see trabecula --help)"),
         (("--versoin",), "did you mean --version?"),
@@ -289,32 +313,62 @@ def test_thresholds(place, threshold, says):
         (("verify", "scan.npy", "scan.npy", "--r-max", "far"), "argument --r-max"),
         (("verify", "scan.npy", "plane.npy"), "compare images of equal dimension"),
         (("verify", "void.npy", "scan.npy"), "there is nothing to compare"),
-        (("verify", "scan.npy", "scan.npy", "--report", "page.pdf"), "page.pdf should end in .html"),
-        (("verify", "scan.npy", "scan.npy", "--report", "scan.npy/page.html"), "is a file, not a folder"),
+        (
+            ("verify", "scan.npy", "scan.npy", "--report", "page.pdf"),
+            "page.pdf should end in .html",
+        ),
+        (
+            ("verify", "scan.npy", "scan.npy", "--report", "scan.npy/page.html"),
+            "is a file, not a folder",
+        ),
         (("finish", "scan.npy", "--out", "new.zarr"), "nothing to do: give --connect"),
-        (("finish", "scan.npy", "--connect", "--out", "new.zrar"), "unknown format '.zrar': did you mean '.zarr'"),
+        (
+            ("finish", "scan.npy", "--connect", "--out", "new.zrar"),
+            "unknown format '.zrar': did you mean '.zarr'",
+        ),
         (("finish", "grey.npy", "--connect", "--out", "new.zarr"), "segment it first"),
         (("finish", "void.npy", "--connect", "--out", "new.zarr"), "nothing to connect"),
-        (("finish", "scan.npy", "--connect", "--phase", "bone", "--out", "new.zarr"), "unknown phase 'bone'"),
+        (
+            ("finish", "scan.npy", "--connect", "--phase", "bone", "--out", "new.zarr"),
+            "unknown phase 'bone'",
+        ),
         (("export", "scan.npy", "--out", "new.slt"), "unknown format '.slt': did you mean '.stl'"),
         (("export", "scan.npy", "--out", "new"), "has no suffix to tell its format"),
         (("export", "scan.npy", "--out", ""), "has no suffix to tell its format"),
-        (("export", "scan.npy", "--phase", "sloid", "--out", "new.stl"), "unknown phase 'sloid': did you mean 'solid'"),
+        (
+            ("export", "scan.npy", "--phase", "sloid", "--out", "new.stl"),
+            "unknown phase 'sloid': did you mean 'solid'",
+        ),
         (("export", "void.npy", "--out", "new.stl"), "void"),
         (("export", "plane.npy", "--out", "new.stl"), "volume"),
         (("export", "grey.npy", "--out", "new.stl"), "segment it first"),
         (("export", "scan.npy", "--out", "new.png"), "PNG holds pictures of 2 axes"),
-        (("render", "scan.npy", "--out", "new.png", "--look", "bnoe"), "unknown look 'bnoe': did you mean 'bone'"),
-        (("render", "scan.npy", "--out", "new.png", "--cut", "cornre"), "unknown cut 'cornre': did you mean 'corner'"),
+        (
+            ("render", "scan.npy", "--out", "new.png", "--look", "bnoe"),
+            "unknown look 'bnoe': did you mean 'bone'",
+        ),
+        (
+            ("render", "scan.npy", "--out", "new.png", "--cut", "cornre"),
+            "unknown cut 'cornre': did you mean 'corner'",
+        ),
         (("render", "scan.npy", "--out", "new.png", "--size", "0", "10"), "must be positive"),
         (("render", "scan.npy", "--out", "new.png", "--size", "64"), "expected 2 arguments"),
-        (("render", "scan.npy", "--out", "new.png", "--size", "99999", "99999"), "is outside 16..8192 pixels"),
+        (
+            ("render", "scan.npy", "--out", "new.png", "--size", "99999", "99999"),
+            "is outside 16..8192 pixels",
+        ),
         (("render", "scan.npy", "--out", "new.png", "--camera", "nan", "0"), "are finite"),
         (("render", "plane.npy", "--out", "new.png"), "a still needs a volume"),
         (("render", "scan.npy", "--out", "new.gif"), "unknown format '.gif'"),
-        (("render", "void.npy", "--out", "new.png", "--size", "64", "64", "--cut", "w"), "unknown cut 'w'"),
+        (
+            ("render", "void.npy", "--out", "new.png", "--size", "64", "64", "--cut", "w"),
+            "unknown cut 'w'",
+        ),
         (("measure", "plane.npy", "--crop", "99"), "does not lie inside"),
-        (("measure", "sample:bone", "--spacing", "2"), "comes with its spacing, unit and phases: give none"),
+        (
+            ("measure", "sample:bone", "--spacing", "2"),
+            "comes with its spacing, unit and phases: give none",
+        ),
         (("rerun", "scan.npy"), "holds no recipe"),
         (("demo", "--out", "scan.npy"), "is a file, not a folder"),
     ],
@@ -363,14 +417,18 @@ def test_a_surface_or_page_does_not_take_the_place_of_a_folder(tmp_path, scans, 
     assert contents(tmp_path) == before
 
 
-def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(tmp_path, scans, monkeypatch):
+def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(
+    tmp_path, scans, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file.zarr").write_text("precious")
     (tmp_path / "folder.zarr").mkdir()
     (tmp_path / "folder.zarr" / "thesis.txt").write_text("precious")
     before = contents(tmp_path)
     assert "a file of that name is there" in generate(scans / "scan.npy", out="file.zarr")
-    assert "a folder that is no Zarr store is there" in generate(scans / "scan.npy", out="folder.zarr")
+    assert "a folder that is no Zarr store is there" in generate(
+        scans / "scan.npy", out="folder.zarr"
+    )
     assert contents(tmp_path) == before
 
 
@@ -379,7 +437,8 @@ def test_a_shape_beyond_memory_is_refused_before_anything_is_made(place, monkeyp
         monkeypatch.setattr(f"trabecula.{home}.available_memory", lambda: 1 << 28)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("usage", "free")(1 << 60))
     monkeypatch.setattr(
-        "trabecula.synth.texture.method.TextureModel._generate", lambda *anything: pytest.fail("it started")
+        "trabecula.synth.texture.method.TextureModel.make",
+        lambda *anything: pytest.fail("it started"),
     )
     for out in ("new.zarr", "old.npy"):
         line = generate("scan.npy", shape=("--shape", 20000), out=out)
@@ -393,7 +452,8 @@ def test_plan_tells_of_a_shape_beyond_memory_instead(place):
 def test_a_full_disk_is_noticed_before_the_work(place, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("usage", "free")(100))
     monkeypatch.setattr(
-        "trabecula.synth.texture.method.TextureModel._generate", lambda *anything: pytest.fail("it started")
+        "trabecula.synth.texture.method.TextureModel.make",
+        lambda *anything: pytest.fail("it started"),
     )
     assert "are free in" in generate("scan.npy", out="old.npy")
     assert "are free in" in refused("demo", "--out", "demo")
@@ -426,10 +486,14 @@ def test_surfaces_and_stills_on_a_full_disk(place, monkeypatch):
         assert "No space left on device" in refused(*words)
 
 
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(
+    hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere"
+)
 def test_a_folder_without_the_right_to_write(tmp_path, scans):
     (tmp_path / "closed").mkdir(mode=0o500)
-    assert "no right to write" in generate(scans / "scan.npy", out=str(tmp_path / "closed" / "new.zarr"))
+    assert "no right to write" in generate(
+        scans / "scan.npy", out=str(tmp_path / "closed" / "new.zarr")
+    )
     assert list((tmp_path / "closed").iterdir()) == []
 
 
@@ -442,8 +506,11 @@ def test_running_out_of_memory_is_no_traceback(place, monkeypatch):
     def too_much(*anything):
         raise MemoryError
 
-    monkeypatch.setattr("trabecula.synth.texture.method.TextureModel._generate", too_much)
-    assert generate("scan.npy", out="old.npy") == "out of memory: ask for a smaller --shape, or see trabecula plan"
+    monkeypatch.setattr("trabecula.synth.texture.method.TextureModel.make", too_much)
+    assert (
+        generate("scan.npy", out="old.npy")
+        == "out of memory: ask for a smaller --shape, or see trabecula plan"
+    )
 
 
 def test_an_interrupted_run_leaves_everything_as_it_was(place, monkeypatch):
@@ -464,7 +531,10 @@ def test_a_bad_environment_is_told(place, monkeypatch):
 def test_names_that_no_terminal_shows(tmp_path, scans):
     """A name of stray bytes is read, written and printed, escaped."""
     shutil.copy(scans / "scan.npy", tmp_path / os.fsdecode(b"knochen-\xff.npy"))
-    for words in ([b"export", b"knochen-\xff.npy", b"--out", b"teil-\xff.npy"], [b"measure", b"kein-\xff.npy"]):
+    for words in (
+        [b"export", b"knochen-\xff.npy", b"--out", b"teil-\xff.npy"],
+        [b"measure", b"kein-\xff.npy"],
+    ):
         done = subprocess.run(
             [sys.executable, b"-m", b"trabecula.cli.main", *words],
             cwd=tmp_path,
@@ -473,4 +543,6 @@ def test_names_that_no_terminal_shows(tmp_path, scans):
         )
         assert b"Traceback" not in done.stderr and b"-\\udcff.npy" in done.stdout + done.stderr
         assert done.returncode == (0 if words[0] == b"export" else 2)
-    np.testing.assert_array_equal(tb.read(tmp_path / os.fsdecode(b"teil-\xff.npy")).values, np.load(scans / "scan.npy"))
+    np.testing.assert_array_equal(
+        tb.read(tmp_path / os.fsdecode(b"teil-\xff.npy")).values, np.load(scans / "scan.npy")
+    )

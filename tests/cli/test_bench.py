@@ -17,7 +17,9 @@ sys.exit(3)
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder that looks as if the package were installed from it, with benchmarks that only say what they were given."""
+    """A folder that looks as if the package were installed from it, with benchmarks that only say
+    what they were given.
+    """
     (tmp_path / "benchmarks").mkdir()
     (tmp_path / "benchmarks" / "run.py").write_text(_SCRIPT)
     monkeypatch.setattr(tb, "__file__", str(tmp_path / "src" / "trabecula" / "__init__.py"))
@@ -60,7 +62,11 @@ def test_parts_of_a_case_are_passed_on(checkout, monkeypatch, capfd):
     (checkout / "benchmarks" / "run.py").write_text(script)
     monkeypatch.delenv("TRABECULA_BENCH_OUT", raising=False)
     attempt("bench", "image", "--only", "bread 2", "rods", "--methods", "mrf:fast", "--side", 32)
-    assert json.loads(capfd.readouterr().out) == {"ONLY": "bread 2;rods", "METHODS": "mrf:fast", "SIDE": "32"}
+    assert json.loads(capfd.readouterr().out) == {
+        "ONLY": "bread 2;rods",
+        "METHODS": "mrf:fast",
+        "SIDE": "32",
+    }
 
 
 def test_an_installed_package_says_where_the_benchmarks_are(checkout):

@@ -16,7 +16,7 @@ import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula.core.recipe import digest
 from trabecula.engine import blocks
-from trabecula.engine.levels import halved
+from trabecula.engine.multiscale import halved
 from trabecula.engine.store import open_unfinished
 
 REACH = ("--set", "reach=4", "--set", "corrections=2")
@@ -77,13 +77,24 @@ def test_resume_needs_no_other_word(interrupted):
     assert image.recipe.to_json() == tb.read("whole.npy").recipe.to_json()
     again = trabecula("generate", "--resume", "big.zarr", "--json")
     assert "big.zarr is finished" in again.err and json.loads(again.out)["sha256"] == interrupted
-    assert (json.loads(again.out)["shape"], json.loads(again.out)["out"]) == ([150, 40, 90], "big.zarr")
+    assert (json.loads(again.out)["shape"], json.loads(again.out)["out"]) == (
+        [150, 40, 90],
+        "big.zarr",
+    )
 
 
 def test_the_unfinished_store_may_be_named_and_the_exemplar_moved(interrupted, tmp_path):
     Path("scan.npy").rename(tmp_path / "elsewhere.npy")
     assert "give its place with --exemplar" in refused("generate", "--resume", "big.zarr.part")
-    done = trabecula("generate", "--resume", "big.zarr.part", "--exemplar", tmp_path / "elsewhere.npy", "--memory", 1)
+    done = trabecula(
+        "generate",
+        "--resume",
+        "big.zarr.part",
+        "--exemplar",
+        tmp_path / "elsewhere.npy",
+        "--memory",
+        1,
+    )
     assert done.sha256 == interrupted
 
 
@@ -96,7 +107,9 @@ def test_another_exemplar_is_refused_and_nothing_lost(interrupted):
 
 def test_other_versions_are_refused_by_name(interrupted, monkeypatch):
     monkeypatch.setattr("trabecula.__version__", "99.0")
-    assert "trabecula 0.1.0, here 99.0" in refused("generate", "--resume", "big.zarr").replace(tb_version(), "0.1.0")
+    assert "trabecula 0.1.0, here 99.0" in refused("generate", "--resume", "big.zarr").replace(
+        tb_version(), "0.1.0"
+    )
 
 
 def tb_version():
@@ -105,7 +118,13 @@ def tb_version():
 
 
 def test_a_store_that_is_not_finished_says_so_to_every_reader(interrupted):
-    for verb in (("measure",), ("render", "--out", "x.png"), ("export", "--out", "x.npy"), ("rerun",), ("check",)):
+    for verb in (
+        ("measure",),
+        ("render", "--out", "x.png"),
+        ("export", "--out", "x.npy"),
+        ("rerun",),
+        ("check",),
+    ):
         goes_on = "trabecula generate --resume big.zarr goes on"
         for name, words in (("big.zarr.part", "did not finish"), ("big.zarr", "is not finished")):
             line = refused(verb[0], name, *verb[1:])
@@ -115,14 +134,19 @@ def test_a_store_that_is_not_finished_says_so_to_every_reader(interrupted):
 def test_the_blocks_of_another_run_are_not_lost(interrupted):
     other = ("generate", *ASKED[:-1], 4, "--out", "big.zarr", "--chunks", 32)
     assert "holds the blocks of another run, of 150x40x90 voxels" in refused(*other)
-    assert "begun in chunks of 32 voxels, not of 64" in refused("generate", *ASKED, "--out", "big.zarr", "--chunks", 64)
+    assert "begun in chunks of 32 voxels, not of 64" in refused(
+        "generate", *ASKED, "--out", "big.zarr", "--chunks", 64
+    )
     assert trabecula("generate", *ASKED, "--out", "big.zarr").sha256 == interrupted
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("nothing.zarr",), "nothing to go on from: no run that makes nothing.zarr was interrupted"),
+        (
+            ("nothing.zarr",),
+            "nothing to go on from: no run that makes nothing.zarr was interrupted",
+        ),
         (("big.zarr", "--shape", "9"), "--shape beside --resume"),
         (("big.zarr", "--seed", "0"), "--seed beside --resume"),
         (("big.zarr", "--set", "reach=4"), "--set beside --resume"),
@@ -135,8 +159,12 @@ def test_what_cannot_be_gone_on_with(interrupted, words, message):
 
 
 def test_an_exemplar_beside_resume_is_told_its_option(interrupted):
-    assert "--exemplar tells where it lies now" in refused("generate", "scan.npy", "--resume", "big.zarr")
-    assert "--exemplar is for --resume" in refused("generate", *ASKED, "--exemplar", "scan.npy", "--out", "x.zarr")
+    assert "--exemplar tells where it lies now" in refused(
+        "generate", "scan.npy", "--resume", "big.zarr"
+    )
+    assert "--exemplar is for --resume" in refused(
+        "generate", *ASKED, "--exemplar", "scan.npy", "--out", "x.zarr"
+    )
     assert "add --out FILE" in refused("generate", *ASKED)
 
 
@@ -152,13 +180,17 @@ def test_a_part_that_says_nothing_is_left_alone(place):
 @pytest.mark.parametrize("chunk", [64, 96, 128])
 def test_however_it_is_cut_the_voxels_are_the_same(place, chunk):
     words = ("--out", "big.zarr", "--chunks", chunk)
-    assert trabecula("generate", *ASKED, *words, "--threads", 2 if chunk == 96 else 1).sha256 == place
+    assert (
+        trabecula("generate", *ASKED, *words, "--threads", 2 if chunk == 96 else 1).sha256 == place
+    )
 
 
 def test_a_model_in_a_file_is_found_again(place, monkeypatch):
     asked = ("--model", "scan.model", *ASKED[len(("scan.npy", "--method", "noise", *REACH)) :])
     real = blocks.digest_of
-    monkeypatch.setattr(blocks, "digest_of", lambda *words: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        blocks, "digest_of", lambda *words: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     assert attempt("generate", *asked, "--out", "big.zarr", "--chunks", 64).status == 130
     monkeypatch.setattr(blocks, "digest_of", real)
     assert trabecula("generate", "--resume", "big.zarr").sha256 == place
@@ -167,7 +199,10 @@ def test_a_model_in_a_file_is_found_again(place, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--out", "x.zarr", "--chunks", "40"), "--chunks 40 should be a multiple of 16 from 16 to 1024"),
+        (
+            ("--out", "x.zarr", "--chunks", "40"),
+            "--chunks 40 should be a multiple of 16 from 16 to 1024",
+        ),
         (("--out", "x.zarr", "--chunks", "0"), "--chunks 0 should be a multiple of 16"),
         (("--out", "x.zarr", "--chunks", "2048"), "--chunks 2048 should be"),
         (("--out", "x.npy", "--chunks", "64"), "into a .zarr"),
@@ -184,10 +219,14 @@ def test_the_levels_of_what_was_made(place):
     trabecula("generate", *ASKED, "--out", "big.zarr", "--chunks", 64)
     coarse = tb.read("big.zarr", level=1)
     assert np.array_equal(coarse.values, halved(tb.read("big.zarr").values, labels=True))
-    trabecula("export", "big.zarr", "--out", "coarse.npy", "--level", 1) if exports_levels() else None
+    trabecula(
+        "export", "big.zarr", "--out", "coarse.npy", "--level", 1
+    ) if exports_levels() else None
     found = json.loads(trabecula("measure", "big.zarr", "--level", 1, "--quick", "--json").out)
     assert found["porosity"] == pytest.approx((coarse.values == 0).mean())
-    assert "levels 0 (the finest) to 1: got level 3" in refused("measure", "big.zarr", "--level", 3, "--quick")
+    assert "levels 0 (the finest) to 1: got level 3" in refused(
+        "measure", "big.zarr", "--level", 3, "--quick"
+    )
 
 
 def exports_levels():
@@ -202,7 +241,12 @@ def test_plan_tells_the_time(place):
     assert "time " in trabecula("plan", *ASKED).out
     # And of what is made as a whole, unless something in it is tied to its shape.
     for words in (("--preset", "fast"), ("--method", "noise", *REACH, "--set", "exact=true")):
-        assert json.loads(trabecula("plan", "scan.npy", "--shape", 40, *words, "--json").out)["seconds"] > 0
+        assert (
+            json.loads(trabecula("plan", "scan.npy", "--shape", 40, *words, "--json").out)[
+                "seconds"
+            ]
+            > 0
+        )
     np.save("form.npy", np.arange(40**3).reshape(40, 40, 40) > 99)
     masked = ("plan", "scan.npy", "--preset", "fast", "--mask", "form.npy")
     assert "not forecast" in trabecula(*masked).out
@@ -233,8 +277,13 @@ def test_killed_at_random_moments_and_gone_on_with_by_the_command(place):
     part, kills = Path("big.zarr.part"), 0
     for _ in range(2):
         files = {path for path in part.rglob("c/*/*/*") if path.suffix == ""}
-        process = subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stderr=subprocess.DEVNULL)
-        while process.poll() is None and not {path for path in part.rglob("c/*/*/*") if path.suffix == ""} - files:
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *words], stderr=subprocess.DEVNULL
+        )
+        while (
+            process.poll() is None
+            and not {path for path in part.rglob("c/*/*/*") if path.suffix == ""} - files
+        ):
             time.sleep(0.01)
         time.sleep(float(rng.uniform(0, 0.3)))
         kills += process.poll() is None
@@ -246,7 +295,9 @@ def test_killed_at_random_moments_and_gone_on_with_by_the_command(place):
     assert sorted(path.name for path in Path().iterdir() if "big" in path.name) == ["big.zarr"]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="the extra cluster is installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is not None, reason="the extra cluster is installed"
+)
 def test_workers_without_their_package_are_told_the_extra(place):
     line = refused("generate", *ASKED, "--out", "x.zarr", "--workers", 2)
     assert "needs distributed, which is not installed: pip install 'trabecula[cluster]'" in line
@@ -254,7 +305,18 @@ def test_workers_without_their_package_are_told_the_extra(place):
 
 
 def test_a_picture_in_blocks(place):
-    asked = ("generate", "--method", "noise", "--set", "kind=perlin", "--shape", 150, 90, "--seed", 2)
+    asked = (
+        "generate",
+        "--method",
+        "noise",
+        "--set",
+        "kind=perlin",
+        "--shape",
+        150,
+        90,
+        "--seed",
+        2,
+    )
     whole = trabecula(*asked, "--out", "flat.npy")
     assert trabecula(*asked, "--out", "flat.zarr", "--chunks", 48).sha256 == whole.sha256
     assert tb.read("flat.zarr", level=1).shape == (75, 45)

@@ -37,7 +37,10 @@ def test_what_is_left_out_is_named(foam):
 
 def test_a_crop_of_what_does_not_fit_is_measured_as_a_whole(foam):
     crop = ("--crop", 20, "--json")
-    assert trabecula("measure", foam, "--memory", 0.002, *crop).out == trabecula("measure", foam, *crop).out
+    assert (
+        trabecula("measure", foam, "--memory", 0.002, *crop).out
+        == trabecula("measure", foam, *crop).out
+    )
 
 
 def test_less_memory_than_a_plane_is_refused_in_one_line(foam):
@@ -62,7 +65,9 @@ def test_what_does_not_fit_is_finished_in_slabs_as_the_whole(foam, tmp_path, mon
     assert slabs.out.splitlines()[1:] == whole.out.splitlines()[1:] and "connect.joins" in slabs.out
     assert slabs.out.splitlines()[0].split(": ")[1] == whole.out.splitlines()[0].split(": ")[1]
     one, other = (tb.read(tmp_path / name) for name in ("whole.zarr", "slabs.zarr"))
-    assert np.array_equal(one.values, other.values) and one.recipe.to_json() == other.recipe.to_json()
+    assert (
+        np.array_equal(one.values, other.values) and one.recipe.to_json() == other.recipe.to_json()
+    )
     assert any("slab by slab" in line for line in slabs.lines)
     assert trabecula("rerun", tmp_path / "slabs.zarr").sha256 == one.recipe.steps[-1]["sha256"]
 
@@ -75,7 +80,9 @@ def test_what_does_not_fit_is_finished_in_slabs_as_the_whole(foam, tmp_path, mon
         (("--connect", "--out", "x.npy"), "write a .zarr"),
     ],
 )
-def test_what_cannot_be_finished_in_slabs_says_what_to_do(foam, tmp_path, monkeypatch, words, message):
+def test_what_cannot_be_finished_in_slabs_says_what_to_do(
+    foam, tmp_path, monkeypatch, words, message
+):
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.iterdir())
     line = refused("finish", foam, *words, "--memory", 0.0001)
@@ -83,8 +90,11 @@ def test_what_cannot_be_finished_in_slabs_says_what_to_do(foam, tmp_path, monkey
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_finish_that_was_interrupted_is_gone_on_with_by_its_own_command(foam, tmp_path, monkeypatch):
-    # As if the whole took more memory than there is; a slab of a volume that is so small does not take less.
+def test_a_finish_that_was_interrupted_is_gone_on_with_by_its_own_command(
+    foam, tmp_path, monkeypatch
+):
+    # As if the whole took more memory than there is; a slab of a volume that is so small does not
+    # take less.
     monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
 
     def stopped(*words, **more):
@@ -95,5 +105,7 @@ def test_a_finish_that_was_interrupted_is_gone_on_with_by_its_own_command(foam, 
         patch.setattr("trabecula.engine.blocks.digest_of", stopped)
         left = attempt(*words)
     assert left.status == 130 and "goes on from x.zarr.part (by the same command)" in left.err
-    assert "the same command (trabecula finish ...)" in refused("generate", "--resume", tmp_path / "x.zarr")
+    assert "the same command (trabecula finish ...)" in refused(
+        "generate", "--resume", tmp_path / "x.zarr"
+    )
     assert "going on from x.zarr.part" in trabecula(*words).err

@@ -16,7 +16,10 @@ def folder(tmp_path_factory):
     values = tb.sample("foam").values
     tb.write(tb.Image(values[:40, :40, :40].copy(), "labels", 25.0, "um"), folder / "scan.tif")
     tb.write(tb.Image(values[40], "labels"), folder / "picture.png")
-    tb.write(tb.Image(np.repeat(values[40][..., None] * np.uint8(200), 3, -1), "colour"), folder / "colour.png")
+    tb.write(
+        tb.Image(np.repeat(values[40][..., None] * np.uint8(200), 3, -1), "colour"),
+        folder / "colour.png",
+    )
     tb.write(tb.Image(np.pad(values[:40, :40, :40], 1), "labels"), folder / "padded.zarr")
     tb.write(tb.Image(values[:6, :40, :40].copy(), "labels"), folder / "thin.tif")
     layers = np.broadcast_to((np.arange(64) % 8 < 3)[:, None, None], (64,) * 3).astype(np.uint8)
@@ -45,18 +48,34 @@ def test_the_words_and_the_figures():
     assert found["origin"]["spacing"] == "metadata of this package"
     text = trabecula("inspect", "scan.tif").out
     assert len(text.splitlines()) <= 40
-    for word in ("scan", "phases", "spacing", "margins", "correlated", "components", "recommended", "decidable"):
+    for word in (
+        "scan",
+        "phases",
+        "spacing",
+        "margins",
+        "correlated",
+        "components",
+        "recommended",
+        "decidable",
+    ):
         assert any(line.startswith(word) for line in text.splitlines()), word
     assert "25 um (the sample)" in trabecula("inspect", "sample:foam").out
 
 
 def test_how_it_is_read():
-    found = json.loads(trabecula("inspect", "picture.png", "--spacing", 2, "--unit", "um", "--json").out)
+    found = json.loads(
+        trabecula("inspect", "picture.png", "--spacing", 2, "--unit", "um", "--json").out
+    )
     assert found["spacing"] == [2.0, 2.0] and found["origin"]["spacing"] == "given"
     assert "(given)" in trabecula("inspect", "picture.png", "--spacing", 2, "--unit", "um").out
     assert "100 x 100" not in trabecula("inspect", "colour.png", "--crop", 64).out
-    assert json.loads(trabecula("inspect", "padded.zarr", "--crop", "auto", "--json").out)["shape"] == [40] * 3
-    assert json.loads(trabecula("inspect", "padded.zarr", "--json").out)["margins"]["size"] == [40] * 3
+    assert (
+        json.loads(trabecula("inspect", "padded.zarr", "--crop", "auto", "--json").out)["shape"]
+        == [40] * 3
+    )
+    assert (
+        json.loads(trabecula("inspect", "padded.zarr", "--json").out)["margins"]["size"] == [40] * 3
+    )
     assert "which is not here" not in refused("inspect", "missing.tif")
 
 
@@ -66,7 +85,9 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
     monkeypatch.setattr(inspection, "SLAB_BOX", 32)
     output = trabecula("inspect", "padded.zarr", "--memory", 0.0005)
     assert "the centre box of 42 x 42 x 42" in output.out and "not looked at" in output.out
-    boxed = json.loads(trabecula("inspect", "padded.zarr", "--memory", 0.0005, "--crop", 24, "--json").out)
+    boxed = json.loads(
+        trabecula("inspect", "padded.zarr", "--memory", 0.0005, "--crop", 24, "--json").out
+    )
     assert boxed["shape"] == [24] * 3
     for verb in ("inspect", "measure"):
         line = attempt(verb, "padded.zarr", "--memory", 0.0005, "--crop", "auto")
@@ -76,7 +97,18 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
     assert chosen(made) == ["trabecula: method kopf"]
-    same = trabecula("generate", "picture.png", "--method", "kopf", "--shape", 16, "--seed", 1, "--out", "same.zarr")
+    same = trabecula(
+        "generate",
+        "picture.png",
+        "--method",
+        "kopf",
+        "--shape",
+        16,
+        "--seed",
+        1,
+        "--out",
+        "same.zarr",
+    )
     assert chosen(same) == [] and same.sha256 == made.sha256
     assert {**method_of("more.zarr"), "versions": 0} == {**method_of("same.zarr"), "versions": 0}
     assert trabecula("rerun", "more.zarr").sha256 == made.sha256
@@ -85,18 +117,25 @@ def test_a_micrograph_works_at_once():
 def test_a_volume_stays_texture():
     made = trabecula("generate", "scan.tif", "--shape", 16, "--out", "volume.zarr")
     assert chosen(made) == ["trabecula: method texture"]
-    named = trabecula("generate", "scan.tif", "--method", "texture", "--shape", 16, "--out", "named.zarr")
+    named = trabecula(
+        "generate", "scan.tif", "--method", "texture", "--shape", 16, "--out", "named.zarr"
+    )
     assert named.sha256 == made.sha256
     assert method_of("named.zarr")["settings"] == method_of("volume.zarr")["settings"]
     # Settings without a method are those of texture, as they were before there was a choice.
-    assert chosen(trabecula("generate", "scan.tif", "--shape", 16, "--out", "small.zarr", *SMALL)) == []
+    assert (
+        chosen(trabecula("generate", "scan.tif", "--shape", 16, "--out", "small.zarr", *SMALL))
+        == []
+    )
 
 
 def test_layers_get_the_preset_that_keeps_order():
     made = trabecula("generate", "layers.tif", "--shape", 24, "--out", "layered.zarr")
     assert chosen(made) == ["trabecula: method texture --preset best"]
     assert method_of("layered.zarr")["settings"]["novelty"] == 0
-    own = trabecula("generate", "layers.tif", "--preset", "fast", "--shape", 24, "--out", "fast.zarr")
+    own = trabecula(
+        "generate", "layers.tif", "--preset", "fast", "--shape", 24, "--out", "fast.zarr"
+    )
     assert method_of("fast.zarr")["settings"]["first_rounds"] == 14 and chosen(own) == []
 
 
@@ -104,8 +143,10 @@ def test_plan_and_fit_choose_as_well():
     assert chosen(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf"]
     fitted = trabecula("fit", "picture.png", "--out", "picture.model")
     assert chosen(fitted) == ["trabecula: method kopf"] and "a model of kopf" in fitted.out
-    assert tb.load_model("picture.model").spec.name == "kopf"
-    assert "name one, as --method gan" in refused("fit", "scan.tif", "--minutes", 1, "--out", "gan.model")
+    assert tb.load_model("picture.model").capabilities.name == "kopf"
+    assert "name one, as --method gan" in refused(
+        "fit", "scan.tif", "--minutes", 1, "--out", "gan.model"
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,7 +161,10 @@ def test_plan_and_fit_choose_as_well():
             "mrf needs a picture; this is a volume of 40 x 40 x 40: use --method texture",
         ),
         (("colour.png", "--method", "gan"), "use --method chen"),
-        (("thin.tif",), "no method was named, and none fits: 6 x 40 x 40 is too small to learn from"),
+        (
+            ("thin.tif",),
+            "no method was named, and none fits: 6 x 40 x 40 is too small to learn from",
+        ),
         (("picture.png", "--set", "novelty=0"), "novelty"),
     ],
 )

@@ -19,8 +19,23 @@ def place(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("suffix", [".npy", ".tif", ".zarr"])
 def test_a_ramp_becomes_a_target(place, suffix):
-    trabecula("field", "ramp", "--shape", 24, 16, 16, "--from", 0.15, "--to", 0.3, "--out", f"ramp{suffix}")
-    assert np.array_equal(tb.read(f"ramp{suffix}").values, fields.ramp((24, 16, 16), start=0.15, end=0.3).values)
+    trabecula(
+        "field",
+        "ramp",
+        "--shape",
+        24,
+        16,
+        16,
+        "--from",
+        0.15,
+        "--to",
+        0.3,
+        "--out",
+        f"ramp{suffix}",
+    )
+    assert np.array_equal(
+        tb.read(f"ramp{suffix}").values, fields.ramp((24, 16, 16), start=0.15, end=0.3).values
+    )
     trabecula(
         "generate", "sample:bone", "--crop", 32, "--shape", 24, 16, 16, "--target", f"volume_fraction=ramp{suffix}",
         "--seed", 1, "--out", "made.npy", *SMALL,
@@ -30,15 +45,28 @@ def test_a_ramp_becomes_a_target(place, suffix):
 
 
 def test_a_result_is_made_again_with_its_field(place):
-    trabecula("field", "formula", "0.2 + 0.05 * sin(2 * pi * x / X)", "--shape", 16, "--out", "field.tif")
-    words = ("sample:bone", "--crop", 32, "--shape", 16, "--target", "volume_fraction=field.tif", "--seed", 1)
+    trabecula(
+        "field", "formula", "0.2 + 0.05 * sin(2 * pi * x / X)", "--shape", 16, "--out", "field.tif"
+    )
+    words = (
+        "sample:bone",
+        "--crop",
+        32,
+        "--shape",
+        16,
+        "--target",
+        "volume_fraction=field.tif",
+        "--seed",
+        1,
+    )
     trabecula("generate", *words, "--out", "made.zarr", *SMALL)
     (place / "field.tif").unlink()
     assert "the same voxels" in trabecula("rerun", "made.zarr").out
 
 
 def test_every_kind_is_what_its_function_makes(place):
-    drawn = np.repeat(np.array([[0, 51, 255]], np.uint8), 4, axis=0)  # few levels, which are greys all the same
+    # few levels, which are greys all the same
+    drawn = np.repeat(np.array([[0, 51, 255]], np.uint8), 4, axis=0)
     Image.fromarray(drawn).save("drawn.png")
     mask = np.ones((9, 9), np.uint8)
     mask[4, :7] = 0
@@ -46,42 +74,85 @@ def test_every_kind_is_what_its_function_makes(place):
     grid = ("--shape", 6, 7, 8, "--spacing", 2, "--unit", "um")
     size = {"spacing": 2, "unit": "um"}
     made = {
-        ("radial", *grid, "--inside", 0.1, "--outside", 0.4, "--radius", 5, "--centre", 6, 7, 8): fields.radial(
-            (6, 7, 8), inside=0.1, outside=0.4, radius=5, centre=(6, 7, 8), **size
-        ),
+        (
+            "radial",
+            *grid,
+            "--inside",
+            0.1,
+            "--outside",
+            0.4,
+            "--radius",
+            5,
+            "--centre",
+            6,
+            7,
+            8,
+        ): fields.radial((6, 7, 8), inside=0.1, outside=0.4, radius=5, centre=(6, 7, 8), **size),
         ("formula", "z / Z + x", *grid): fields.formula((6, 7, 8), "z / Z + x", **size),
         ("picture", "drawn.png", *grid, "--low", 0, "--high", 1, "--axis", "y"): fields.picture(
             drawn, (6, 7, 8), low=0, high=1, axis="y", **size
         ),
-        ("interpolate", "--shape", 9, 9, "--point", 1, 1, 0.2, "--point", 8, 1, 0.6, "--mask", "slit.tif"): (
-            fields.interpolate((9, 9), [(1, 1), (8, 1)], [0.2, 0.6], mask=mask > 0)
-        ),
+        (
+            "interpolate",
+            "--shape",
+            9,
+            9,
+            "--point",
+            1,
+            1,
+            0.2,
+            "--point",
+            8,
+            1,
+            0.6,
+            "--mask",
+            "slit.tif",
+        ): (fields.interpolate((9, 9), [(1, 1), (8, 1)], [0.2, 0.6], mask=mask > 0)),
         ("measure", "sample:bone", "--crop", 20, "--size", 7, "--name", "euler"): fields.measure(
             tb.crop(tb.sample("bone"), 20), "euler", size=7
         ),
-        ("simp", "wheel", "--elements", 4, 6, 6, "--shape", 8, 12, 12, "--volume", 0.6): fields.resample(
-            fields.simp("wheel", (4, 6, 6), volume=0.6), (8, 12, 12)
-        ),
+        (
+            "simp",
+            "wheel",
+            "--elements",
+            4,
+            6,
+            6,
+            "--shape",
+            8,
+            12,
+            12,
+            "--volume",
+            0.6,
+        ): fields.resample(fields.simp("wheel", (4, 6, 6), volume=0.6), (8, 12, 12)),
     }
     for words, expected in made.items():
         told = json.loads(trabecula("field", *words, "--out", "field.tif", "--json").out)
         image = tb.read("field.tif")
         assert np.allclose(image.values, expected.values, atol=1e-6), words
         assert (image.spacing, image.unit) == (expected.spacing, expected.unit), words
-        assert told["least"] == pytest.approx(float(expected.values.min())) and told["shape"] == list(expected.shape)
+        assert told["least"] == pytest.approx(float(expected.values.min())) and told[
+            "shape"
+        ] == list(expected.shape)
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("formula", "__import__('os')", "--shape", "4"), "unknown function in a formula '__import__'"),
+        (
+            ("formula", "__import__('os')", "--shape", "4"),
+            "unknown function in a formula '__import__'",
+        ),
         (("ramp", "--shape", "four", "--from", "0", "--to", "1"), "--shape four"),
         (("ramp", "--shape", "4", "--from", "low", "--to", "1"), "--from low: give numbers"),
         (("simp", "bridge"), "known are cantilever, wheel"),
         (("measure", "sample:bone", "--size", "200"), "does not fit into"),
         (("measure", "sample:bone", "--size", "9", "--name", "surfce"), "did you mean 'surface'"),
         (("interpolate", "--shape", "4", "4", "--point", "1", "1", "1", "1"), "give (N, 2)"),
-        (("picture", "missing.png", "--shape", "4", "--low", "0", "--high", "1"), "there is no file missing.png"),
+        (
+            ("picture", "missing.png", "--shape", "4", "--low", "0", "--high", "1"),
+            "there is no file missing.png",
+        ),
     ],
 )
 def test_what_cannot_be_made_is_refused(place, words, says):

@@ -1,4 +1,6 @@
-"""Lengths as a user types them: --spacing, --unit, --scale where something is written or held against millimetres."""
+"""Lengths as a user types them: --spacing, --unit, --scale where something is written or held
+against millimetres.
+"""
 
 import json
 
@@ -11,7 +13,9 @@ from commands import SMALL, refused, trabecula
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, bone):
-    """A volume that states no size, a form of a cow's two legs, and the scan that it is filled from."""
+    """A volume that states no size, a form of a cow's two legs, and the scan that it is filled
+    from.
+    """
     monkeypatch.chdir(tmp_path)
     tb.write(tb.crop(bone, 28).values, "plain.tif")
     tb.write(tb.Image(tb.crop(bone, 28).values, "labels", 40, "um"), "scan.zarr")
@@ -25,26 +29,47 @@ def sizes(output):
 def test_export_prints_millimetres(place):
     plain = trabecula("export", "plain.tif", "--out", "x.3mf")
     assert "unit unknown: a length of 1 was written as 1 mm, the part is" in plain.lines[-1]
-    found = trabecula("export", "plain.tif", "--spacing", 40, "--unit", "um", "--scale", 10, "--out", "x.stl")
+    found = trabecula(
+        "export", "plain.tif", "--spacing", 40, "--unit", "um", "--scale", 10, "--out", "x.stl"
+    )
     assert not found.lines and sizes(found) == ["size 11.2 x 11.2 x 11.2 mm (z, y, x)"]
     surface = tb.read_mesh("x.stl")
-    assert surface.unit == "mm" and np.ptp(surface.vertices, axis=0) == pytest.approx(11.2, rel=1e-5)
-    other = trabecula("export", "plain.tif", "--spacing", 40, 40, 20, "--unit", "um", "--out", "x.ply")
+    assert surface.unit == "mm" and np.ptp(surface.vertices, axis=0) == pytest.approx(
+        11.2, rel=1e-5
+    )
+    other = trabecula(
+        "export", "plain.tif", "--spacing", 40, 40, 20, "--unit", "um", "--out", "x.ply"
+    )
     assert sizes(other) == ["size 1.12 x 1.12 x 0.56 mm (z, y, x); its coordinates are in um"]
 
 
 def test_export_in_slabs_prints_millimetres(place):
-    column = tb.write(tb.Image(np.tile(tb.read("plain.tif").values, (16, 1, 1)), "labels"), "column.zarr")
+    column = tb.write(
+        tb.Image(np.tile(tb.read("plain.tif").values, (16, 1, 1)), "labels"), "column.zarr"
+    )
     words = ("export", column, "--spacing", 0.5, "--unit", "mm")
     whole = trabecula(*words, "--out", "whole.stl")
     slabs = trabecula(*words, "--out", "slabs.stl", "--memory", 0.01)
     assert (place / "slabs.stl").read_bytes() == (place / "whole.stl").read_bytes()
-    assert sizes(slabs) == sizes(whole) == ["size 224 x 14 x 14 mm (z, y, x)"] and "not checked" in slabs.out
+    assert (
+        sizes(slabs) == sizes(whole) == ["size 224 x 14 x 14 mm (z, y, x)"]
+        and "not checked" in slabs.out
+    )
 
 
 def test_finish_declares_lengths(place):
     trabecula(
-        "finish", "plain.tif", "--connect", "--thicken", 90, "--spacing", 40, "--unit", "um", "--out", "part.zarr"
+        "finish",
+        "plain.tif",
+        "--connect",
+        "--thicken",
+        90,
+        "--spacing",
+        40,
+        "--unit",
+        "um",
+        "--out",
+        "part.zarr",
     )
     part = tb.read("part.zarr")
     assert (part.spacing, part.unit) == ((40.0,) * 3, "um")
@@ -66,8 +91,12 @@ def test_finish_declares_lengths(place):
     )
     other = tb.read("b.zarr")
     assert (other.spacing, other.unit) == ((400.0,) * 3, "um")
-    small = tb.finish.thicken(tb.finish.prune(tb.read("scan.zarr"), exemplar=tb.read("scan.zarr")), thickness=90)
-    assert np.array_equal(other.values, small.values) and other.recipe.steps[-1]["report"]["added"] > 0
+    small = tb.finish.thicken(
+        tb.finish.prune(tb.read("scan.zarr"), exemplar=tb.read("scan.zarr")), thickness=90
+    )
+    assert (
+        np.array_equal(other.values, small.values) and other.recipe.steps[-1]["report"]["added"] > 0
+    )
 
 
 def test_finish_in_slabs_declares_the_same(place, monkeypatch):
@@ -94,8 +123,12 @@ def test_connect_takes_a_reach_and_a_size(place):
         trabecula("finish", "two.npy", "--connect", *words, "--out", "one.npy")
         found = tb.read("one.npy").recipe.steps[-1]["report"]
         assert (found["joins"], found["removed"]) == (joins, removed)
-    assert "--reach is for --connect" in refused("finish", "two.npy", "--fill", "--reach", 3, "--out", "one.npy")
-    assert "--min-size is for --connect" in refused("finish", "two.npy", "--fill", "--min-size", 3, "--out", "one.npy")
+    assert "--reach is for --connect" in refused(
+        "finish", "two.npy", "--fill", "--reach", 3, "--out", "one.npy"
+    )
+    assert "--min-size is for --connect" in refused(
+        "finish", "two.npy", "--fill", "--min-size", 3, "--out", "one.npy"
+    )
 
 
 def test_check_takes_a_scale_and_names_what_it_has(place):
@@ -109,7 +142,10 @@ def test_check_takes_a_scale_and_names_what_it_has(place):
     for option in ("--crop", "--level", "--memory"):
         assert option in trabecula("check", "--help").out
     tb.write(tb.Image(tb.read("scan.zarr").values, "labels", 3, "nm"), "tiny.zarr")
-    assert any("less than 0.1 mm: is nm its unit?" in line for line in trabecula("check", "tiny.zarr").lines)
+    assert any(
+        "less than 0.1 mm: is nm its unit?" in line
+        for line in trabecula("check", "tiny.zarr").lines
+    )
 
 
 def test_out_of_memory_names_options_that_the_verb_has(place, monkeypatch):
@@ -119,12 +155,16 @@ def test_out_of_memory_names_options_that_the_verb_has(place, monkeypatch):
     monkeypatch.setattr("trabecula.finish.print_check", full)
     assert refused("check", "scan.zarr").startswith("out of memory: keep a smaller box (--crop N)")
     monkeypatch.setattr("trabecula.mesh.surface.mesh", full)
-    assert refused("export", "scan.zarr", "--out", "x.stl").startswith("out of memory: give a smaller volume")
+    assert refused("export", "scan.zarr", "--out", "x.stl").startswith(
+        "out of memory: give a smaller volume"
+    )
 
 
 def test_the_form_comes_from_the_recipe_or_from_mask(place):
     grid = np.indices((26, 26, 26)) - 12.5
-    legs = (np.hypot(np.abs(grid[1]) - 7, grid[2]) < 4) | ((np.abs(grid[0]) > 8) & (np.abs(grid[2]) < 4))
+    legs = (np.hypot(np.abs(grid[1]) - 7, grid[2]) < 4) | (
+        (np.abs(grid[0]) > 8) & (np.abs(grid[2]) < 4)
+    )
     tb.write(legs.astype(np.uint8), "legs.tif")
     trabecula("generate", "scan.zarr", "--mask", "legs.tif", *SMALL, "--out", "made.zarr")
     told = trabecula("finish", "made.zarr", "--connect", "--out", "part.zarr")

@@ -1,4 +1,6 @@
-"""The main job as a user types it: one scan in; material, figures, a part, surfaces, a still and the same again out."""
+"""The main job as a user types it: one scan in; material, figures, a part, surfaces, a still and
+the same again out.
+"""
 
 import json
 import zipfile
@@ -25,7 +27,9 @@ def job(tmp_path_factory):
         patch.chdir(folder)
         source = ("sample:bone", "--crop", 48)
         printed = SimpleNamespace(
-            generate=trabecula("generate", *source, "--shape", *SHAPE, "--seed", 7, "--out", "bone.zarr", *SMALL),
+            generate=trabecula(
+                "generate", *source, "--shape", *SHAPE, "--seed", 7, "--out", "bone.zarr", *SMALL
+            ),
             verify=trabecula("verify", "sample:bone", "bone.zarr", "--json", "--crop", 48),
             finish=trabecula("finish", "bone.zarr", "--connect", "--out", "part.zarr"),
             export={
@@ -56,9 +60,16 @@ def test_the_recipe_travels_in_every_file(job):
     assert [inner["verb"] for inner in step["exemplars"][0]] == ["sample", "crop"]
     assert set(step["versions"]) == {"trabecula", "numpy", "python"}
     for name in ("part.zarr", "part.mhd"):
-        assert [step["verb"] for step in tb.read(job.folder / name).recipe.steps] == ["generate", "finish"]
+        assert [step["verb"] for step in tb.read(job.folder / name).recipe.steps] == [
+            "generate",
+            "finish",
+        ]
     assert tb.read(job.folder / "part.zarr").recipe.steps[0] == step
-    assert [step["verb"] for step in tb.read(job.folder / "part.png").recipe.steps] == ["generate", "finish", "render"]
+    assert [step["verb"] for step in tb.read(job.folder / "part.png").recipe.steps] == [
+        "generate",
+        "finish",
+        "render",
+    ]
 
 
 def test_verify_prints_the_certificate(job):
@@ -66,7 +77,15 @@ def test_verify_prints_the_certificate(job):
     metrics = certificate["metrics"]
     assert {
         *("porosity_error", "two_point_distance", "two_point_relative", "two_point_covariance"),
-        *("porosity", "specific_surface", "euler", "mean_curvature", "components", "floating", "largest_fraction"),
+        *(
+            "porosity",
+            "specific_surface",
+            "euler",
+            "mean_curvature",
+            "components",
+            "floating",
+            "largest_fraction",
+        ),
         *("percolates", "chord_length", "pore_size", "thickness"),
     } <= set(metrics)
     for name, metric in metrics.items():
@@ -79,7 +98,9 @@ def test_verify_prints_the_certificate(job):
     exemplar = tb.crop(tb.sample("bone"), 48)
     assert metrics["porosity"]["value"] == pytest.approx((material.values == 0).mean())
     own = (exemplar.values == 0).mean()
-    assert metrics["porosity_error"]["value"] == pytest.approx(abs((material.values == 0).mean() - own) / own)
+    assert metrics["porosity_error"]["value"] == pytest.approx(
+        abs((material.values == 0).mean() - own) / own
+    )
     assert metrics["porosity"]["real_band"][0] <= own <= metrics["porosity"]["real_band"][1]
     assert set(metrics["percolates"]["value"]) == {"z", "y", "x"}
 
@@ -116,7 +137,9 @@ def test_the_print_file_declares_its_unit(job):
 
 
 def test_voxels_are_exported_as_they_are(job):
-    np.testing.assert_array_equal(tb.read(job.folder / "part.mhd").values, tb.read(job.folder / "part.zarr").values)
+    np.testing.assert_array_equal(
+        tb.read(job.folder / "part.mhd").values, tb.read(job.folder / "part.zarr").values
+    )
 
 
 def test_the_still_shows_something(job):
@@ -132,7 +155,17 @@ def test_rerun_makes_the_same_voxels(job):
 
 def test_nothing_else_is_left_behind(job):
     assert {path.name for path in job.folder.iterdir()} == {
-        *("bone.zarr", "part.zarr", "part.stl", "part.3mf", "part.ply", "part.obj", "part.png", "part.mhd", "part.raw")
+        *(
+            "bone.zarr",
+            "part.zarr",
+            "part.stl",
+            "part.3mf",
+            "part.ply",
+            "part.obj",
+            "part.png",
+            "part.mhd",
+            "part.raw",
+        )
     }
 
 
@@ -140,7 +173,7 @@ def test_nothing_else_is_left_behind(job):
 def place(tmp_path, monkeypatch, bone):
     """A working folder, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("trabecula.flow.sample", lambda name: bone)
+    monkeypatch.setattr("trabecula.pipeline.demo.sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 28).values)
     return tmp_path
 
@@ -160,7 +193,9 @@ def exemplar_steps(image):
 def grey(place, bone):
     """A noisy grey scan of the sample."""
     noise = np.random.default_rng(0).normal(0, 12, (28,) * 3)
-    values = np.clip(np.rint(60 + 110.0 * tb.crop(bone, 28).values + noise), 0, 255).astype(np.uint8)
+    values = np.clip(np.rint(60 + 110.0 * tb.crop(bone, 28).values + noise), 0, 255).astype(
+        np.uint8
+    )
     np.save("grey.npy", values)
     return values
 
@@ -171,7 +206,9 @@ def test_a_grey_scan_is_segmented_by_the_threshold_that_is_found(grey):
     step = exemplar_steps(image)["segment"]
     assert 100 < found < 130
     assert step["threshold"] == found and step["found_by"] == "otsu"
-    assert output.lines == [f"trabecula: grey.npy is grey: threshold {found} found (--threshold chooses another)"]
+    assert output.lines == [
+        f"trabecula: grey.npy is grey: threshold {found} found (--threshold chooses another)"
+    ]
     assert image.values.mean() == pytest.approx((grey > found).mean(), abs=5e-3)
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
@@ -197,21 +234,30 @@ def test_the_two_thresholds_are_found_and_recorded(grey):
 def electrode(place, bone):
     """Three phases: solid, a coat on one side of it, pore."""
     solid = tb.crop(bone, 28).values == 1
-    values = np.where(solid, 1, np.where(np.roll(solid, 2, axis=2) | np.roll(solid, 1, axis=2), 2, 0)).astype(np.uint8)
-    tb.write(tb.Image(values, "labels", (3, 2, 1), "um", ("void", "carbon", "binder")), "electrode.tif")
+    values = np.where(
+        solid, 1, np.where(np.roll(solid, 2, axis=2) | np.roll(solid, 1, axis=2), 2, 0)
+    ).astype(np.uint8)
+    tb.write(
+        tb.Image(values, "labels", (3, 2, 1), "um", ("void", "carbon", "binder")), "electrode.tif"
+    )
     return values
 
 
 def test_three_phases_are_kept(electrode):
     image, output = generate("electrode.tif", "--shape", 28)
     assert image.phases == ("void", "carbon", "binder")
-    share, expected = (np.bincount(values.ravel(), minlength=3) / values.size for values in (image.values, electrode))
+    share, expected = (
+        np.bincount(values.ravel(), minlength=3) / values.size
+        for values in (image.values, electrode)
+    )
     np.testing.assert_allclose(share, expected, atol=0.04)
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
     volumes = {}
     for phase in ("carbon", "binder"):
         printed = trabecula("export", "made.zarr", "--phase", phase, "--out", f"{phase}.stl").out
-        volumes[phase] = float(next(line.split()[1] for line in printed.splitlines() if line.startswith("volume")))
+        volumes[phase] = float(
+            next(line.split()[1] for line in printed.splitlines() if line.startswith("volume"))
+        )
     for label, phase in ((1, "carbon"), (2, "binder")):
         assert volumes[phase] == pytest.approx((image.values == label).sum() * 6, rel=0.25)
 
@@ -244,16 +290,23 @@ def test_an_exemplar_smaller_than_the_output_in_one_axis_only(place, shape):
 
 def test_seed_and_threads(place):
     first = json.loads(generate("scan.npy", "--seed", 3, "--threads", 1, "--json")[1].out)
-    again = json.loads(generate("scan.npy", "--seed", 3, "--threads", 2, "--json", out="again.zarr")[1].out)
+    again = json.loads(
+        generate("scan.npy", "--seed", 3, "--threads", 2, "--json", out="again.zarr")[1].out
+    )
     other = json.loads(generate("scan.npy", "--seed", 4, "--json", out="other.zarr")[1].out)
     assert first["sha256"] == again["sha256"] != other["sha256"]
     assert first["shape"] == [16, 16, 16] and first["out"] == "made.zarr"
-    assert first["recipe"][0]["sha256"] == first["sha256"] and first["recipe"][0]["request"]["seed"] == 3
+    assert (
+        first["recipe"][0]["sha256"] == first["sha256"]
+        and first["recipe"][0]["request"]["seed"] == 3
+    )
 
 
 def test_python_makes_what_the_command_makes(place):
     image, _ = generate("scan.npy", "--seed", 3)
-    model = tb.method("texture", neighbourhood=4, first_rounds=2, rounds=(1,)).fit(tb.read("scan.npy"))
+    model = tb.method("texture", neighbourhood=4, first_rounds=2, rounds=(1,)).fit(
+        tb.read("scan.npy")
+    )
     np.testing.assert_array_equal(model.generate(16, seed=3).values, image.values)
 
 
@@ -273,7 +326,10 @@ def test_plan_tells_and_makes_nothing(place):
 def test_methods_and_samples_are_listed():
     methods = json.loads(trabecula("methods", "--json").out)
     assert set(methods) == set(tb.methods()) and methods["texture"]["exemplar"] == "3d"
-    assert "2017" in methods["texture"]["paper"] and methods["texture"]["paper"] in trabecula("methods").out
+    assert (
+        "2017" in methods["texture"]["paper"]
+        and methods["texture"]["paper"] in trabecula("methods").out
+    )
     listed = json.loads(trabecula("samples", "--json").out)
     assert listed == {"samples": tb.samples(), "real_scans": dict(samples.REAL_SCANS)}
     text = trabecula("samples").out
@@ -284,8 +340,24 @@ def test_measure_prints_every_descriptor(place):
     found = json.loads(trabecula("measure", "sample:bone", "--crop", 28, "--json").out)
     values = np.load("scan.npy")
     assert {
-        *("porosity", "specific_surface", "euler", "mean_curvature", "components", "floating", "largest_fraction"),
-        *("percolates", "two_point", "lineal_path", "chord_length", "pore_size", "thickness", "anisotropy"),
+        *(
+            "porosity",
+            "specific_surface",
+            "euler",
+            "mean_curvature",
+            "components",
+            "floating",
+            "largest_fraction",
+        ),
+        *(
+            "percolates",
+            "two_point",
+            "lineal_path",
+            "chord_length",
+            "pore_size",
+            "thickness",
+            "anisotropy",
+        ),
         *("diffusivity", "permeability", "stiffness"),
     } <= set(found)
     assert found["porosity"] == pytest.approx((values == 0).mean())
@@ -302,12 +374,19 @@ def test_how_much_is_measured_is_chosen(place):
         for words in (("--quick",), ("--full", "--box", 20))
     )
     assert set(quick) == set(full) and quick["level"] == "quick" and quick["thickness"] is None
-    assert set(full["permeability"]) == {"z", "y", "x"} and np.shape(full["stiffness"]["matrix"]) == (6, 6)
+    assert set(full["permeability"]) == {"z", "y", "x"} and np.shape(
+        full["stiffness"]["matrix"]
+    ) == (6, 6)
     assert (
-        full["physics"]["permeability"]["z"]["converged"] and full["physics"]["stiffness"]["all"]["halving"] is not None
+        full["physics"]["permeability"]["z"]["converged"]
+        and full["physics"]["stiffness"]["all"]["halving"] is not None
     )
     verdict = json.loads(trabecula("verify", "sample:bone", "sample:bone", "--quick", "--json").out)
-    assert verdict["verdict"] == "not decided" and verdict["level"] == "quick" and verdict["baseline"] is None
+    assert (
+        verdict["verdict"] == "not decided"
+        and verdict["level"] == "quick"
+        and verdict["baseline"] is None
+    )
     assert verdict["passed"] is None and "copy" in verdict["undecided"][0]
     assert "not allowed with" in refused("measure", "scan.npy", "--quick", "--full")
 
@@ -321,7 +400,8 @@ def test_grey_values_are_compared_as_they_are_where_asked(place):
     assert found["level"] == "texture" and len(found["ten_bins"]) == 10
     verdicts = json.loads(
         trabecula(
-            *("verify", "one.png", "two.png", "dark.png", "--threshold", "none"), *("--json", "--report", "page.html")
+            *("verify", "one.png", "two.png", "dark.png", "--threshold", "none"),
+            *("--json", "--report", "page.html"),
         ).out
     )
     assert not any(metric["pass"] is False for metric in verdicts[0]["metrics"].values())
@@ -332,7 +412,9 @@ def test_grey_values_are_compared_as_they_are_where_asked(place):
 def test_several_files_are_judged_and_a_page_is_written(place):
     generate("scan.npy", "--seed", 1, out="one.zarr")
     generate("scan.npy", "--seed", 2, out="two.npy")
-    printed = trabecula("verify", "scan.npy", "one.zarr", "two.npy", "--json", "--report", "page.html", "--r-max", 5)
+    printed = trabecula(
+        "verify", "scan.npy", "one.zarr", "two.npy", "--json", "--report", "page.html", "--r-max", 5
+    )
     first, second = json.loads(printed.out)
     assert set(first["metrics"]) == set(second["metrics"]) and first["metrics"] != second["metrics"]
     html = (place / "page.html").read_text(encoding="utf-8")
@@ -350,7 +432,9 @@ def test_an_exemplar_that_moved_is_found_beside_the_file_or_by_its_name(place):
     assert "scans/scan.npy, which is not here: give its place with --exemplar" in refused(
         "rerun", "elsewhere/made.zarr"
     )
-    assert trabecula("rerun", "elsewhere/made.zarr", "--exemplar", "femur.npy").sha256 == output.sha256
+    assert (
+        trabecula("rerun", "elsewhere/made.zarr", "--exemplar", "femur.npy").sha256 == output.sha256
+    )
 
 
 def test_another_exemplar_is_noticed(place):
@@ -372,7 +456,9 @@ def test_changed_voxels_are_noticed(place):
 def test_what_no_recipe_made_cannot_be_made_again(place):
     assert "holds no recipe" in refused("rerun", "scan.npy")
     tb.write(
-        tb.method("texture", neighbourhood=4, first_rounds=2, rounds=1).fit(np.load("scan.npy")).generate(16),
+        tb.method("texture", neighbourhood=4, first_rounds=2, rounds=1)
+        .fit(np.load("scan.npy"))
+        .generate(16),
         "array.zarr",
     )
     assert "starts from an array in memory" in refused("rerun", "array.zarr")

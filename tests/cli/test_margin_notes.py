@@ -40,7 +40,9 @@ def test_whoever_makes_or_measures_says_it(scan, monkeypatch):
 
 def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
     monkeypatch.chdir(scan)
-    made = trabecula("generate", "scan.tif", "--crop", "auto", "--shape", 24, "--out", "b.tif", *SMALL)
+    made = trabecula(
+        "generate", "scan.tif", "--crop", "auto", "--shape", 24, "--out", "b.tif", *SMALL
+    )
     assert not said(made)
     assert made.lines == [
         "trabecula: scan.tif: the first plane along z holds void alone; cropped to 39 x 40 x 40 at (1, 0, 0)"
@@ -48,14 +50,18 @@ def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
     (step,) = tb.read("b.tif").recipe.steps
     assert [inner["verb"] for inner in step["exemplars"][0]] == ["read", "crop"]
     assert trabecula("rerun", "b.tif").sha256 == made.sha256
-    measured = json.loads(trabecula("measure", "scan.tif", "--quick", "--crop", "auto", "--json").out)
+    measured = json.loads(
+        trabecula("measure", "scan.tif", "--quick", "--crop", "auto", "--json").out
+    )
     assert measured["shape"] == [39, 40, 40] and measured["notes"] == []
 
 
 def test_a_frame_is_cut_off_before_the_threshold_is_found(scan, monkeypatch):
     monkeypatch.chdir(scan)
     whole = tb.read("grey.tif")
-    made = trabecula("generate", "grey.tif", "--crop", "auto", "--shape", 24, "--out", "c.tif", *SMALL)
+    made = trabecula(
+        "generate", "grey.tif", "--crop", "auto", "--shape", 24, "--out", "c.tif", *SMALL
+    )
     steps = tb.read("c.tif").recipe.steps[0]["exemplars"][0]
     assert [step["verb"] for step in steps] == ["read", "crop", "segment"]
     assert steps[2]["threshold"] == tb.segment(tb.crop_margins(whole)).recipe.steps[-1]["threshold"]

@@ -16,7 +16,9 @@ NAMES = ("pore", "active", "binder")
 def cathode(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(4)
-    values = np.argmax([ndimage.gaussian_filter(rng.normal(size=(24, 24, 24)), 2) for _ in NAMES], axis=0)
+    values = np.argmax(
+        [ndimage.gaussian_filter(rng.normal(size=(24, 24, 24)), 2) for _ in NAMES], axis=0
+    )
     image = tb.Image(values, "labels", spacing=0.3, unit="um", phases=NAMES)
     tb.write(image, "cathode.zarr")
     np.save("plain.npy", values.astype(np.uint8))
@@ -25,11 +27,20 @@ def cathode(tmp_path, monkeypatch):
 
 def test_an_image_without_a_void_is_measured(cathode):
     found = json.loads(
-        trabecula("measure", "plain.npy", "--kind", "labels", "--phases", *NAMES, "--quick", "--json").out
+        trabecula(
+            "measure", "plain.npy", "--kind", "labels", "--phases", *NAMES, "--quick", "--json"
+        ).out
     )
-    assert found["porosity"] is None and set(found["phases"]) == set(NAMES) and len(found["notes"]) == 1
+    assert (
+        found["porosity"] is None
+        and set(found["phases"]) == set(NAMES)
+        and len(found["notes"]) == 1
+    )
     printed = trabecula("measure", "cathode.zarr", "--quick").out
-    assert "pore-active-binder" in printed and "No phase of pore, active, binder is named void" in printed
+    assert (
+        "pore-active-binder" in printed
+        and "No phase of pore, active, binder is named void" in printed
+    )
 
 
 def test_one_phase_or_all(cathode):
@@ -43,7 +54,9 @@ def test_one_phase_or_all(cathode):
     (heads,) = (line.split() for line in lines if line.startswith("each phase"))
     assert heads == ["each", "phase", *NAMES]
     (largest,) = (line.split() for line in lines if line.startswith("largest_fraction"))
-    assert float(largest[3]) == pytest.approx(told["phases"]["binder"]["largest_fraction"], rel=1e-5)
+    assert float(largest[3]) == pytest.approx(
+        told["phases"]["binder"]["largest_fraction"], rel=1e-5
+    )
 
 
 def test_one_phase_of_what_is_read_in_slabs(cathode):
@@ -68,7 +81,10 @@ def test_refusals(cathode):
     [
         (("verify", "cathode.zarr", "cathode.zarr", "--quick"), {"--phases"}),
         (("check", "cathode.zarr"), {"--phase", "--phases"}),
-        (("field", "measure", "cathode.zarr", "--size", "8", "--out", "f.npy"), {"--phase", "--phases"}),
+        (
+            ("field", "measure", "cathode.zarr", "--size", "8", "--out", "f.npy"),
+            {"--phase", "--phases"},
+        ),
         (("export", "cathode.zarr", "--out", "part.stl"), {"--phase"}),
         (("finish", "cathode.zarr", "--connect", "--out", "part.zarr"), set()),
         (("finish", "cathode.zarr", "--connect", "--phase", "binder", "--out", "part.zarr"), set()),
@@ -89,5 +105,9 @@ def trabecula_help(words):
 
 def test_the_advice_helps(cathode):
     trabecula("export", "cathode.zarr", "--out", "part.stl", "--phase", "active")
-    trabecula("field", "measure", "cathode.zarr", "--size", "8", "--out", "f.npy", "--phase", "active")
-    trabecula("verify", "cathode.zarr", "plain.npy", "--quick", "--phases", "void", "active", "binder")
+    trabecula(
+        "field", "measure", "cathode.zarr", "--size", "8", "--out", "f.npy", "--phase", "active"
+    )
+    trabecula(
+        "verify", "cathode.zarr", "plain.npy", "--quick", "--phases", "void", "active", "binder"
+    )

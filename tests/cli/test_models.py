@@ -22,9 +22,22 @@ def home(tmp_path_factory):
         patch.chdir(folder)
         np.save("scan.npy", tb.crop(tb.sample("bone"), 24).values)
         printed = trabecula(
-            "fit", "scan.npy", "--spacing", 20, "--unit", "um", "--method", "noise", "--out", "b.model", *REACH
+            "fit",
+            "scan.npy",
+            "--spacing",
+            20,
+            "--unit",
+            "um",
+            "--method",
+            "noise",
+            "--out",
+            "b.model",
+            *REACH,
         )
-    assert "b.model: a model of noise" in printed.out and printed.sha256 == tb.load_model(folder / "b.model").sha256
+    assert (
+        "b.model: a model of noise" in printed.out
+        and printed.sha256 == tb.load_model(folder / "b.model").sha256
+    )
     return folder
 
 
@@ -36,34 +49,70 @@ def place(home, monkeypatch):
 
 def test_a_model_makes_what_its_method_makes(place):
     source = ("scan.npy", "--spacing", 20, "--unit", "um", "--method", "noise", *REACH)
-    with_model = trabecula("generate", "--model", "b.model", "--shape", 30, "--seed", 2, "--out", "m.npy")
+    with_model = trabecula(
+        "generate", "--model", "b.model", "--shape", 30, "--seed", 2, "--out", "m.npy"
+    )
     at_once = trabecula("generate", *source, "--shape", 30, "--seed", 2, "--out", "o.npy")
     assert with_model.sha256 == at_once.sha256
     one, two = tb.read("m.npy"), tb.read("o.npy")
-    assert one.recipe.to_json() == two.recipe.to_json() and one.spacing == (20,) * 3 and one.unit == "um"
+    assert (
+        one.recipe.to_json() == two.recipe.to_json()
+        and one.spacing == (20,) * 3
+        and one.unit == "um"
+    )
     assert trabecula("rerun", "m.npy").sha256 == with_model.sha256
 
 
 def test_a_form_takes_the_voxels_of_the_model(place):
-    refused_line = refused("generate", "--model", "b.model", "--shape", 30, "--mask", "scan.npy", "--out", "x.npy")
+    refused_line = refused(
+        "generate", "--model", "b.model", "--shape", 30, "--mask", "scan.npy", "--out", "x.npy"
+    )
     assert "cannot honour mask" in refused_line or "mask has shape" in refused_line
     assert "cannot honour fixed" in refused(
-        "generate", "--model", "b.model", "--shape", 30, "--fixed", "scan.npy", "--at", 0, 0, 0, "--out", "x.npy"
+        "generate",
+        "--model",
+        "b.model",
+        "--shape",
+        30,
+        "--fixed",
+        "scan.npy",
+        "--at",
+        0,
+        0,
+        0,
+        "--out",
+        "x.npy",
     )
 
 
 def test_plan_of_a_model_has_no_learning(place):
     plan = json.loads(trabecula("plan", "--model", "b.model", "--shape", 60, "--json").out)
     assert plan["learning"]["peak"] == 0 and plan["peak"] == sum(plan["memory"].values()) > 0
-    method = json.loads(trabecula("plan", "scan.npy", "--method", "noise", *REACH, "--shape", 60, "--json").out)
+    method = json.loads(
+        trabecula("plan", "scan.npy", "--method", "noise", *REACH, "--shape", 60, "--json").out
+    )
     assert method["learning"]["peak"] > 0 and method["memory"] == plan["memory"]
 
 
 def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(place, monkeypatch):
-    asked = ("generate", "--model", "b.model", "--shape", 150, 140, 180, "--seed", 3, "--threads", 1)
+    asked = (
+        "generate",
+        "--model",
+        "b.model",
+        "--shape",
+        150,
+        140,
+        180,
+        "--seed",
+        3,
+        "--threads",
+        1,
+    )
     budget = ("--memory", 0.25)
     whole = trabecula(*asked, "--out", "whole.npy")
-    assert "write a .zarr, which is made block by block" in refused(*asked, "--out", "big.npy", *budget)
+    assert "write a .zarr, which is made block by block" in refused(
+        *asked, "--out", "big.npy", *budget
+    )
     plan = [
         json.loads(trabecula("plan", *asked[1:], "--json", *words).out)["peak"]
         for words in ((), ("--out", "b.zarr"), ("--out", "b.zarr", *budget))
@@ -92,7 +141,17 @@ def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(
 
 
 def test_a_block_that_does_not_fit_is_refused(place):
-    asked = ("generate", "--model", "b.model", "--shape", 150, "--out", "small.zarr", "--memory", 0.05)
+    asked = (
+        "generate",
+        "--model",
+        "b.model",
+        "--shape",
+        150,
+        "--out",
+        "small.zarr",
+        "--memory",
+        0.05,
+    )
     assert "a block of 128 voxels needs about" in refused(*asked)
     assert not (place / "small.zarr.part").exists()
 
@@ -119,7 +178,10 @@ def test_what_cannot_be_made_with_a_model_is_said(place, words, says):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--method", "noise", "--minutes", 3), "--minutes 3.0: method 'noise' has no such setting"),
+        (
+            ("--method", "noise", "--minutes", 3),
+            "--minutes 3.0: method 'noise' has no such setting",
+        ),
         (("--method", "nose"), "did you mean 'noise'"),
         (("--method", "noise", "--set", "reach=1"), "reach"),
         (("--method", "noise", "--crop", 4), "one phase only"),
@@ -132,10 +194,14 @@ def test_what_cannot_be_learned_is_said(place, words, says):
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_learning(place, monkeypatch):
-    monkeypatch.setattr("trabecula.synth.noise.method.Noise._fit", None)
-    assert "is a file, not a folder" in refused("fit", "scan.npy", "--method", "noise", "--out", "scan.npy/x.model")
+    monkeypatch.setattr("trabecula.synth.noise.method.Noise.learn", None)
+    assert "is a file, not a folder" in refused(
+        "fit", "scan.npy", "--method", "noise", "--out", "scan.npy/x.model"
+    )
     (place / "taken").mkdir(exist_ok=True)
-    assert "a folder of that name" in refused("fit", "scan.npy", "--method", "noise", "--out", "taken")
+    assert "a folder of that name" in refused(
+        "fit", "scan.npy", "--method", "noise", "--out", "taken"
+    )
 
 
 def test_the_list_of_models(place, tmp_path, monkeypatch):
@@ -147,8 +213,12 @@ def test_the_list_of_models(place, tmp_path, monkeypatch):
     assert json.loads(trabecula("models", "--json").out)["marrow"]["summary"] == "Bone of a test."
     assert trabecula("models", "marrow").out == "# marrow\n\nBone of a test.\n"
     assert "did you mean 'marrow'" in refused("models", "marow")
-    by_name = trabecula("generate", "--model", "marrow", "--shape", 12, "--seed", 1, "--out", "n.npy")
+    by_name = trabecula(
+        "generate", "--model", "marrow", "--shape", 12, "--seed", 1, "--out", "n.npy"
+    )
     assert (
         by_name.sha256
-        == trabecula("generate", "--model", "b.model", "--shape", 12, "--seed", 1, "--out", "f.npy").sha256
+        == trabecula(
+            "generate", "--model", "b.model", "--shape", 12, "--seed", 1, "--out", "f.npy"
+        ).sha256
     )

@@ -9,7 +9,7 @@ import pytest
 import trabecula as tb
 from commands import SMALL, refused, trabecula
 from trabecula.finish import OPERATIONS
-from trabecula.flow import load_mask, replay
+from trabecula.pipeline.demo import load_mask, replay
 
 
 def ball(side):
@@ -19,7 +19,9 @@ def ball(side):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, bone):
-    """A scan of 28 voxels of 40 um, a ball as a surface of 16 voxels across in several units, and volumes."""
+    """A scan of 28 voxels of 40 um, a ball as a surface of 16 voxels across in several units, and
+    volumes.
+    """
     folder = tmp_path_factory.mktemp("parts")
     scan = tb.crop(bone, 28)
     tb.write(tb.Image(scan.values, "labels", 40, "um"), folder / "scan.zarr")
@@ -67,9 +69,13 @@ def test_a_surface_is_scaled_to_the_shape(place, name):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
-@pytest.mark.parametrize(("name", "scale"), [("ball.stl", 1), ("ball.ply", 1), ("plain.obj", 40), ("ball.stl", 1.5)])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("ball.stl", 1), ("ball.ply", 1), ("plain.obj", 40), ("ball.stl", 1.5)]
+)
 def test_a_surface_without_a_shape_keeps_its_size(place, name, scale):
-    """The same ball in millimetres, in micrometres, and in numbers that --mask-scale takes for the exemplar's unit."""
+    """The same ball in millimetres, in micrometres, and in numbers that --mask-scale takes for the
+    exemplar's unit.
+    """
     image, _ = generate("--mask", name, *(("--mask-scale", scale) if scale != 1 else ()))
     assert image.shape == ((24,) * 3 if scale == 1.5 else (16,) * 3)
     assert image.spacing == (40.0,) * 3
@@ -83,7 +89,9 @@ def test_a_surface_at_its_own_size_in_a_larger_shape(place):
 def test_a_volume_is_a_mask_as_it_is(place):
     image, output = generate("--mask", "form.tif")
     mask = tb.read("form.tif").values == 1
-    assert image.shape == (18, 20, 20) and not image.values[~mask].any() and image.values[mask].any()
+    assert (
+        image.shape == (18, 20, 20) and not image.values[~mask].any() and image.values[mask].any()
+    )
     assert [step["verb"] for step in asked(image)["mask"]] == ["read"]
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
@@ -99,7 +107,9 @@ def test_python_makes_what_the_command_makes(place):
 def test_a_mask_that_moved_or_changed_is_told(place):
     _, output = generate("--mask", "ball.ply", "--shape", 20)
     (place / "ball.ply").rename(place / "sphere.ply")
-    assert "starts from ball.ply, which is not here: give its place with --mask" in refused("rerun", "made.zarr")
+    assert "starts from ball.ply, which is not here: give its place with --mask" in refused(
+        "rerun", "made.zarr"
+    )
     assert trabecula("rerun", "made.zarr", "--mask", "sphere.ply").sha256 == output.sha256
     says = refused("rerun", "made.zarr", "--mask", "ball.stl")
     assert "step 'read_mesh' (ball.ply) gives other voxels than recorded" in says
@@ -107,7 +117,9 @@ def test_a_mask_that_moved_or_changed_is_told(place):
     values = tb.read("form.tif").values.copy()
     values[9, 9, 9] ^= 1
     tb.write(values, "form.tif")
-    assert "step 'read' (form.tif) gives other voxels than recorded" in refused("rerun", "form.zarr")
+    assert "step 'read' (form.tif) gives other voxels than recorded" in refused(
+        "rerun", "form.zarr"
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,10 +129,16 @@ def test_a_mask_that_moved_or_changed_is_told(place):
         (lambda mask: mask[0].pop("mesh"), "the recipe is damaged: its step 'voxelise'"),
         (lambda mask: mask[0]["mesh"].clear(), "a surface that was in memory"),
         (lambda mask: mask[0]["mesh"][0].update(verb="write_mesh"), "a surface that was in memory"),
-        (lambda mask: mask[0]["mesh"][1].update(verb="turn"), "unknown step of a surface's recipe 'turn'"),
+        (
+            lambda mask: mask[0]["mesh"][1].update(verb="turn"),
+            "unknown step of a surface's recipe 'turn'",
+        ),
         (lambda mask: mask[0]["mesh"][1].update(factor="x"), "scale='x' should be a number"),
         (lambda mask: mask[0].update(origin=[0, 0]), "three finite numbers"),
-        (lambda mask: mask[0].update(spacing=[39, 40, 40]), "step 'voxelise' .* gives other voxels|does not fit|needs"),
+        (
+            lambda mask: mask[0].update(spacing=[39, 40, 40]),
+            "step 'voxelise' .* gives other voxels|does not fit|needs",
+        ),
         (lambda mask: mask[0].update(sha256="0"), "step 'voxelise' .* gives other voxels"),
     ],
 )
@@ -129,7 +147,15 @@ def test_damaged_recipes_of_a_mask_are_told(made, monkeypatch, damage, says):
     exemplar = tb.read("scan.zarr")
     mask = load_mask("ball.ply", exemplar)
     request = tb.Request(None, mask=mask)
-    steps = [{"verb": "generate", "method": "texture", "settings": {}, "sha256": "", "request": request.to_json()}]
+    steps = [
+        {
+            "verb": "generate",
+            "method": "texture",
+            "settings": {},
+            "sha256": "",
+            "request": request.to_json(),
+        }
+    ]
     steps[0]["exemplars"] = [exemplar.recipe.to_json()]
     damage(steps[0]["request"]["mask"])
     with pytest.raises(tb.errors.TrabeculaError, match=says):
@@ -166,7 +192,9 @@ def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
-@pytest.mark.parametrize(("words", "axes"), [(("--at", 12, 0, 2), "yx"), (("--at", 3, 12, 0, "--view", "xz"), "xz")])
+@pytest.mark.parametrize(
+    ("words", "axes"), [(("--at", 12, 0, 2), "yx"), (("--at", 3, 12, 0, "--view", "xz"), "xz")]
+)
 def test_a_picture_is_a_slice(place, words, axes):
     """A larger one is cut at the shape's end, and says so."""
     picture = tb.read("scan.zarr").values[5]
@@ -195,7 +223,10 @@ def test_periodic_axes(place, words, axes):
 
 def test_several_exemplars(place):
     image, output = generate("--shape", 16, exemplars=("scan.zarr", "other.zarr"))
-    assert [steps[0]["source"] for steps in image.recipe.steps[0]["exemplars"]] == ["scan.zarr", "other.zarr"]
+    assert [steps[0]["source"] for steps in image.recipe.steps[0]["exemplars"]] == [
+        "scan.zarr",
+        "other.zarr",
+    ]
     assert output.sha256 != generate("--shape", 16, out="one.zarr")[1].sha256
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
     for name in ("scan.zarr", "other.zarr"):
@@ -207,7 +238,9 @@ def test_several_exemplars(place):
 def test_plan_takes_the_same_words(place):
     words = ("--mask", "form.tif", "--fixed", "full.npy", "--at", 0, 0, 0, "--periodic", "x")
     assert "does not lie inside (18, 20, 20)" in refused("plan", "scan.zarr", *words, *SMALL)
-    plan = json.loads(trabecula("plan", "scan.zarr", "other.zarr", "--mask", "form.tif", "--json", *SMALL).out)
+    plan = json.loads(
+        trabecula("plan", "scan.zarr", "other.zarr", "--mask", "form.tif", "--json", *SMALL).out
+    )
     assert plan["peak"] > 18 * 20 * 20
 
 
@@ -215,12 +248,18 @@ BAD = [
     (("--mask", "missing.stl"), "there is no file missing.stl"),
     (("--mask", "open.obj"), "the mesh is not watertight, so it has no inside"),
     (("--mask", "grey.npy"), "the mask is grey: give labels"),
-    (("--mask", "form.tif", "--shape", 20), "the mask has shape (18, 20, 20), the request (20, 20, 20)"),
+    (
+        ("--mask", "form.tif", "--shape", 20),
+        "the mask has shape (18, 20, 20), the request (20, 20, 20)",
+    ),
     (("--mask", "form.tif", "--mask-scale", 2), "form.tif is a volume: a scale is for a surface"),
     (("--mask", "ball.stl", "--mask-scale", 0), "scale=0.0 is outside"),
     (("--mask", "ball.stl", "--mask-scale", "nan"), "scale=nan is outside"),
     (("--mask", "ball.stl", "--mask-scale", "big"), "--mask-scale big: give numbers"),
-    (("--mask", "ball.stl", "--mask-scale", 2, "--shape", 20), "needs 32 x 32 x 32 voxels, the shape is (20, 20, 20)"),
+    (
+        ("--mask", "ball.stl", "--mask-scale", 2, "--shape", 20),
+        "needs 32 x 32 x 32 voxels, the shape is (20, 20, 20)",
+    ),
     (("--mask", "ball.stl", "--mask-scale", 1e9), "2**48 voxels"),
     (("--mask", "part.stp", "--shape", 20), "part.stp"),
     (("--shape", 20, "--mask-scale", 2), "--mask-scale without --mask"),
@@ -229,20 +268,44 @@ BAD = [
     (("--shape", 40, "--fixed", "scan.zarr"), "needs to be told where it is known"),
     (("--fixed", "scan.zarr", "--at", 0, 0, 0), "give --shape"),
     (("--shape", 20, "--fixed", "scan.zarr", "--at", 0, 0, 0), "does not lie inside (20, 20, 20)"),
-    (("--shape", 40, "--fixed", "scan.zarr", "--at", 0, 0, "x"), "--at 0 0 x: give one whole number or three"),
+    (
+        ("--shape", 40, "--fixed", "scan.zarr", "--at", 0, 0, "x"),
+        "--at 0 0 x: give one whole number or three",
+    ),
     (("--shape", 40, "--view", "yx"), "--known, --at and --view say where --fixed lies"),
-    (("--shape", 40, "--fixed", "picture.png", "--at", 0, 0, 0, "--view", "yy"), "unknown view 'yy'"),
-    (("--shape", 40, "--fixed", "picture.png", "--at", 40, 0, 0), "does not lie inside (40, 40, 40)"),
+    (
+        ("--shape", 40, "--fixed", "picture.png", "--at", 0, 0, 0, "--view", "yy"),
+        "unknown view 'yy'",
+    ),
+    (
+        ("--shape", 40, "--fixed", "picture.png", "--at", 40, 0, 0),
+        "does not lie inside (40, 40, 40)",
+    ),
     (("--shape", 40, "--target", "porosity"), "write --target porosity=0.25"),
-    (("--shape", 40, "--target", "porosty=0.2"), "unknown target 'porosty': did you mean 'porosity'"),
+    (
+        ("--shape", 40, "--target", "porosty=0.2"),
+        "unknown target 'porosty': did you mean 'porosity'",
+    ),
     (("--shape", 40, "--target", "porosity=1.2"), "outside 0 .. 1"),
     (("--shape", 40, "--target", "porosity=0.2", "--target", "porosity=0.3"), "given twice"),
     (("--shape", 40, "--target", "porosity=field.npy"), "there is no file field.npy"),
-    (("--shape", 40, "--target", "porosity=grey.npy"), "has shape (20, 20, 20), the request (40, 40, 40)"),
+    (
+        ("--shape", 40, "--target", "porosity=grey.npy"),
+        "has shape (20, 20, 20), the request (40, 40, 40)",
+    ),
     (("--shape", 20, "--target", "porosity=grey.npy"), "runs from 0 to 7999"),
-    (("--shape", 40, "--target", "surface=0.2"), "cannot honour the target surface: it honours porosity"),
-    (("--shape", 28, "--fixed", "scan.zarr", "--at", 0, 0, 0), "every voxel is known, nothing is left to make"),
-    (("--fixed", "scan.zarr", "--known", "full.npy"), "known has shape (20, 20, 20), the request (28, 28, 28)"),
+    (
+        ("--shape", 40, "--target", "surface=0.2"),
+        "cannot honour the target surface: it honours porosity",
+    ),
+    (
+        ("--shape", 28, "--fixed", "scan.zarr", "--at", 0, 0, 0),
+        "every voxel is known, nothing is left to make",
+    ),
+    (
+        ("--fixed", "scan.zarr", "--known", "full.npy"),
+        "known has shape (20, 20, 20), the request (28, 28, 28)",
+    ),
     (
         ("--shape", 28, 28, 40, "--periodic", "--fixed", "scan.zarr", "--at", 0, 0, 0),
         "periodic with a fixed border: known voxels lie at both ends of z",
@@ -253,7 +316,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("words", "says"), BAD, ids=[" ".join(map(str, words)) or "nothing" for words, _ in BAD])
+@pytest.mark.parametrize(
+    ("words", "says"), BAD, ids=[" ".join(map(str, words)) or "nothing" for words, _ in BAD]
+)
 def test_what_cannot_be_is_refused(made, monkeypatch, words, says):
     monkeypatch.chdir(made)
     for verb in (("plan",), ("generate", "--out", "new.zarr")):
@@ -268,11 +333,24 @@ def test_a_method_that_cannot_honour_a_part_says_so(made, monkeypatch):
         (("--fixed", "scan.zarr", "--at", 0, 0, 0, "--shape", 40), "fixed"),
     ):
         if part not in tb.methods()["noise"].honours:
-            assert f"method 'noise' cannot honour {part}" in refused("plan", "scan.zarr", *words, "--method", "noise")
+            assert f"method 'noise' cannot honour {part}" in refused(
+                "plan", "scan.zarr", *words, "--method", "noise"
+            )
 
 
 def test_finish_does_its_operations_in_one_order(place):
-    words = ("--fill", "--floaters", "--thicken", 90, "--smooth", 45, "--connect", "--prune", "--like", "other.zarr")
+    words = (
+        "--fill",
+        "--floaters",
+        "--thicken",
+        90,
+        "--smooth",
+        45,
+        "--connect",
+        "--prune",
+        "--like",
+        "other.zarr",
+    )
     printed = trabecula("finish", "scan.zarr", *words, "--out", "part.zarr").out
     part = tb.read("part.zarr")
     done = [step for step in part.recipe.steps if step["verb"] == "finish"]
@@ -290,7 +368,13 @@ def test_finish_does_its_operations_in_one_order(place):
     ):
         image = OPERATIONS[name](image, **settings)
     np.testing.assert_array_equal(part.values, image.values)
-    for line in ("connect.joins", "smooth.level", "thicken.thin_after", "remove_floaters.left", "fill_trapped.filled "):
+    for line in (
+        "connect.joins",
+        "smooth.level",
+        "thicken.thin_after",
+        "remove_floaters.left",
+        "fill_trapped.filled ",
+    ):
         assert line in printed
     trabecula("rerun", "part.zarr")
 
@@ -320,7 +404,11 @@ def test_check_prints_a_table_or_json(made, monkeypatch):
     assert plain == found.to_json() and plain["verdict"] == "refuse"
     large = ("--spacing", 1, "--unit", "cm", "--set", "box=[500,500,500]", "--set", "wall=5")
     plain = json.loads(trabecula("check", "scan.zarr", *large, "--json").out)
-    assert plain["printer"]["box"] == [500, 500, 500] and plain["checks"]["size"]["extent"] == [280, 280, 280]
+    assert plain["printer"]["box"] == [500, 500, 500] and plain["checks"]["size"]["extent"] == [
+        280,
+        280,
+        280,
+    ]
     assert plain["checks"]["walls"]["verdict"] == "pass"
 
 

@@ -17,7 +17,9 @@ def blobs(seed, side=48, *, share=0.35):
     """A picture of round blobs."""
     rng = np.random.default_rng(seed)
     y, x = np.indices((side, side))
-    field = sum(np.exp(-((y - a) ** 2 + (x - b) ** 2) / 12) for a, b in rng.uniform(0, side, (90, 2)))
+    field = sum(
+        np.exp(-((y - a) ** 2 + (x - b) ** 2) / 12) for a, b in rng.uniform(0, side, (90, 2))
+    )
     return (field > np.quantile(field, 1 - share)).astype(np.uint8)
 
 
@@ -36,13 +38,17 @@ def made(tmp_path_factory):
     palette = Pillow.fromarray(picture)
     palette.putpalette([10, 20, 30, 200, 180, 160] + [0] * 750)
     palette.save(folder / "palette.png")
-    noisy = picture * np.uint16(40000) + np.random.default_rng(0).integers(0, 9000, picture.shape).astype(np.uint16)
+    noisy = picture * np.uint16(40000) + np.random.default_rng(0).integers(
+        0, 9000, picture.shape
+    ).astype(np.uint16)
     Pillow.fromarray(noisy).save(folder / "sixteen.png")
     Pillow.fromarray(np.full((40, 40), 7, np.uint8)).save(folder / "one.png")
     Pillow.fromarray(np.full((40, 40, 3), 7, np.uint8)).save(folder / "one-colour.png")
     Pillow.fromarray(np.eye(6, dtype=np.uint8) * np.uint8(255)).save(folder / "small.png")
     y, x, z = np.indices((20, 20, 20)) - 9.5
-    tb.export(tb.Image((x**2 + y**2 + z**2 < 81).astype(np.uint8), "labels", 4, "um"), folder / "ball.stl")
+    tb.export(
+        tb.Image((x**2 + y**2 + z**2 < 81).astype(np.uint8), "labels", 4, "um"), folder / "ball.stl"
+    )
     np.save(folder / "field.npy", np.full((16, 16, 16), 0.6, np.float32))
     return folder
 
@@ -73,7 +79,9 @@ def test_the_picture_itself_is_the_middle_slice(place, view):
     at = ("--at", 10, 0, 0) if view == "yx" else ("--at", 0, 10, 0)
     image, output = generate(*words, *at)
     picture = tb.read("picture.tif").values[:20, :20]
-    np.testing.assert_array_equal(image.values[10] if view == "yx" else image.values[:, 10].T, picture)
+    np.testing.assert_array_equal(
+        image.values[10] if view == "yx" else image.values[:, 10].T, picture
+    )
     assert 0.05 < image.values[13 if view == "yx" else slice(None)].mean() < 0.95
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
@@ -137,9 +145,15 @@ def test_what_cannot_be_is_refused(made, monkeypatch, name, words, says):
 
 def test_views_that_contradict_each_other_name_the_statistic(made, monkeypatch):
     monkeypatch.chdir(made)
-    said = refused("generate", "picture.tif", "dense.tif", "--shape", 16, *METHOD, "--out", "new.zarr")
+    said = refused(
+        "generate", "picture.tif", "dense.tif", "--shape", 16, *METHOD, "--out", "new.zarr"
+    )
     assert "contradict" in said and "the fraction of void" in said
-    said = refused("generate", "picture.tif", "coarse.tif", "--shape", 16, *METHOD, "--out", "new.zarr")
+    said = refused(
+        "generate", "picture.tif", "coarse.tif", "--shape", 16, *METHOD, "--out", "new.zarr"
+    )
     assert "contradict" in said and "spacing" in said
     four = ["picture.tif"] * 4
-    assert "one, two or three pictures" in refused("generate", *four, "--shape", 16, *METHOD, "--out", "new.zarr")
+    assert "one, two or three pictures" in refused(
+        "generate", *four, "--shape", 16, *METHOD, "--out", "new.zarr"
+    )

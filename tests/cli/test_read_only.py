@@ -24,7 +24,17 @@ COMMANDS = {
     "export in slabs": ("export", "in.zarr", "--out", "closed/new.stl", "--memory", 0.01),
     "export a volume": ("export", "in.zarr", "--out", "closed/new.vti"),
     "render": ("render", "in.zarr", "--size", 64, 48, "--out", "closed/new.png"),
-    "render a turn": ("render", "in.zarr", "--size", 64, 48, "--turntable", 2, "--out", "closed/new.gif"),
+    "render a turn": (
+        "render",
+        "in.zarr",
+        "--size",
+        64,
+        48,
+        "--turntable",
+        2,
+        "--out",
+        "closed/new.gif",
+    ),
     "view": ("view", "in.zarr", "--html", "closed/new.html"),
     "verify": ("verify", "in.zarr", "in.zarr", "--quick", "--report", "closed/new.html"),
     "fit": ("fit", "in.zarr", "--method", "noise", "--set", "reach=4", "--out", "closed/new.model"),
@@ -45,12 +55,16 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture(params=[errno.EROFS, errno.EACCES], ids=errno.errorcode.get)
 def closed(place, request, monkeypatch):
-    """Nothing can be made or changed in that folder, which the system only tells when it is tried, as of network drives."""
+    """Nothing can be made or changed in that folder, which the system only tells when it is tried,
+    as of network drives.
+    """
     folder = place / "closed"
 
     def guarded(real, writes=lambda *words, **more: True):
         def tried(path, *words, **more):
-            inside = isinstance(path, (str, os.PathLike)) and folder in (place / os.fspath(path)).parents
+            inside = (
+                isinstance(path, (str, os.PathLike)) and folder in (place / os.fspath(path)).parents
+            )
             if inside and writes(*words, **more):
                 raise OSError(request.param, os.strerror(request.param), os.fspath(path))
             return real(path, *words, **more)
@@ -61,7 +75,9 @@ def closed(place, request, monkeypatch):
     for module in (builtins, io):
         monkeypatch.setattr(module, "open", guarded(module.open, for_writing))
     monkeypatch.setattr(
-        os, "open", guarded(os.open, lambda flags, *words, **more: bool(flags & (os.O_RDWR | os.O_WRONLY)))
+        os,
+        "open",
+        guarded(os.open, lambda flags, *words, **more: bool(flags & (os.O_RDWR | os.O_WRONLY))),
     )
     for name in ("mkdir", "replace", "rename", "unlink", "remove", "rmdir"):
         monkeypatch.setattr(os, name, guarded(getattr(os, name)))
@@ -72,12 +88,16 @@ def closed(place, request, monkeypatch):
 def test_a_folder_that_lets_nobody_write_is_told_before_the_work(place, monkeypatch, command):
     before = contents(place)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    monkeypatch.setattr("trabecula.io.files.read", lambda *words, **more: pytest.fail("the work was begun"))
+    monkeypatch.setattr(
+        "trabecula.io.files.read", lambda *words, **more: pytest.fail("the work was begun")
+    )
     assert "no right to write into" in refused(*COMMANDS[command])
     assert contents(place) == before
 
 
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(
+    hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere"
+)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_folder_without_the_right_to_write(place, command):
     before = contents(place)
@@ -103,7 +123,7 @@ def test_a_folder_that_refuses_when_it_is_written(place, closed, command):
 def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
     # As if the whole took more memory than there is, and no array were too small for a file.
     monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
-    monkeypatch.setattr("trabecula.engine.scratch.LEAST", 1)
+    monkeypatch.setattr("trabecula.engine.memmap.LEAST", 1)
     before = contents(place)
     words = (
         ("--out", "closed/old.zarr", "--scratch", ".")
@@ -111,7 +131,9 @@ def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
         else ("--out", "new.zarr", "--scratch", "closed")
     )
     told = attempt("finish", "in.zarr", "--connect", *words)
-    assert told.status == 2 and "cannot write" in told.lines[-1] and closed in told.lines[-1], told.err
+    assert told.status == 2 and "cannot write" in told.lines[-1] and closed in told.lines[-1], (
+        told.err
+    )
     assert ("--scratch" in told.lines[-1]) == (where == "scratch")
     assert contents(place) == before
 
@@ -127,12 +149,19 @@ def test_a_run_that_cannot_go_on_keeps_its_blocks(place, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(blocks, "do", stopped)
-        assert attempt(*BUBBLES, "--shape", 70, "--chunks", 32, "--out", "closed/new.zarr").status == 130
+        assert (
+            attempt(*BUBBLES, "--shape", 70, "--chunks", 32, "--out", "closed/new.zarr").status
+            == 130
+        )
     before = contents(place)
     with monkeypatch.context() as patch:
         patch.setattr("zarr.storage.LocalStore.set", _refuses)
         told = attempt("generate", "--resume", "closed/new.zarr")
-    assert told.status == 2 and "Read-only file system" in told.lines[-1] and "stay in new.zarr.part" in told.lines[-1]
+    assert (
+        told.status == 2
+        and "Read-only file system" in told.lines[-1]
+        and "stay in new.zarr.part" in told.lines[-1]
+    )
     assert contents(place) == before
     whole = trabecula(*BUBBLES, "--shape", 70, "--out", "whole.npy")
     assert trabecula("generate", "--resume", "closed/new.zarr").sha256 == whole.sha256

@@ -14,10 +14,18 @@ from trabecula.view.page.server import PageServer
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
-    tb.write(tb.Image((rng.random((20, 20, 20)) > 0.6).astype(np.uint8), "labels", 5, "um"), tmp_path / "a.tif")
-    tb.write(tb.Image(rng.random((16, 16, 16)).astype(np.float32), "grey", 0.01, "mm"), tmp_path / "grey.nrrd")
+    tb.write(
+        tb.Image((rng.random((20, 20, 20)) > 0.6).astype(np.uint8), "labels", 5, "um"),
+        tmp_path / "a.tif",
+    )
+    tb.write(
+        tb.Image(rng.random((16, 16, 16)).astype(np.float32), "grey", 0.01, "mm"),
+        tmp_path / "grey.nrrd",
+    )
     (tmp_path / "certificate.json").write_text(
-        json.dumps({"metrics": {"porosity": {"value": 0.625, "real_band": [0.6, 0.7], "pass": True}}})
+        json.dumps(
+            {"metrics": {"porosity": {"value": 0.625, "real_band": [0.6, 0.7], "pass": True}}}
+        )
     )
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -25,11 +33,24 @@ def place(tmp_path, monkeypatch):
 
 def test_a_page_is_written(place):
     output = trabecula(
-        "view", "a.tif", "grey.nrrd", "--html", "page.html", "--certificate", "certificate.json", "--look", "foam"
+        "view",
+        "a.tif",
+        "grey.nrrd",
+        "--html",
+        "page.html",
+        "--certificate",
+        "certificate.json",
+        "--look",
+        "foam",
     )
     assert output.out.startswith("page.html: 0.1 MB")
     html = (place / "page.html").read_text(encoding="utf-8")
-    assert '"kind": "grey"' in html and '"name": "a.tif"' in html and "0.625" in html and '"look": "foam"' in html
+    assert (
+        '"kind": "grey"' in html
+        and '"name": "a.tif"' in html
+        and "0.625" in html
+        and '"look": "foam"' in html
+    )
     trabecula("view", "grey.nrrd", "--threshold", "0.5", "--crop", "8", "--html", "page.html")
     html = (place / "page.html").read_text(encoding="utf-8")
     assert '"kind": "labels"' in html and '"shape": [8, 8, 8]' in html
@@ -41,7 +62,10 @@ def test_a_page_is_served_until_interrupted(place, monkeypatch):
 
     monkeypatch.setattr(PageServer, "serve_forever", interrupt)
     output = trabecula("view", "a.tif", "--no-browser")
-    assert output.lines[-1].startswith("trabecula: open http://127.0.0.1:") and "?token=" in output.lines[-1]
+    assert (
+        output.lines[-1].startswith("trabecula: open http://127.0.0.1:")
+        and "?token=" in output.lines[-1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,7 +88,18 @@ def test_what_cannot_be_is_refused(place, words, message):
 
 
 def test_a_still_is_cut_as_asked_and_can_be_made_again(place):
-    trabecula("render", "a.tif", "--out", "still.png", "--size", 80, 60, "--cut", "x=0.4", "plane=10,20,0.6")
+    trabecula(
+        "render",
+        "a.tif",
+        "--out",
+        "still.png",
+        "--size",
+        80,
+        60,
+        "--cut",
+        "x=0.4",
+        "plane=10,20,0.6",
+    )
     step = tb.read("still.png").recipe.steps[-1]
     assert step["cut"] == ["x=0.4", "plane=10,20,0.6"]
     expected = tb.render(tb.read("a.tif"), size=(80, 60), cut=["x=0.4", "plane=10,20,0.6"])
@@ -98,7 +133,9 @@ def test_what_does_not_fit_is_shown_at_the_finest_level_that_does(large, memory,
     shown = tb.render(tb.read("large.zarr", level=level), size=(64, 48))
     np.testing.assert_array_equal(tb.read("still.png").values, shown.values)
     assert any(f"its level {level} is shown" in line for line in told.lines) == (level > 0)
-    told = trabecula("view", "large.zarr", "a.tif", "--html", "page.html", "--memory", 1.75 * memory)
+    told = trabecula(
+        "view", "large.zarr", "a.tif", "--html", "page.html", "--memory", 1.75 * memory
+    )
     html = (large / "page.html").read_text(encoding="utf-8")
     assert json.dumps({"shape": [600 >> level, 20 >> level, 20 >> level]})[1:-1] in html
     assert any(f"its level {level} is shown" in line for line in told.lines) == (level > 0)

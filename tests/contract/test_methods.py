@@ -1,4 +1,6 @@
-"""What every method promises, whichever it is: the suite loops over the registry. A new method is tested by being there."""
+"""What every method promises, whichever it is: the suite loops over the registry. A new method is
+tested by being there.
+"""
 
 import dataclasses
 import importlib
@@ -16,7 +18,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
-from trabecula.engine import checkpoint, scratch, store, tiles
+from trabecula.engine import checkpoint, memmap, parallel, store
 from trabecula.engine.plan import GIB
 from trabecula.errors import (
     FileError,
@@ -26,8 +28,8 @@ from trabecula.errors import (
     RequestError,
     UnknownNameError,
 )
-from trabecula.flow import generate_to, replay
-from trabecula.synth.registry import methods
+from trabecula.pipeline.demo import generate_to, replay
+from trabecula.synth.api.registry import methods
 
 SPECS = methods()
 SHAPE = (34, 30, 37)  # odd and even, no multiple of a step or of a level
@@ -38,7 +40,9 @@ def picture(tmp_path_factory):
     """A slice, from a file: an array in memory could not be found again by a recipe."""
     volume = tb.crop(tb.sample("bone"), 40)
     path = tmp_path_factory.mktemp("exemplar") / "slice.tif"
-    tb.write(tb.Image(volume.values[20], "labels", volume.spacing[1:], volume.unit, volume.phases), path)
+    tb.write(
+        tb.Image(volume.values[20], "labels", volume.spacing[1:], volume.unit, volume.phases), path
+    )
     return tb.read(path)
 
 
@@ -60,7 +64,9 @@ def spec(name):
 
 
 def fitted(spec, exemplar, *, preset=None, threads=1):
-    """A model, learned in seconds; what is kept in a file need not be the same for any number of threads."""
+    """A model, learned in seconds; what is kept in a file need not be the same for any number of
+    threads.
+    """
     with tb.threads(1 if spec.learns else threads):
         return tb.method(spec.name, preset=preset, **spec.trial).fit(exemplar)
 
@@ -68,7 +74,9 @@ def fitted(spec, exemplar, *, preset=None, threads=1):
 @pytest.fixture(scope="module")
 def exemplar(spec, picture):
     """A small exemplar of the dimensions that a method wants."""
-    return picture if spec.exemplar == "2d" else tb.crop(tb.sample("bone"), 64 if spec.learns else 40)
+    return (
+        picture if spec.exemplar == "2d" else tb.crop(tb.sample("bone"), 64 if spec.learns else 40)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +105,9 @@ def test_the_config_is_frozen_and_every_field_is_told(name):
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(config, dataclasses.fields(config)[0].name, 1)
     homes = [kind.__module__ for kind in type(config).__mro__ if dataclasses.is_dataclass(kind)]
-    source = "".join(Path(importlib.import_module(home).__file__).read_text(encoding="utf-8") for home in homes)
+    source = "".join(
+        Path(importlib.import_module(home).__file__).read_text(encoding="utf-8") for home in homes
+    )
     for field in dataclasses.fields(config):
         after = source.split(f"    {field.name}: ", 1)[1].split("\n", 1)[1]
         assert after.lstrip().startswith('"""'), f"{field.name} has no docstring below it"
@@ -106,7 +116,9 @@ def test_the_config_is_frozen_and_every_field_is_told(name):
 def test_the_result_is_what_was_asked_for(material, exemplar):
     assert material.shape == SHAPE
     assert material.kind == exemplar.kind
-    assert material.spacing == (exemplar.spacing[0],) * 3, "its voxels are cubes of the exemplar's size"
+    assert material.spacing == (exemplar.spacing[0],) * 3, (
+        "its voxels are cubes of the exemplar's size"
+    )
     assert (material.unit, material.phases) == (exemplar.unit, exemplar.phases)
     assert set(np.unique(material.values)) <= set(np.unique(exemplar.values))
 
@@ -125,8 +137,11 @@ def test_threads_do_not_matter(spec, exemplar, model, material, count):
 
 
 def test_presets_keep_their_promises(name, spec, exemplar):
-    """Every preset: the shape asked for, the same voxels for one thread and two, and again from the recipe."""
-    # Of a method that trains the first alone: each costs a training, which its own tests try in miniature.
+    """Every preset: the shape asked for, the same voxels for one thread and two, and again from the
+    recipe.
+    """
+    # Of a method that trains the first alone: each costs a training, which its own tests try in
+    # miniature.
     for preset in spec.presets[:1] if spec.learns else spec.presets:
         small, made = exemplar if spec.learns else tb.crop(exemplar, 24), []
         model = fitted(spec, small, preset=preset)
@@ -149,13 +164,15 @@ def test_tiles_do_not_matter(spec, exemplar, model, material, monkeypatch):
         for i in rng.permutation(len(bounds) - 1):
             work(bounds[i], bounds[i + 1])
 
-    monkeypatch.setattr(tiles, "_run", shuffled)
+    monkeypatch.setattr(parallel, "_run", shuffled)
     learned = model if spec.learns else fitted(spec, exemplar)
     assert np.array_equal(learned.generate(SHAPE, seed=5).values, material.values)
 
 
 BOXES = [((0, 10), (5, 30), (3, 4)), ((20, 34), (0, 30), (30, 37)), ((33, 34), (29, 30), (36, 37))]
-FORM = np.hypot.outer(np.arange(-17, 17), np.hypot.outer(np.arange(-15, 15), np.arange(-18, 19))) < 15
+FORM = (
+    np.hypot.outer(np.arange(-17, 17), np.hypot.outer(np.arange(-15, 15), np.arange(-18, 19))) < 15
+)
 
 
 def test_any_window_is_a_part_of_the_whole(spec, model, material):
@@ -183,19 +200,22 @@ def test_a_repeating_window_goes_round(spec, model):
         pytest.skip(f"{spec.name} has no repeating windows")
     shape = (32, 48, 16)
     whole = model.generate(shape, seed=5, periodic=(True, False, True)).values
-    round_ = model.window(shape, ((-32, 64), (0, 48), (-5, 27)), seed=5, periodic=(True, False, True))
+    round_ = model.window(
+        shape, ((-32, 64), (0, 48), (-5, 27)), seed=5, periodic=(True, False, True)
+    )
     assert np.array_equal(round_, np.roll(np.tile(whole, (3, 1, 2)), 5, axis=2))
 
 
 def test_in_blocks_and_at_once_are_the_same(spec, model, material, tmp_path, monkeypatch):
     monkeypatch.setattr(store, "CHUNK", 16)
-    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(memmap, "LEAST", 256)
     request = tb.Request(SHAPE, seed=5)
     at_once = generate_to(model, request, tmp_path / "whole.zarr")
     whole = tb.read(tmp_path / "whole.zarr")
     assert at_once.sha256 == material.recipe.steps[-1]["sha256"] and at_once.text == repr(material)
     coarse = tb.read(tmp_path / "whole.zarr", level=1).values
-    # Blocks smaller than the volume, of which the last are cut off, and one that holds all; one thread and two.
+    # Blocks smaller than the volume, of which the last are cut off, and one that holds all; one
+    # thread and two.
     for side, count in ((16, 1), (32, 2), (48, 1)):
         with tb.threads(count):
             in_blocks = generate_to(model, request, tmp_path / "blocks.zarr", chunks=side)
@@ -226,10 +246,12 @@ def described(exemplar):
 
 
 @pytest.mark.parametrize("part", sorted(PARTS))
-def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(spec, model, exemplar, part, tmp_path, monkeypatch):
+def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(
+    spec, model, exemplar, part, tmp_path, monkeypatch
+):
     if part not in spec.honours or spec.scaling == "window":
         pytest.skip(f"{spec.name} has no such part, or its windows are tested with it")
-    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(memmap, "LEAST", 256)
     request = tb.Request(SHAPE, seed=5, **PARTS[part](exemplar))
     made = generate_to(model, request, tmp_path / "blocks.zarr", chunks=16)
     assert made.sha256 == digest(model.generate(request).values)
@@ -237,7 +259,7 @@ def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(spec, model, exem
 
 def test_a_run_in_blocks_goes_on_where_it_stopped(spec, model, material, tmp_path, monkeypatch):
     """Interrupted again and again, each time later, until it has ended."""
-    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(memmap, "LEAST", 256)
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     request, path, stops, made = tb.Request(SHAPE, seed=5), tmp_path / "x.zarr", 0, None
@@ -269,7 +291,9 @@ def test_a_model_from_its_file_makes_the_same_voxels(spec, model, material, tmp_
     (tmp_path / "one.model").rename(tmp_path / "elsewhere.model")
     with pytest.raises(FileError, match=r"needs the model one.model \(SHA-256 .*--model"):
         tb.rerun(tmp_path / "made.npy")
-    assert np.array_equal(tb.rerun(tmp_path / "made.npy", model=tmp_path / "elsewhere.model").values, material.values)
+    assert np.array_equal(
+        tb.rerun(tmp_path / "made.npy", model=tmp_path / "elsewhere.model").values, material.values
+    )
     tb.method("noise", reach=4).fit(tb.crop(tb.sample("bone"), 16)).save(tmp_path / "other.model")
     with pytest.raises(NotReproducedError, match=r"other\.model is another"):
         tb.rerun(tmp_path / "made.npy", model=tmp_path / "other.model")
@@ -287,7 +311,9 @@ print(tb.method({name!r}).fit(exemplar).generate(shape, seed=5).recipe.steps[-1]
 
 @pytest.fixture(scope="module")
 def old_processor(tmp_path_factory):
-    """What makes a process compile for 2008, with no wide instructions in NumPy, BLAS and the C library."""
+    """What makes a process compile for 2008, with no wide instructions in NumPy, BLAS and the C
+    library.
+    """
     return {
         "NUMBA_CPU_NAME": "nehalem",
         "NUMBA_CACHE_DIR": str(tmp_path_factory.getbasetemp() / "nehalem"),
@@ -297,14 +323,20 @@ def old_processor(tmp_path_factory):
     }
 
 
-@pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="instruction sets of x86-64")
+@pytest.mark.skipif(
+    platform.machine().lower() not in ("x86_64", "amd64"), reason="instruction sets of x86-64"
+)
 def test_an_old_processor_makes_the_same_voxels(name, spec, old_processor):
     if spec.extras:
         pytest.skip(f"{name} needs more than the package")
     program = DIGEST.format(name=name, dimensions=spec.exemplar)
     runs = [
         subprocess.run(
-            [sys.executable, "-c", program], env={**os.environ, **extra}, capture_output=True, text=True, check=True
+            [sys.executable, "-c", program],
+            env={**os.environ, **extra},
+            capture_output=True,
+            text=True,
+            check=True,
         )
         for extra in ({}, old_processor)
     ]
@@ -334,7 +366,11 @@ def test_what_a_method_cannot_honour_is_refused_by_name(model, spec):
     for part, value in parts.items():
         if part not in spec.honours:
             with pytest.raises(RequestError, match=part):
-                known = {"known": np.arange(np.prod(SHAPE)).reshape(SHAPE) == 0} if part == "fixed" else {}
+                known = (
+                    {"known": np.arange(np.prod(SHAPE)).reshape(SHAPE) == 0}
+                    if part == "fixed"
+                    else {}
+                )
                 model.generate(SHAPE, seed=1, **{part: value}, **known)
 
 
@@ -342,7 +378,9 @@ def test_a_run_over_its_budget_is_refused_before_it_starts(model):
     tracemalloc.start()
     with pytest.raises(MemoryBudgetError, match=r"GiB|TiB"):
         model.generate((4000, 4000, 4000), seed=1, memory=GIB)
-    assert tracemalloc.get_traced_memory()[1] < 1 << 20, "memory was taken before the budget was checked"
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20, (
+        "memory was taken before the budget was checked"
+    )
     tracemalloc.stop()
 
 
@@ -381,7 +419,9 @@ def test_the_forecast_of_scratch_files_holds(name, spec, exemplar, tmp_path):
 
 def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
     if spec.learns:
-        pytest.skip(f"{name} learns in memory that tracemalloc does not see; its own tests measure it")
+        pytest.skip(
+            f"{name} learns in memory that tracemalloc does not see; its own tests measure it"
+        )
     method = tb.method(name, **spec.trial)
     plan = method.plan_fit(exemplar)
     method.fit(exemplar)  # so that loading kernels is not counted
@@ -397,7 +437,10 @@ def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda image: image.values[0] if image.ndim == 3 else np.stack([image.values] * 30), "exemplar"),
+        (
+            lambda image: image.values[0] if image.ndim == 3 else np.stack([image.values] * 30),
+            "exemplar",
+        ),
         (lambda image: tb.Image(image.values.astype(np.float32), "grey"), "grey"),
         (lambda image: np.zeros_like(image.values), "one phase"),
         (lambda image: np.resize(image.values, (5,) * image.ndim), "exemplar"),
@@ -422,16 +465,25 @@ def test_without_an_exemplar_settings_are_enough_or_one_is_asked_for(name, spec,
         return
     model = method.fit(spacing=0.5, unit="mm")
     made = model.generate(SHAPE, seed=5)
-    assert (made.shape, made.kind, made.spacing, made.unit) == (SHAPE, "labels", (0.5, 0.5, 0.5), "mm")
+    assert (made.shape, made.kind, made.spacing, made.unit) == (
+        SHAPE,
+        "labels",
+        (0.5, 0.5, 0.5),
+        "mm",
+    )
     assert made.phases == ("void", "solid")
     assert 0 < made.values.mean() < 1
-    assert np.array_equal(method.fit(spacing=0.5, unit="mm").generate(SHAPE, seed=5).values, made.values)
+    assert np.array_equal(
+        method.fit(spacing=0.5, unit="mm").generate(SHAPE, seed=5).values, made.values
+    )
     tb.write(made, tmp_path / "made.npy")
     assert np.array_equal(tb.rerun(tmp_path / "made.npy").values, made.values)
     again = tb.load_model(model.save(tmp_path / "one.model"))
     assert np.array_equal(again.generate(SHAPE, seed=5).values, made.values)
     if spec.scaling == "window":
-        assert np.array_equal(model.window(SHAPE, BOXES[1], seed=5), made.values[tuple(slice(*e) for e in BOXES[1])])
+        assert np.array_equal(
+            model.window(SHAPE, BOXES[1], seed=5), made.values[tuple(slice(*e) for e in BOXES[1])]
+        )
     if spec.flat:
         picture = model.generate((40, 50), seed=5)
         assert (picture.shape, picture.spacing) == ((40, 50), (0.5, 0.5))

@@ -8,7 +8,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.recipe import digest
 from trabecula.errors import RequestError
-from trabecula.synth.registry import methods
+from trabecula.synth.api.registry import methods
 
 SPECS = {name: spec for name, spec in methods().items() if "target" in spec.honours}
 SHAPE = (16, 18, 20)
@@ -28,7 +28,8 @@ def model(request):
 
 
 def test_volume_fraction_is_what_porosity_leaves(model):
-    porosity = 0.6 if model.spec.alone else 0.75  # what walls between bubbles leave, or what is near to the exemplar's
+    # what walls between bubbles leave, or what is near to the exemplar's
+    porosity = 0.6 if model.capabilities.alone else 0.75
     asked = ({"porosity": porosity}, {"volume_fraction": 1 - porosity})
     made = [model.generate(SHAPE, seed=1, target=target) for target in asked]
     assert digest(made[0].values) == digest(made[1].values)
@@ -36,10 +37,16 @@ def test_volume_fraction_is_what_porosity_leaves(model):
 
 
 def test_a_descriptor_that_is_not_honoured_is_refused_by_name(model):
-    other = {"surface": 0.1, "mean_curvature": 0.0, "euler": 0.0, "perimeter": 0.1, "volume_fraction:solid": 0.2}
+    other = {
+        "surface": 0.1,
+        "mean_curvature": 0.0,
+        "euler": 0.0,
+        "perimeter": 0.1,
+        "volume_fraction:solid": 0.2,
+    }
     for name, value in other.items():
         head = f"{name.partition(':')[0]}:" if ":" in name else name
-        if head not in model.spec.targets:
+        if head not in model.capabilities.targets:
             with pytest.raises(RequestError, match=f"cannot honour the target {name}"):
                 model.plan(tb.Request(SHAPE, target={name: value}))
 

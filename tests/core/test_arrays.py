@@ -12,11 +12,17 @@ import trabecula as tb
 from trabecula.core import indexing
 from trabecula.core.recipe import Recipe
 from trabecula.errors import InputError
-from trabecula.replay import replay
+from trabecula.pipeline.replay import replay
 
 VALUES = np.arange(4 * 5 * 6, dtype=np.uint16).reshape(4, 5, 6)
 GREY = tb.Image(VALUES, "grey", spacing=(2.0, 3.0, 0.1), unit="um")
-LABELS = tb.Image((VALUES % 3).astype(np.uint8), "labels", spacing=(2.0, 3.0, 0.1), unit="um", phases=("a", "b", "c"))
+LABELS = tb.Image(
+    (VALUES % 3).astype(np.uint8),
+    "labels",
+    spacing=(2.0, 3.0, 0.1),
+    unit="um",
+    phases=("a", "b", "c"),
+)
 COLOUR = tb.Image(np.zeros((4, 5, 3), np.uint8), "colour", spacing=(2.0, 3.0))
 
 
@@ -98,7 +104,9 @@ def test_nothing_changes_an_image():
 @pytest.mark.parametrize("image", [GREY, LABELS], ids=["grey", "labels"])
 def test_a_part_keeps_what_its_voxels_mean(image, index, spacing):
     part = image[index]
-    assert np.array_equal(part.values, image.values[index]) and part.values.dtype == image.values.dtype
+    assert (
+        np.array_equal(part.values, image.values[index]) and part.values.dtype == image.values.dtype
+    )
     assert np.shares_memory(part.values, image.values), "a view, as NumPy's"
     assert part.spacing == spacing and part.shape == image.values[index].shape
     assert (part.kind, part.unit, part.phases) == (image.kind, image.unit, image.phases)
@@ -112,7 +120,9 @@ def test_colour_is_no_axis_of_an_index():
 
 
 SIDES = st.integers(-7, 7)
-ITEMS = st.one_of(SIDES, st.builds(slice, *[st.none() | SIDES] * 2, st.none() | SIDES.filter(bool)), st.just(...))
+ITEMS = st.one_of(
+    SIDES, st.builds(slice, *[st.none() | SIDES] * 2, st.none() | SIDES.filter(bool)), st.just(...)
+)
 
 
 @given(st.lists(ITEMS, max_size=4).map(tuple))
@@ -168,7 +178,11 @@ def test_a_volume_is_a_row_of_slices():
 def test_a_part_can_be_made_again_from_its_recipe(tmp_path):
     image = tb.read(tb.write(GREY, tmp_path / "x.npy"))
     part = image[::-1, 1:4][:, 0]
-    assert [step["verb"] for step in part.recipe.steps] == [*(s["verb"] for s in image.recipe.steps), "slice", "slice"]
+    assert [step["verb"] for step in part.recipe.steps] == [
+        *(s["verb"] for s in image.recipe.steps),
+        "slice",
+        "slice",
+    ]
     path = tb.write(part, tmp_path / "part.tif")
     again = replay(tb.read(path).recipe, folder=tmp_path)
     assert np.array_equal(again.values, part.values) and again.spacing == part.spacing == (2.0, 0.1)

@@ -7,7 +7,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.brief import brief, short
-from trabecula.synth.registry import methods
+from trabecula.synth.api.registry import methods
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,27 @@ class Result:
 
 
 def test_large_arrays_are_shown_by_shape_and_range_small_ones_are_written_out():
-    large = Result(np.linspace(0, 1, 10**6).reshape(100, 100, 100), 1 / 3, np.ones((100, 100), bool))
-    assert (
-        repr(large) == "Result(values=<array 100x100x100 float64, 0 .. 1>, share=0.333333, mask=<array 100x100 bool>)"
+    large = Result(
+        np.linspace(0, 1, 10**6).reshape(100, 100, 100), 1 / 3, np.ones((100, 100), bool)
     )
-    assert repr(Result(np.arange(3), 0.5, names=("pore",))) == "Result(values=[0 1 2], share=0.5, names=('pore',))"
+    assert (
+        repr(large)
+        == "Result(values=<array 100x100x100 float64, 0 .. 1>, share=0.333333, mask=<array 100x100 bool>)"
+    )
+    assert (
+        repr(Result(np.arange(3), 0.5, names=("pore",)))
+        == "Result(values=[0 1 2], share=0.5, names=('pore',))"
+    )
     matrix = repr(Result(np.eye(6), 0.5))
     assert matrix.splitlines()[2].strip().startswith("[[1. 0.") and len(matrix.splitlines()) == 10
 
 
 def test_numbers_are_short():
-    assert short(np.float32(0.1)) == "0.1" and short({"z": 1 / 7}) == "{'z': 0.142857}" and short(np.int64(3)) == "3"
+    assert (
+        short(np.float32(0.1)) == "0.1"
+        and short({"z": 1 / 7}) == "{'z': 0.142857}"
+        and short(np.int64(3)) == "3"
+    )
 
 
 def test_what_a_session_meets_shows_itself_in_a_few_lines(bone):
@@ -39,12 +49,26 @@ def test_what_a_session_meets_shows_itself_in_a_few_lines(bone):
     model = tb.method("noise", reach=6).fit(cube)
     assert repr(tb.method("noise", reach=6)) == "<Method noise: reach=6>"
     assert repr(tb.method("noise")) == "<Method noise: default settings>"
-    assert repr(model) == "<Model: noise of Image 24x24x24 labels, voxel 40x40x40 um, phases void/solid; reach=6>"
-    assert repr(cube.recipe) == "<Recipe: sample bone, crop>" and repr(tb.Recipe()) == "<Recipe: nothing known>"
-    assert repr(model.facts[0]) == "<Facts of an image 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
+    assert (
+        repr(model)
+        == "<Model: noise of Image 24x24x24 labels, voxel 40x40x40 um, phases void/solid; reach=6>"
+    )
+    assert (
+        repr(cube.recipe) == "<Recipe: sample bone, crop>"
+        and repr(tb.Recipe()) == "<Recipe: nothing known>"
+    )
+    assert (
+        repr(model.facts[0])
+        == "<Facts of an image 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
+    )
     request = tb.Request(24, mask=np.ones((24, 24, 24), bool), target={"porosity": 0.5})
-    assert repr(request) == "Request(shape=(24, 24, 24), mask=<array 24x24x24 bool>, target={'porosity': 0.5})"
-    assert repr(model.plan(tb.Request(24))).startswith("<Plan ") and "of memory" in repr(model.plan(tb.Request(24)))
+    assert (
+        repr(request)
+        == "Request(shape=(24, 24, 24), mask=<array 24x24x24 bool>, target={'porosity': 0.5})"
+    )
+    assert repr(model.plan(tb.Request(24))).startswith("<Plan ") and "of memory" in repr(
+        model.plan(tb.Request(24))
+    )
 
 
 def test_a_model_says_its_name_and_every_method_shows_itself(tmp_path, bone):

@@ -1,18 +1,28 @@
-"""Checks and conversions: what they let through, and that each refusal says what was given and what to do."""
+"""Checks and conversions: what they let through, and that each refusal says what was given and what
+to do.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trabecula.core.checks import MOST_VOXELS, as_seed, as_shape, as_spacing, check_finite, check_name
+from trabecula.core.checks import (
+    MOST_VOXELS,
+    as_seed,
+    as_shape,
+    as_spacing,
+    check_finite,
+    check_name,
+)
 from trabecula.core.errors import InputError, UnknownNameError
 
 
 def test_a_known_name_passes_and_a_near_one_is_suggested():
     check_name("texture", ["noise", "texture"], name="method")
     with pytest.raises(
-        UnknownNameError, match=r"unknown method 'textrue': did you mean 'texture'\? known are noise, tex"
+        UnknownNameError,
+        match=r"unknown method 'textrue': did you mean 'texture'\? known are noise, tex",
     ):
         check_name("textrue", ["texture", "noise"], name="method")
 

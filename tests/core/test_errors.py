@@ -1,4 +1,6 @@
-"""The tree of errors: each is also the builtin that a caller would expect, and prints its message alone."""
+"""The tree of errors: each is also the builtin that a caller would expect, and prints its message
+alone.
+"""
 
 import pytest
 
@@ -32,6 +34,7 @@ def test_each_is_also_a_builtin_and_prints_its_message(name, builtin):
 def test_a_missing_package_names_its_extra():
     assert need("json", extra="learn", purpose="reading").loads("1") == 1
     with pytest.raises(
-        errors.MissingExtraError, match=r"training needs no_such_package, .*pip install 'trabecula\[learn\]'"
+        errors.MissingExtraError,
+        match=r"training needs no_such_package, .*pip install 'trabecula\[learn\]'",
     ):
         need("no_such_package", extra="learn", purpose="training")

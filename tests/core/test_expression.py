@@ -26,7 +26,10 @@ NAMES = ("x", "y", "X")
         ("clip(x, 0, 1) + max(x, y) - min(x, y)", 1 + 4 - 3),
         ("hypot(x, y)", 5),
         ("atan2(1, 1) * 4 / pi", 1),
-        ("sin(pi / 2) + cos(0) + exp(0) + log(e) + sqrt(4) + abs(-1) + floor(1.5) + tanh(0) + tan(0)", 8),
+        (
+            "sin(pi / 2) + cos(0) + exp(0) + log(e) + sqrt(4) + abs(-1) + floor(1.5) + tanh(0) + tan(0)",
+            8,
+        ),
         ("7 % 4", 3),
         ("2 if x == 3 and y != 3 else 0", 2),
         (" 1e-3", 1e-3),
@@ -82,7 +85,8 @@ def test_what_is_no_formula_is_refused(text, words):
 
 
 @pytest.mark.parametrize(
-    ("text", "near"), [("xx + 1", "'x'"), ("sine(x)", "'sin'"), ("sqt(x)", "'sqrt'"), ("z", "known are")]
+    ("text", "near"),
+    [("xx + 1", "'x'"), ("sine(x)", "'sin'"), ("sqt(x)", "'sqrt'"), ("z", "known are")],
 )
 def test_unknown_names_are_told(text, near):
     with pytest.raises(UnknownNameError, match=near):

@@ -59,7 +59,11 @@ def test_three_channels_do_not_make_a_volume_a_picture():
 
 def test_more_phases_get_names():
     assert tb.Image(BINARY * 3, "labels").phases == ("void", "solid", "phase2", "phase3")
-    assert tb.Image(BINARY, "labels", phases=["pore", "carbon", "binder"]).phases == ("pore", "carbon", "binder")
+    assert tb.Image(BINARY, "labels", phases=["pore", "carbon", "binder"]).phases == (
+        "pore",
+        "carbon",
+        "binder",
+    )
     assert tb.Image(np.zeros((2, 2), int), "labels").phases == ("void", "solid")
     assert default_phases(1) == ("void",)
 
@@ -117,7 +121,11 @@ def test_an_image_does_not_change():
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.int64, np.float32, bool])
 def test_levels_become_labels_in_rising_order(dtype):
-    values = np.array([[1, 0, 1], [0, 0, 1]], dtype) if dtype is bool else np.array([[100, 7, 100], [7, 7, 9]], dtype)
+    values = (
+        np.array([[1, 0, 1], [0, 0, 1]], dtype)
+        if dtype is bool
+        else np.array([[100, 7, 100], [7, 7, 9]], dtype)
+    )
     expected = [[1, 0, 1], [0, 0, 1]] if dtype is bool else [[2, 0, 2], [0, 0, 1]]
     image = tb.labels(values, spacing=2, unit="um")
     assert image.values.tolist() == expected and image.values.dtype == np.uint8
@@ -168,7 +176,9 @@ def test_plain_arrays_of_small_integers_are_labels_and_others_are_not_guessed():
     assert as_image(image) is image
     assert as_image(BINARY.tolist()).kind == "labels" and as_image(BINARY == 1).kind == "labels"
     for values in (BINARY * 255, BINARY - 1, GREY):
-        with pytest.raises(InputError, match=r"the scan is a plain array of \w+ whose meaning is open"):
+        with pytest.raises(
+            InputError, match=r"the scan is a plain array of \w+ whose meaning is open"
+        ):
             as_image(values, name="the scan")
 
 
@@ -192,7 +202,9 @@ def test_other_values_keep_the_rest():
     image = tb.Image(BINARY, "labels", (3, 2, 1), "um", ("pore", "bone"))
     other = with_values(image, 1 - BINARY)
     assert describe_fields(other) == describe_fields(image)
-    assert other.values.tolist() == (1 - BINARY).tolist() and image.values.tolist() == BINARY.tolist()
+    assert (
+        other.values.tolist() == (1 - BINARY).tolist() and image.values.tolist() == BINARY.tolist()
+    )
     assert describe_fields(image) == {
         "kind": "labels",
         "spacing": [3.0, 2.0, 1.0],

@@ -35,11 +35,20 @@ def test_a_recipe_survives_json(steps):
     again = Recipe.from_json(json.loads(json.dumps(recipe.to_json(), allow_nan=False)))
     assert again == recipe and len(again.steps) == len(steps)
     for (verb, parameters), step in zip(steps, again.steps, strict=True):
-        assert step == {"verb": verb, **parameters, "sha256": digest(VALUES), "versions": versions()}
+        assert step == {
+            "verb": verb,
+            **parameters,
+            "sha256": digest(VALUES),
+            "versions": versions(),
+        }
 
 
 def test_numpy_becomes_plain():
-    step = Recipe().then("crop", VALUES, size=(np.int64(3), 4), at=np.array([1.5, 2]), of=np.float32(0.5)).steps[0]
+    step = (
+        Recipe()
+        .then("crop", VALUES, size=(np.int64(3), 4), at=np.array([1.5, 2]), of=np.float32(0.5))
+        .steps[0]
+    )
     assert step["size"] == [3, 4] and step["at"] == [1.5, 2.0] and step["of"] == 0.5
 
 

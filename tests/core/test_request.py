@@ -60,20 +60,38 @@ def test_a_mask_image_is_everything_but_void():
 
 def test_the_origins_of_the_parts_go_into_the_recipe():
     read = tb.Recipe().then("read", np.ones((4, 4, 4), np.uint8), source="part.tif", options={})
-    request = tb.Request(4, seed=3, periodic=(True, False, False), mask=solid(recipe=read), fixed=solid(), known=half())
+    request = tb.Request(
+        4,
+        seed=3,
+        periodic=(True, False, False),
+        mask=solid(recipe=read),
+        fixed=solid(),
+        known=half(),
+    )
     told = request.to_json()
-    assert told["shape"] == [4, 4, 4] and told["seed"] == 3 and told["periodic"] == [True, False, False]
+    assert (
+        told["shape"] == [4, 4, 4]
+        and told["seed"] == 3
+        and told["periodic"] == [True, False, False]
+    )
     assert told["mask"] == read.to_json()
     assert [step["verb"] for step in told["known"] + told["fixed"]] == ["array", "array"]
     # A bool array and the labels that a file gives back of it have one digest.
     assert told["known"][0]["sha256"] == digest(half().astype(np.uint8))
-    assert tb.Request(4, seed=3).to_json() == {"shape": [4, 4, 4], "seed": 3, "periodic": [False] * 3}
+    assert tb.Request(4, seed=3).to_json() == {
+        "shape": [4, 4, 4],
+        "seed": 3,
+        "periodic": [False] * 3,
+    }
 
 
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"mask": np.ones((4, 4, 5), bool)}, r"mask has shape \(4, 4, 5\), the request \(4, 4, 4\)"),
+        (
+            {"mask": np.ones((4, 4, 5), bool)},
+            r"mask has shape \(4, 4, 5\), the request \(4, 4, 4\)",
+        ),
         ({"mask": np.ones((4, 4, 4), np.uint8)}, "mask is uint8 .*boolean array"),
         ({"mask": np.ones(4, bool)}, "boolean array"),
         ({"mask": np.zeros((4, 4, 4), bool)}, "holds no voxel"),
@@ -101,7 +119,8 @@ def test_a_fixed_border_cannot_be_periodic(axis):
     periodic = tuple(k == axis for k in range(3))
     for other in range(3):
         if other == axis:
-            tb.Request(4, fixed=solid(), known=half(axis=axis), periodic=periodic)  # known at one end only
+            # known at one end only
+            tb.Request(4, fixed=solid(), known=half(axis=axis), periodic=periodic)
             continue
         with pytest.raises(RequestError, match=f"known voxels lie at both ends of {'zyx'[axis]}"):
             tb.Request(4, fixed=solid(), known=half(axis=other), periodic=periodic)
@@ -111,9 +130,18 @@ def test_a_fixed_border_cannot_be_periodic(axis):
     ("exemplar", "says"),
     [
         (tb.Image(np.ones((9, 9, 9)), "grey"), "fixed voxels are labels, the exemplar is grey"),
-        (tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", spacing=2), "give the spacing of both"),
-        (tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", phases=("pore", "bone")), "name the phases"),
-        (tb.Image(np.zeros((9, 9, 9), int), "labels"), "hold the phase solid, which the exemplar lacks"),
+        (
+            tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", spacing=2),
+            "give the spacing of both",
+        ),
+        (
+            tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels", phases=("pore", "bone")),
+            "name the phases",
+        ),
+        (
+            tb.Image(np.zeros((9, 9, 9), int), "labels"),
+            "hold the phase solid, which the exemplar lacks",
+        ),
     ],
 )
 def test_fixed_voxels_of_another_material_are_refused(exemplar, says):
@@ -126,7 +154,9 @@ def test_fixed_voxels_of_another_material_are_refused(exemplar, says):
 
 def test_what_is_not_known_may_be_anything():
     values = np.where(half(), 0, 2)
-    request = tb.Request(4, fixed=tb.Image(values, "labels", phases=("void", "solid", "dirt")), known=half())
+    request = tb.Request(
+        4, fixed=tb.Image(values, "labels", phases=("void", "solid", "dirt")), known=half()
+    )
     check_exemplar(request, tb.Image(np.eye(9, dtype=int)[None].repeat(9, 0), "labels"))
 
 
@@ -188,9 +218,18 @@ def test_a_target_that_says_nothing_is_refused(target, words):
 
 
 def test_descriptors_have_their_ranges():
-    asked = {"volume_fraction:binder": 0.2, "surface": 2, "mean_curvature": -0.1, "euler": np.full((2, 2, 2), -3e-4)}
+    asked = {
+        "volume_fraction:binder": 0.2,
+        "surface": 2,
+        "mean_curvature": -0.1,
+        "euler": np.full((2, 2, 2), -3e-4),
+    }
     kept = tb.Request(2, target=asked).target
-    assert kept["surface"] == 2.0 and kept["mean_curvature"] == -0.1 and kept["euler"].dtype == np.float32
+    assert (
+        kept["surface"] == 2.0
+        and kept["mean_curvature"] == -0.1
+        and kept["euler"].dtype == np.float32
+    )
 
 
 def test_targets_are_told():
@@ -199,14 +238,22 @@ def test_targets_are_told():
     assert tb.Request(2, target={"porosity": 0.3}).to_json()["target"] == {"porosity": 0.3}
     told = tb.Request(2, target={"porosity": field}).to_json()
     assert [step["verb"] for step in told["target"]["porosity"]] == ["array"]
-    assert told["target"]["porosity"][0]["sha256"] == digest(field) and "target.porosity" not in told
+    assert (
+        told["target"]["porosity"][0]["sha256"] == digest(field) and "target.porosity" not in told
+    )
 
 
 def test_fixed_voxels_have_the_spacing_of_the_result():
     picture = tb.Image(np.eye(4, dtype=int), "labels", (2.0, 2.0), "um")
-    for spacing, unit, good in (((2.0,) * 3, "um", True), ((3.0, 2.0, 2.0), "um", False), ((2.0,) * 3, "mm", False)):
+    for spacing, unit, good in (
+        ((2.0,) * 3, "um", True),
+        ((3.0, 2.0, 2.0), "um", False),
+        ((2.0,) * 3, "mm", False),
+    ):
         request = tb.Request(
-            4, fixed=tb.Image(np.eye(4, dtype=int)[None].repeat(4, 0), "labels", spacing, unit), known=half()
+            4,
+            fixed=tb.Image(np.eye(4, dtype=int)[None].repeat(4, 0), "labels", spacing, unit),
+            known=half(),
         )
         if good:
             check_exemplar(request, picture, spacing=(2.0,) * 3)
@@ -219,5 +266,8 @@ def test_a_mask_states_the_size_of_its_voxels():
     form = np.ones((4, 4, 4), np.uint8)
     assert tb.Request(None, mask=form.astype(bool)).voxel is None
     assert tb.Request(None, mask=tb.Image(form, "labels")).voxel is None
-    assert tb.Request(None, mask=tb.Image(form, "labels", (3, 2, 2), "um")).voxel == ((3.0, 2.0, 2.0), "um")
+    assert tb.Request(None, mask=tb.Image(form, "labels", (3, 2, 2), "um")).voxel == (
+        (3.0, 2.0, 2.0),
+        "um",
+    )
     assert tb.Request(None, mask=tb.Image(form, "labels", 0.5)).voxel == ((0.5,) * 3, "voxel")

@@ -11,7 +11,9 @@ from trabecula.core.seeds import generator, key
 
 def test_a_key_is_the_hash_of_seed_and_stage():
     """Golden: every recorded result hangs on it."""
-    assert key(7, "texture/0") == int.from_bytes(hashlib.blake2b(b"7/texture/0", digest_size=8).digest(), "little")
+    assert key(7, "texture/0") == int.from_bytes(
+        hashlib.blake2b(b"7/texture/0", digest_size=8).digest(), "little"
+    )
     assert type(key(7, "texture/0")) is np.uint64
 
 

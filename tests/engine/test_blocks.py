@@ -1,4 +1,6 @@
-"""Volumes in blocks: what is finished is not made again, an unfinished store says so, and nothing is lost on the way."""
+"""Volumes in blocks: what is finished is not made again, an unfinished store says so, and nothing
+is lost on the way.
+"""
 
 import dataclasses
 import shutil
@@ -15,9 +17,10 @@ import zarr
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
-from trabecula.engine import blocks, folder, store
-from trabecula.engine.blocks import Volume, boxes_of, slices_of, stream
-from trabecula.engine.levels import halved
+from trabecula.engine import blocks, store
+from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
+from trabecula.engine.multiscale import halved
+from trabecula.engine.storage import local
 from trabecula.errors import FileError
 
 SHAPE = (300, 130, 257)
@@ -46,11 +49,14 @@ class Maker:
 
 
 def volume(make, identity="one", shape=SHAPE):
-    return Volume(
+    return StoredVolume(
         shape=shape,
         dtype=np.dtype(np.uint8),
         make=make,
-        describe=lambda sha256: {**FIELDS, "recipe": Recipe().then_made("generate", sha256).to_json()},
+        describe=lambda sha256: {
+            **FIELDS,
+            "recipe": Recipe().then_made("generate", sha256).to_json(),
+        },
         identity=identity,
         scale=(2.0,) * 3,
         unit="micrometer",
@@ -75,7 +81,9 @@ def contents(folder):
     return {name: array[...].tobytes() for name, array in group.arrays()}, group.attrs["ome"], own
 
 
-@pytest.mark.parametrize(("side", "chunk"), [(128, 128), (256, 128), (64, 64), (128, 64), (96, 96), (192, 96)])
+@pytest.mark.parametrize(
+    ("side", "chunk"), [(128, 128), (256, 128), (64, 64), (128, 64), (96, 96), (192, 96)]
+)
 def test_the_store_is_the_one_that_is_written_at_once(run, tmp_path, monkeypatch, side, chunk):
     make = Maker()
     sha256, _ = run(make, side=side, chunk=chunk)
@@ -139,7 +147,9 @@ def test_another_runs_part_is_neither_used_nor_lost(run, tmp_path, other):
 def test_other_chunks_than_it_was_begun_in_are_refused(run, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(Maker(stop_at=2), side=64, chunk=64)
-    with pytest.raises(FileError, match="begun in chunks of 64 voxels, not of 128: give --chunks 64"):
+    with pytest.raises(
+        FileError, match="begun in chunks of 64 voxels, not of 128: give --chunks 64"
+    ):
         run(Maker())
     second = Maker()
     assert run(second, side=128, chunk=64)[0] == digest(WHOLE)
@@ -183,7 +193,7 @@ def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatc
     def die(*names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(folder, "put_in_place", die)
+    monkeypatch.setattr(local, "put_in_place", die)
     with pytest.raises(KeyboardInterrupt):
         run(Maker())
     monkeypatch.undo()
@@ -206,8 +216,12 @@ def test_blocks_that_share_chunks_are_refused(run):
         run(Maker(), side=100)
 
 
-def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(folder, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt))
+def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(
+    run, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        local, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt):
         run(Maker())
     monkeypatch.undo()
@@ -252,7 +266,9 @@ def test_killed_at_random_moments(run, tmp_path):
     kills = 0
 
     def chunks():
-        return [entry for entry in (tmp_path / "x.zarr.part").rglob("0/c/*/*/*") if entry.suffix == ""]
+        return [
+            entry for entry in (tmp_path / "x.zarr.part").rglob("0/c/*/*/*") if entry.suffix == ""
+        ]
 
     for _ in range(3):
         before = len(chunks())
@@ -273,7 +289,7 @@ def test_channels_go_along(tmp_path):
     """A colour volume: channels last where it is made, first in the store."""
     rng = np.random.default_rng(3)
     values = rng.integers(0, 255, (40, 34, 50, 3)).astype(np.uint8)
-    volume = blocks.Volume(
+    volume = blocks.StoredVolume(
         shape=values.shape[:3],
         dtype=values.dtype,
         make=lambda box: values[blocks.slices_of(box)],
@@ -285,7 +301,9 @@ def test_channels_go_along(tmp_path):
         channels=3,
     )
     part, path = tmp_path / "x.zarr.part", tmp_path / "x.zarr"
-    broken = dataclasses.replace(volume, make=lambda box: values[blocks.slices_of(box)] if box[0][0] < 32 else 1 / 0)
+    broken = dataclasses.replace(
+        volume, make=lambda box: values[blocks.slices_of(box)] if box[0][0] < 32 else 1 / 0
+    )
     with pytest.raises(ZeroDivisionError):
         stream(broken, path, part=part, side=16, chunk=16)
     sha256 = stream(volume, path, part=part, side=16, chunk=16)
@@ -309,7 +327,8 @@ def test_a_second_run_of_the_same_store_is_refused_and_the_first_not_disturbed(t
 
     def make(box):
         if not refused:
-            thread = threading.Thread(target=second)  # with nothing of the first run's about it, as another process
+            # with nothing of the first run's about it, as another process
+            thread = threading.Thread(target=second)
             thread.start()
             thread.join()
         return voxels(box)

@@ -19,8 +19,8 @@ from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.engine.checkpoint import kept_at, offer, resumed, running
 from trabecula.engine.plan import Plan
-from trabecula.synth import registry
-from trabecula.synth.base import Method, Model, Spec
+from trabecula.synth.api import registry
+from trabecula.synth.api.method import Capabilities, Method, Model
 from trabecula.synth.noise.config import NoiseConfig
 
 EXEMPLAR = tb.Image(np.eye(12, dtype=np.uint8), "labels")
@@ -38,7 +38,9 @@ class StoppedError(Exception):
 
 
 def walk(request, *, stop=None, told=None, pause=0.0):
-    """Two loops in a row, as methods are made: each round is a function of the state, the seed and the round."""
+    """Two loops in a row, as methods are made: each round is a function of the state, the seed and
+    the round.
+    """
     field, last = np.zeros(request.shape, np.int64), None
     stages = ("coarse", "fine")
     left = [resumed(stage) for stage in reversed(stages)][::-1]
@@ -48,7 +50,11 @@ def walk(request, *, stop=None, told=None, pause=0.0):
             continue
         begin = 0
         if left[index] is not None:
-            begin, field, last = left[index].number, left[index].arrays["field"], left[index].arrays["last"]
+            begin, field, last = (
+                left[index].number,
+                left[index].arrays["field"],
+                left[index].arrays["last"],
+            )
         for number in range(begin, ROUNDS):
             if stop == (stage, number):
                 raise StoppedError
@@ -62,7 +68,9 @@ def walk(request, *, stop=None, told=None, pause=0.0):
 
 
 class Walk(Method):
-    spec = Spec("walk", "for tests", "nobody", "2d", ("labels",), "whole", "", presets=())
+    capabilities = Capabilities(
+        "walk", "for tests", "nobody", "2d", ("labels",), "whole", "", presets=()
+    )
     config_type = NoiseConfig
 
     def _plan_fit(self, exemplars):
@@ -73,7 +81,7 @@ class Walk(Method):
 
 
 class Walked(Model):
-    spec = Walk.spec
+    capabilities = Walk.capabilities
 
     def _plan(self, request):
         return Plan()
@@ -91,7 +99,11 @@ def whole(request):
 
 def cut(path, request, *, at, exemplars=(EXEMPLAR,), settings=None):
     """Run up to a round and die there."""
-    with pytest.raises(StoppedError), kept_at(path), running("walk", settings or {}, request, exemplars):
+    with (
+        pytest.raises(StoppedError),
+        kept_at(path),
+        running("walk", settings or {}, request, exemplars),
+    ):
         walk(request, stop=at)
 
 
@@ -154,7 +166,9 @@ def test_a_file_that_is_no_state_is_left_as_it_is(tmp_path, text):
     assert (tmp_path / "a.part").read_bytes() == text
 
 
-def test_a_run_that_ends_before_it_keeps_anything_leaves_the_state_of_another(tmp_path, monkeypatch):
+def test_a_run_that_ends_before_it_keeps_anything_leaves_the_state_of_another(
+    tmp_path, monkeypatch
+):
     request = Request(4, seed=1)
     cut(tmp_path / "a.part", request, at=("fine", 20))
     with monkeypatch.context() as patch:
@@ -198,7 +212,13 @@ def test_models_use_the_place_that_is_set(tmp_path):
     model = Walk(NoiseConfig()).fit(EXEMPLAR)
     expected = model.generate((6, 7, 8), seed=4).values
     request = Request((6, 7, 8), seed=4)
-    cut(tmp_path / "a.part", request, at=("fine", 3), exemplars=model.exemplars, settings=asdict(model.config))
+    cut(
+        tmp_path / "a.part",
+        request,
+        at=("fine", 3),
+        exemplars=model.exemplars,
+        settings=asdict(model.config),
+    )
     lines = []
     with listen(lambda line, fraction: lines.append(line)), kept_at(tmp_path / "a.part"):
         assert np.array_equal(model.generate(request).values, expected)
@@ -209,10 +229,12 @@ def test_models_use_the_place_that_is_set(tmp_path):
 def _program(words):
     # A shell starts what runs in its background with interrupts ignored, and children inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    specs = {**registry.methods(), "walk": Walk.spec}
+    specs = {**registry.methods(), "walk": Walk.capabilities}
     registry.methods = lambda: specs
     original = registry.method
-    registry.method = lambda name, **settings: Walk(NoiseConfig()) if name == "walk" else original(name, **settings)
+    registry.method = lambda name, **settings: (
+        Walk(NoiseConfig()) if name == "walk" else original(name, **settings)
+    )
     checkpoint.EVERY = 0.05
     from trabecula.cli.main import main
 
@@ -221,7 +243,18 @@ def _program(words):
 
 def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     tb.write(EXEMPLAR, tmp_path / "flat.png")
-    words = ["generate", "flat.png", "--method", "walk", "--shape", "6", "--seed", str(seed), "--out", "rock.npy"]
+    words = [
+        "generate",
+        "flat.png",
+        "--method",
+        "walk",
+        "--shape",
+        "6",
+        "--seed",
+        str(seed),
+        "--out",
+        "rock.npy",
+    ]
     words += ["--phases", "void", "solid", "--kind", "labels"]
     words = ["generate", "--resume", "rock.npy"] if resume else words
     environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}

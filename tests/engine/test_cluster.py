@@ -1,4 +1,6 @@
-"""Blocks made by workers: the same voxels whoever makes them, a lost worker, and a scheduler that does not answer."""
+"""Blocks made by workers: the same voxels whoever makes them, a lost worker, and a scheduler that
+does not answer.
+"""
 
 import os
 import signal
@@ -14,8 +16,8 @@ from trabecula.core.errors import ClusterError, InputError, MemoryBudgetError
 from trabecula.core.progress import listen
 from trabecula.engine import blocks
 from trabecula.engine.cluster import Cluster, Workers, workers_of
-from trabecula.engine.levels import halved
-from trabecula.making import generate_to, part_of
+from trabecula.engine.multiscale import halved
+from trabecula.pipeline.generate import generate_to, partial_path
 
 distributed = pytest.importorskip("distributed", reason="workers need the extra cluster")
 
@@ -36,13 +38,19 @@ def whole(model):
 def two():
     """A scheduler with two workers, as a user may have it."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, memory_limit="1GiB", dashboard_address="127.0.0.1:0"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit="1GiB",
+        dashboard_address="127.0.0.1:0",
     ) as cluster:
         yield cluster
 
 
 def made(model, path, cluster, *, seed=3, chunks=16, **more):
-    return generate_to(model, tb.Request(SHAPE, seed=seed), path, chunks=chunks, cluster=cluster, **more)
+    return generate_to(
+        model, tb.Request(SHAPE, seed=seed), path, chunks=chunks, cluster=cluster, **more
+    )
 
 
 def test_two_workers_make_the_same_voxels(two, model, whole, tmp_path):
@@ -61,7 +69,7 @@ def test_a_lost_worker_costs_its_block(two, model, whole, tmp_path):
     """A worker is killed as soon as the first file is there; its nanny starts another."""
     with distributed.Client(two, set_as_default=False) as client:
         victim = next(iter(client.run(os.getpid).values()))
-    part, path = part_of(tmp_path / "x.zarr"), tmp_path / "x.zarr"
+    part, path = partial_path(tmp_path / "x.zarr"), tmp_path / "x.zarr"
     killed = []
 
     def kill(label, fraction):
@@ -93,7 +101,7 @@ def test_workers_go_on_from_what_one_process_left(two, model, whole, tmp_path, m
     found = made(model, tmp_path / "x.zarr", Cluster(two.scheduler_address))
     assert found.sha256 == whole.recipe.steps[-1]["sha256"]
     for file, when in written.items():
-        now = tmp_path / "x.zarr" / file.relative_to(part_of(tmp_path / "x.zarr"))
+        now = tmp_path / "x.zarr" / file.relative_to(partial_path(tmp_path / "x.zarr"))
         assert now.stat().st_mtime_ns == when, "what was there was made again"
 
 
@@ -110,7 +118,9 @@ def test_workers_with_other_versions_are_refused(two, model, tmp_path, monkeypat
 
 
 def test_workers_that_do_not_see_the_store_say_so(two, model, tmp_path, monkeypatch):
-    """The store is taken away behind the back of the run, as if the workers had another file system."""
+    """The store is taken away behind the back of the run, as if the workers had another file
+    system.
+    """
     real = blocks._to_do
 
     def hidden(opened, side):
@@ -164,7 +174,9 @@ def test_the_command_with_a_worker_of_its_own(model, whole, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     model.save("scan.model")
     words = ("generate", "--model", "scan.model", "--shape", *SHAPE, "--seed", 3, "--out", "x.zarr")
-    assert trabecula(*words, "--chunks", 32, "--workers", 1).sha256 == whole.recipe.steps[-1]["sha256"]
+    assert (
+        trabecula(*words, "--chunks", 32, "--workers", 1).sha256 == whole.recipe.steps[-1]["sha256"]
+    )
     assert "into a .zarr" in refused(*words[:-1], "x.npy", "--workers", 1)
     assert "--workers 0" in refused(*words, "--workers", 0)
 
@@ -173,8 +185,14 @@ WHOLE = {
     "texture": ({"preset": "fast"}, (40, 33, 36)),
     "quilt": ({"preset": "fast"}, (40, 33, 36)),
     "kopf": ({"first_rounds": 1, "rounds": (1,), "sweeps": (1,)}, (24, 20, 22)),
-    "chen": ({"first_rounds": 1, "rounds": (1,), "sweeps": (1,), "corrections": (0,)}, (24, 20, 22)),
-    "sliced": ({"layout_rounds": 2, "rounds": (1,), "corrections": (1,), "sweeps": 1}, (24, 20, 22)),
+    "chen": (
+        {"first_rounds": 1, "rounds": (1,), "sweeps": (1,), "corrections": (0,)},
+        (24, 20, 22),
+    ),
+    "sliced": (
+        {"layout_rounds": 2, "rounds": (1,), "corrections": (1,), "sweeps": 1},
+        (24, 20, 22),
+    ),
     "mrf": ({"sweeps": (1, 1, 2)}, (20, 16, 18)),
 }
 
@@ -185,11 +203,17 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     settings, shape = WHOLE[name]
     bone = tb.crop(tb.sample("bone"), 40)
     picture = tb.Image(bone.values[20], "labels", bone.spacing[1:], bone.unit, bone.phases)
-    model = tb.method(name, **settings).fit(picture if tb.method(name).spec.exemplar == "2d" else bone)
+    model = tb.method(name, **settings).fit(
+        picture if tb.method(name).capabilities.exemplar == "2d" else bone
+    )
     sent, real = [], Workers.spread
-    monkeypatch.setattr(Workers, "spread", lambda self, work, bounds: (sent.append(work), real(self, work, bounds)))
+    monkeypatch.setattr(
+        Workers, "spread", lambda self, work, bounds: (sent.append(work), real(self, work, bounds))
+    )
     request = tb.Request(shape, seed=2)
-    made = generate_to(model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address))
+    made = generate_to(
+        model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address)
+    )
     assert made.sha256 == model.generate(request).recipe.steps[-1]["sha256"]
     assert sent or name == "quilt", "quilt lays one piece after the other"
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
@@ -208,5 +232,7 @@ def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path):
 
     request = tb.Request((64, 50, 48), seed=2)
     with listen(kill):
-        made = generate_to(model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address))
+        made = generate_to(
+            model, request, tmp_path / "x.zarr", chunks=16, cluster=Cluster(two.scheduler_address)
+        )
     assert killed and made.sha256 == model.generate(request).recipe.steps[-1]["sha256"]

@@ -1,4 +1,6 @@
-"""`kernel`: compiled code that keeps the order of sums, works without the GIL, and says once that it compiles."""
+"""`kernel`: compiled code that keeps the order of sums, works without the GIL, and says once that
+it compiles.
+"""
 
 import subprocess
 import sys
@@ -39,13 +41,16 @@ def _sum(values):
 
 @kernel
 def _spin(flag, turns):
-    # `turns` may share memory with `flag` for all the compiler knows, so both are read again every time.
+    # `turns` may share memory with `flag` for all the compiler knows, so both are read again every
+    # time.
     while flag[0] == 0 and turns[0] < 2_000_000_000:
         turns[0] += 1
 
 
 def test_sums_keep_their_order():
-    """With fast mathematics the terms are added in lanes, and the small ones would not be lost one by one."""
+    """With fast mathematics the terms are added in lanes, and the small ones would not be lost one
+    by one.
+    """
     values = np.full(4097, 2**-24, np.float32)
     values[0] = 1
     assert _sum(values) == np.float32(1)
@@ -73,10 +78,15 @@ def test_compiling_is_said_once_and_not_at_all_from_the_cache(tmp_path):
     script = tmp_path / "kernels.py"
     script.write_text(SCRIPT)
     first, second = (
-        subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout.strip()
+        subprocess.run(
+            [sys.executable, script], capture_output=True, text=True, check=True
+        ).stdout.strip()
         for _ in range(2)
     )
-    assert first == "[('compiling kernels (once on this machine; later runs load them from the cache)', -1.0)]"
+    assert (
+        first
+        == "[('compiling kernels (once on this machine; later runs load them from the cache)', -1.0)]"
+    )
     assert second == "[]"
 
 

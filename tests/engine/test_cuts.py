@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trabecula.engine.cuts import below, cells_of, slices_of, sources_of, tasks_of
-from trabecula.engine.levels import shapes_of
+from trabecula.engine.chunking import below, cells_of, slices_of, sources_of, tasks_of
+from trabecula.engine.multiscale import shapes_of
 
 SIDES = st.lists(st.integers(1, 40), min_size=2, max_size=3)
 
@@ -16,7 +16,9 @@ def test_all_is_made_once_and_in_an_order_that_works(shape, blocks, chunk):
     made = [np.zeros(sides, int) for sides in shapes]
     edges = {"side": blocks * chunk, "chunk": chunk}
     tasks = tasks_of(shapes, **edges)
-    for place, ((level, box), sources) in enumerate(zip(tasks, sources_of(tasks, shapes, **edges), strict=True)):
+    for place, ((level, box), sources) in enumerate(
+        zip(tasks, sources_of(tasks, shapes, **edges), strict=True)
+    ):
         if level:
             region = slices_of(below(box, shapes[level - 1]))
             assert made[level - 1][region].all(), "something that it is made from is missing"
@@ -40,7 +42,9 @@ def test_what_is_there_already_is_no_source():
 def test_coarser_cubes_follow_as_soon_as_they_can():
     order = [(level, box[0]) for level, box in tasks_of([(16, 1), (8, 1), (4, 1)], side=2, chunk=2)]
     coarse = [place for place, (level, _) in enumerate(order) if level]
-    assert coarse == [2, 5, 6, 9, 12, 13], "a cube of level 1 after two blocks, one of level 2 after two of those"
+    assert coarse == [2, 5, 6, 9, 12, 13], (
+        "a cube of level 1 after two blocks, one of level 2 after two of those"
+    )
 
 
 @given(SIDES, st.integers(1, 9), st.data())

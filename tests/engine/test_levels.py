@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from trabecula.engine.cuts import below
-from trabecula.engine.levels import halved, shapes_of
+from trabecula.engine.chunking import below
+from trabecula.engine.multiscale import halved, shapes_of
 
 
 def cells(values):
@@ -17,12 +17,15 @@ def cells(values):
         yield index, values[tuple(slice(2 * i, 2 * i + 2) for i in index)].ravel()
 
 
-@given(arrays(np.uint8, array_shapes(min_dims=2, max_dims=3, max_side=37), elements=st.integers(0, 3)))
+@given(
+    arrays(np.uint8, array_shapes(min_dims=2, max_dims=3, max_side=37), elements=st.integers(0, 3))
+)
 def test_the_commonest_label(values):
     result = halved(values, labels=True)
     assert result.dtype == np.uint8
     for index, inside in cells(values):
-        # Every voxel at an odd end stands for as many as any other there, so that counts need no weights.
+        # Every voxel at an odd end stands for as many as any other there, so that counts need no
+        # weights.
         counts = np.bincount(inside, minlength=4)
         winners = np.flatnonzero(counts == counts.max())
         assert result[index] == (inside[0] if inside[0] in winners else winners[0])

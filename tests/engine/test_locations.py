@@ -1,4 +1,6 @@
-"""Where stores lie: a folder and an address answer alike, and a volume in blocks does not care which it is."""
+"""Where stores lie: a folder and an address answer alike, and a volume in blocks does not care
+which it is.
+"""
 
 import sys
 from pathlib import Path
@@ -11,14 +13,19 @@ from commands import refused
 from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
 from trabecula.engine import store
-from trabecula.engine.blocks import Volume, boxes_of, slices_of, stream
-from trabecula.engine.levels import halved
-from trabecula.engine.locations import Folder, Remote, is_address, located, place_of
+from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
+from trabecula.engine.multiscale import halved
+from trabecula.engine.storage.location import Folder, Remote, is_address, located, place_of
 from trabecula.errors import FileError, MemoryBudgetError, MissingExtraError
-from trabecula.making import generate_to, plan_to
+from trabecula.pipeline.generate import generate_to, plan_to
 
 SHAPE = (70, 33, 40)
-FIELDS = {"kind": "labels", "spacing": [1.0, 1.0, 1.0], "unit": "voxel", "phases": ["void", "solid"]}
+FIELDS = {
+    "kind": "labels",
+    "spacing": [1.0, 1.0, 1.0],
+    "unit": "voxel",
+    "phases": ["void", "solid"],
+}
 
 
 def voxels(box):
@@ -44,11 +51,17 @@ def test_what_is_a_folder(path, folder):
     assert located(path).path == place_of(path) == Path(folder)
 
 
-@pytest.mark.parametrize("path", ["s3://bucket/a/rock.zarr", "memory://rock.zarr", "GS://bucket/rock.zarr/"])
+@pytest.mark.parametrize(
+    "path", ["s3://bucket/a/rock.zarr", "memory://rock.zarr", "GS://bucket/rock.zarr/"]
+)
 def test_what_is_an_address(path):
     assert is_address(path)
     found = located(path)
-    assert isinstance(found, Remote) and str(found) == path.rstrip("/") == found.name and found.stem == "rock"
+    assert (
+        isinstance(found, Remote)
+        and str(found) == path.rstrip("/") == found.name
+        and found.stem == "rock"
+    )
     assert located(found) is found is place_of(found) and found.growing() is found
     assert found.beside(".scratch") == Path.cwd() / "rock.zarr.scratch"
 
@@ -65,13 +78,18 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
         ("generate", "--method", "bubbles", "--shape", 9, "--out", "s3://b/x.zarr"),
     ):
         line = refused(*words)
-        assert line == "reaching s3://b/x.zarr needs fsspec, which is not installed: pip install 'trabecula[remote]'"
+        assert (
+            line
+            == "reaching s3://b/x.zarr needs fsspec, which is not installed: pip install 'trabecula[remote]'"
+        )
 
 
 def test_of_another_package_the_name_is_told(monkeypatch):
     pytest.importorskip("fsspec", reason="addresses need the extra remote")
     monkeypatch.setitem(sys.modules, "gcsfs", None)
-    with pytest.raises(MissingExtraError, match=r"gs://b/x\.zarr needs a package that is not installed.*gcsfs"):
+    with pytest.raises(
+        MissingExtraError, match=r"gs://b/x\.zarr needs a package that is not installed.*gcsfs"
+    ):
         tb.read("gs://b/x.zarr")
 
 
@@ -101,11 +119,14 @@ def place(request, tmp_path, monkeypatch):
 
 def made(place, make, *, identity="one", chunk=32):
     said = []
-    volume = Volume(
+    volume = StoredVolume(
         shape=SHAPE,
         dtype=np.dtype(np.uint8),
         make=make,
-        describe=lambda sha256: {**FIELDS, "recipe": Recipe().then_made("generate", sha256).to_json()},
+        describe=lambda sha256: {
+            **FIELDS,
+            "recipe": Recipe().then_made("generate", sha256).to_json(),
+        },
         identity=identity,
         scale=(1.0,) * 3,
         unit=None,
@@ -170,7 +191,9 @@ def test_a_block_that_goes_before_the_level_above_is_made_from_it_is_told(place)
             place.growing().remove(["0/c/0/0/0"])
         return voxels(box)
 
-    with pytest.raises(FileError, match=r"files of .* were written and are not there, 0/c/0/0/0 among them"):
+    with pytest.raises(
+        FileError, match=r"files of .* were written and are not there, 0/c/0/0/0 among them"
+    ):
         made(place, make)
     assert made(place, Maker())[0] == digest(WHOLE)
 
@@ -190,7 +213,9 @@ def test_both_tell_their_files_alike(place):
 def test_a_store_appears_whole_or_not_at_all(place):
     def cut_off():
         with place.appearing() as folder:
-            store.create(folder, SHAPE, np.dtype(np.uint8), scale=(1.0,) * 3, unit=None, fields=FIELDS)
+            store.create(
+                folder, SHAPE, np.dtype(np.uint8), scale=(1.0,) * 3, unit=None, fields=FIELDS
+            )
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -202,7 +227,10 @@ def test_what_is_at_an_address_is_not_replaced():
     pytest.importorskip("fsspec", reason="addresses need the extra remote")
     place = tb.write(tb.Image(WHOLE, "labels"), "memory://not-replaced.zarr")
     assert isinstance(place, Remote)
-    for again in (lambda: tb.write(tb.Image(1 - WHOLE, "labels"), place), lambda: tb.export(1 - WHOLE, place)):
+    for again in (
+        lambda: tb.write(tb.Image(1 - WHOLE, "labels"), place),
+        lambda: tb.export(1 - WHOLE, place),
+    ):
         with pytest.raises(FileError, match=r"memory://not-replaced\.zarr: something is there"):
             again()
     with pytest.raises(FileError, match="something else of that name is there; remove it"):

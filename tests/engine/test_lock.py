@@ -56,7 +56,9 @@ def test_another_process_is_refused_until_this_one_ends(tmp_path, other):
 
 
 @pytest.mark.parametrize("words", [("--chunks", 32, "--out", "x.zarr"), ("--out", "x.zarr")])
-def test_the_second_command_says_so_in_one_line_and_leaves_nothing(tmp_path, other, monkeypatch, words):
+def test_the_second_command_says_so_in_one_line_and_leaves_nothing(
+    tmp_path, other, monkeypatch, words
+):
     monkeypatch.chdir(tmp_path)
     command = ("generate", "--method", "bubbles", "--preset", "foam", "--shape", 40, *words)
     assert "x.zarr.part is being written by another run" in refused(*command)
@@ -86,7 +88,8 @@ def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_pat
         with locked(tmp_path / "." / "x.zarr.part"):
             pass
         context = copy_context()
-        for target in (elsewhere, lambda: context.run(elsewhere)):  # the second as threads over slabs are started
+        # the second as threads over slabs are started
+        for target in (elsewhere, lambda: context.run(elsewhere)):
             thread = threading.Thread(target=target)
             thread.start()
             thread.join()
@@ -115,7 +118,9 @@ def test_where_nothing_can_be_locked_the_work_goes_on(tmp_path, monkeypatch, whe
     assert done
 
 
-def test_a_file_that_was_removed_between_opening_and_locking_is_not_taken_for_the_lock(tmp_path, monkeypatch):
+def test_a_file_that_was_removed_between_opening_and_locking_is_not_taken_for_the_lock(
+    tmp_path, monkeypatch
+):
     real, seen = lock._lock, []
 
     def late(descriptor):

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import kstest, norm
 
 from trabecula.core.seeds import key
-from trabecula.engine.normals import ONE, normal_cells, normal_line, quantiles
+from trabecula.engine.gaussian_random import ONE, normal_cells, normal_line, quantiles
 
 KEY = key(3, "test")
 
@@ -16,7 +16,9 @@ def cells(corner, shape, periods=(0, 0, 0)):
 
 
 def test_quantiles_are_the_normal_distributions():
-    """Oracle: SciPy's inverse, at double precision; none so near to a half that a last bit could decide how it is rounded."""
+    """Oracle: SciPy's inverse, at double precision; none so near to a half that a last bit could
+    decide how it is rounded.
+    """
     exact = norm.ppf((np.arange(65536) + 0.5) / 65536) * ONE
     table = quantiles()
     assert np.array_equal(table, np.rint(exact)) and np.array_equal(table, -table[::-1])
@@ -42,7 +44,9 @@ def test_a_cell_is_its_coordinates_alone():
 
 def test_a_period_repeats():
     made = cells((-4, 0, 2), (3, 9, 6, 10), periods=(4, 0, 5))
-    assert np.array_equal(made[:, 4:], made[:, :-4]) and np.array_equal(made[..., 5:], made[..., :-5])
+    assert np.array_equal(made[:, 4:], made[:, :-4]) and np.array_equal(
+        made[..., 5:], made[..., :-5]
+    )
     assert np.array_equal(made[:, 4:8], cells((0, 0, 2), (3, 4, 6, 10), periods=(0, 0, 5)))
 
 

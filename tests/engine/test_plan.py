@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.engine import plan as plans
-from trabecula.engine.plan import GIB, Plan, available_memory, check_budget, format_bytes, largest_within
+from trabecula.engine.plan import (
+    GIB,
+    Plan,
+    available_memory,
+    check_budget,
+    format_bytes,
+    largest_within,
+)
 from trabecula.errors import MemoryBudgetError
 
 PLAN = Plan({"votes": 3 * GIB, "output": GIB}, disk=5)
@@ -93,9 +100,13 @@ def test_the_largest_shape_within_a_budget(shape, budget):
 
 def test_a_run_over_its_budget_is_told_a_shape_that_fits():
     model = tb.method("texture").fit(tb.crop(tb.sample("bone"), 32))
-    with pytest.raises(MemoryBudgetError, match=r"smaller --shape \(\d+ \d+ \d+ fits\), or raise --memory") as caught:
+    with pytest.raises(
+        MemoryBudgetError, match=r"smaller --shape \(\d+ \d+ \d+ fits\), or raise --memory"
+    ) as caught:
         model.generate((500, 1000, 250), memory=1 << 30)
     sides = [int(word) for word in re.search(r"\((.*) fits", str(caught.value))[1].split()]
-    assert sides[1] == pytest.approx(2 * sides[0], abs=2) and sides[0] == pytest.approx(2 * sides[2], abs=2)
+    assert sides[1] == pytest.approx(2 * sides[0], abs=2) and sides[0] == pytest.approx(
+        2 * sides[2], abs=2
+    )
     peak = model.plan(tb.Request(sides)).peak
     assert 0.95 * 2**30 < peak <= 2**30

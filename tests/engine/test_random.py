@@ -7,7 +7,8 @@ from trabecula.core.seeds import key
 from trabecula.engine.compile import kernel
 from trabecula.engine.random import below, philox
 
-# From the file kat_vectors of Random123 (philox4x32, 10 rounds): counter, key (low word first), answer.
+# From the file kat_vectors of Random123 (philox4x32, 10 rounds): counter, key (low word first),
+# answer.
 KNOWN = [
     ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
     ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
@@ -49,7 +50,9 @@ def test_known_answers(counter, words, answer):
 
 
 def test_a_plain_philox_agrees():
-    """NumPy has Philox4x64 only, so a plain-integer Philox4x32 stands beside the kernel for arbitrary counters."""
+    """NumPy has Philox4x64 only, so a plain-integer Philox4x32 stands beside the kernel for
+    arbitrary counters.
+    """
 
     def plain(k, counter):
         k0, k1, x = k & 0xFFFFFFFF, k >> 32, list(counter)
@@ -67,7 +70,9 @@ def test_a_plain_philox_agrees():
 def test_numbers_are_a_function_of_the_coordinate():
     seed_key = key(5, "stage")
     whole = drawn(seed_key, 0, 60)
-    np.testing.assert_array_equal(np.concatenate([drawn(seed_key, a, 20) for a in (0, 20, 40)]), whole)
+    np.testing.assert_array_equal(
+        np.concatenate([drawn(seed_key, a, 20) for a in (0, 20, 40)]), whole
+    )
     assert len(np.unique(whole[:, 0])) == 60
     assert not np.isin(drawn(key(6, "stage"), 0, 60), whole).any()
     assert not np.isin(drawn(key(5, "other"), 0, 60), whole).any()

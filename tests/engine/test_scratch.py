@@ -6,58 +6,58 @@ import os
 import numpy as np
 import pytest
 
-from trabecula.engine import scratch
-from trabecula.engine.arrays import packed, unpacked
-from trabecula.engine.tiles import for_slabs, sum_slabs, threads
+from trabecula.engine import memmap
+from trabecula.engine.npz_stream import packed, unpacked
+from trabecula.engine.parallel import for_slabs, sum_slabs, threads
 
 
 @pytest.fixture
 def spilled(tmp_path):
-    with scratch.spilled(tmp_path / "s", memory=1 << 16, thickest=3):
+    with memmap.spilled(tmp_path / "s", memory=1 << 16, thickest=3):
         yield tmp_path / "s"
 
 
 def test_outside_arrays_are_in_memory():
-    assert not scratch.is_active()
-    assert scratch.empty((3, 4), np.int16).base is None
-    assert not scratch.zeros((300, 400), np.int16).any()
-    assert scratch.thickness(40, 2) == 40
+    assert not memmap.is_active()
+    assert memmap.empty((3, 4), np.int16).base is None
+    assert not memmap.zeros((300, 400), np.int16).any()
+    assert memmap.thickness(40, 2) == 40
 
 
 def test_large_arrays_lie_in_files_and_go_with_them(spilled):
-    array = scratch.zeros((20, 30, 40), np.int16)
-    small = scratch.zeros(8, np.int16)
+    array = memmap.zeros((20, 30, 40), np.int16)
+    small = memmap.zeros(8, np.int16)
     assert [file.stat().st_size for file in spilled.iterdir()] == [array.nbytes]
-    assert type(array) is np.ndarray and not array.any() and scratch.place_of(small) is None
+    assert type(array) is np.ndarray and not array.any() and memmap.place_of(small) is None
     part = array[3:9, ::2]
     del array
     part[...] = 7
-    scratch.let_go()
+    memmap.release_pages()
     assert (part == 7).all()
     del part
     assert not list(spilled.iterdir())
 
 
 def test_a_view_is_opened_by_its_place(spilled):
-    array = scratch.empty((20, 30, 40), np.int16)
+    array = memmap.empty((20, 30, 40), np.int16)
     array[...] = np.arange(array.size).reshape(array.shape)
     for view in (array, array[4:, 3], array[:, ::-1], np.moveaxis(array, 2, 0)[5:9]):
-        assert np.array_equal(scratch.opened(scratch.place_of(view)), view)
-    other = scratch.opened(scratch.place_of(array[2]))
+        assert np.array_equal(memmap.open_file(memmap.place_of(view)), view)
+    other = memmap.open_file(memmap.place_of(array[2]))
     other[...] = -1
     assert (array[2] == -1).all() and (array[3] >= 0).all()
 
 
 def test_a_file_that_is_kept_stays(spilled):
-    array = scratch.empty((20, 30, 40), np.uint8)
+    array = memmap.empty((20, 30, 40), np.uint8)
     array[...] = 5
-    place = scratch.kept(array)
-    other = scratch.empty((20, 30, 40), np.uint8)
+    place = memmap.keep_file(array)
+    other = memmap.empty((20, 30, 40), np.uint8)
     for part in (np.zeros(4), other[1], other[1:]):
         with pytest.raises(ValueError, match="scratch file"):
-            scratch.kept(part)
+            memmap.keep_file(part)
     del array, other, part
-    assert (scratch.opened(place) == 5).all() and list(spilled.iterdir()) == [place.path]
+    assert (memmap.open_file(place) == 5).all() and list(spilled.iterdir()) == [place.path]
 
 
 def test_a_full_disk_leaves_no_file(spilled, monkeypatch):
@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_no_file(spilled, monkeypatch):
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(OSError, match="No space"):
-        scratch.empty((20, 30, 40), np.uint8)
+        memmap.empty((20, 30, 40), np.uint8)
     assert not list(spilled.iterdir())
 
 
@@ -75,15 +75,15 @@ def test_a_disk_that_cannot_be_asked_is_looked_at(spilled, monkeypatch):
         raise OSError(errno.EOPNOTSUPP, "Operation not supported")
 
     monkeypatch.setattr(os, "posix_fallocate", unable)
-    assert not scratch.zeros((20, 30, 40), np.uint8).any()
+    assert not memmap.zeros((20, 30, 40), np.uint8).any()
     with pytest.raises(OSError, match="No space"):
-        scratch.empty((1 << 20, 1 << 20, 1 << 20), np.uint8)
+        memmap.empty((1 << 20, 1 << 20, 1 << 20), np.uint8)
     assert not list(spilled.iterdir())
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_slabs_are_no_thicker_than_allowed_and_cover_everything(spilled, count):
-    array = scratch.zeros((50, 40, 40), np.uint8)
+    array = memmap.zeros((50, 40, 40), np.uint8)
     seen = []
 
     def work(start, stop):
@@ -97,17 +97,17 @@ def test_slabs_are_no_thicker_than_allowed_and_cover_everything(spilled, count):
 
 
 def test_slabs_are_a_share_of_all_arrays(tmp_path):
-    with scratch.spilled(tmp_path, memory=1 << 20):
-        kept = [scratch.empty((64, 256, 256), np.uint8) for _ in range(2)]
-        assert scratch.thickness(64, 1) == 64 // 8 and scratch.thickness(64, 2) == 64 // 16
-        assert scratch.thickness(1000, 1) == 125
+    with memmap.spilled(tmp_path, memory=1 << 20):
+        kept = [memmap.empty((64, 256, 256), np.uint8) for _ in range(2)]
+        assert memmap.thickness(64, 1) == 64 // 8 and memmap.thickness(64, 2) == 64 // 16
+        assert memmap.thickness(1000, 1) == 125
         del kept[0]
-        assert scratch.thickness(64, 1) == 64 // 4
+        assert memmap.thickness(64, 1) == 64 // 4
 
 
 @pytest.mark.parametrize("many", [True, False])
 def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
-    monkeypatch.setattr("trabecula.engine.arrays._AT_ONCE", 700 if many else 1 << 24)
+    monkeypatch.setattr("trabecula.engine.npz_stream._AT_ONCE", 700 if many else 1 << 24)
     rng = np.random.default_rng(0)
     given = {
         "levels": rng.integers(0, 200, (9, 20, 30)).astype(np.uint8),
@@ -121,9 +121,9 @@ def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
         assert sorted(stored.files) == sorted(given)
         assert all(np.array_equal(stored[name], array) for name, array in given.items())
     found = unpacked(tmp_path / "state")
-    with scratch.spilled(tmp_path / "s", memory=1 << 16):
+    with memmap.spilled(tmp_path / "s", memory=1 << 16):
         inside = unpacked(tmp_path / "state", "v")
-        assert scratch.place_of(inside["otes"]) is not None
+        assert memmap.place_of(inside["otes"]) is not None
         assert np.array_equal(inside["otes"], given["votes"])
     assert list(found) == list(given)
     for name, array in given.items():

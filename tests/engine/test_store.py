@@ -9,7 +9,7 @@ import zarr
 import trabecula as tb
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine import store
-from trabecula.engine.levels import halved
+from trabecula.engine.multiscale import halved
 
 VALUES = np.arange(3 * 130 * 5, dtype=np.uint16).reshape(3, 130, 5)
 
@@ -27,7 +27,9 @@ def test_as_zarr_and_ome_see_it(tmp_path):
     assert group["0"].metadata.dimension_names == ("z", "y", "x")
     multiscale = group.attrs["ome"]["multiscales"][0]
     assert group.attrs["ome"]["version"] == "0.5"
-    assert multiscale["axes"] == [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
+    assert multiscale["axes"] == [
+        {"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"
+    ]
     assert multiscale["datasets"] == [
         {"path": "0", "coordinateTransformations": [{"type": "scale", "scale": [2.5, 0.1, 0.3]}]}
     ]
@@ -40,7 +42,12 @@ def test_colour_is_a_channel_before_space(tmp_path):
     np.testing.assert_array_equal(group["0"][...], np.moveaxis(values, -1, 0))
     multiscale = group.attrs["ome"]["multiscales"][0]
     assert [axis["type"] for axis in multiscale["axes"]] == ["channel", "space", "space", "space"]
-    assert multiscale["datasets"][0]["coordinateTransformations"][0]["scale"] == [1.0, 2.5, 0.1, 0.3]
+    assert multiscale["datasets"][0]["coordinateTransformations"][0]["scale"] == [
+        1.0,
+        2.5,
+        0.1,
+        0.3,
+    ]
 
 
 def test_an_unfinished_store_is_refused(tmp_path):
@@ -72,11 +79,16 @@ def test_ome_zarr_of_somebody_else_keeps_its_scale(version, form, tmp_path):
         {"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"
     ]
     datasets = [
-        {"path": path, "coordinateTransformations": [{"type": "scale", "scale": [1, 4 * f, 2 * f, 3 * f]}]}
+        {
+            "path": path,
+            "coordinateTransformations": [{"type": "scale", "scale": [1, 4 * f, 2 * f, 3 * f]}],
+        }
         for path, f in (("fine", 1), ("coarse", 2))
     ]
     ome = {"version": version, "multiscales": [{"axes": axes, "datasets": datasets}]}
-    group = zarr.create_group(tmp_path / "o.zarr", zarr_format=form, attributes={"ome": ome} if form == 3 else ome)
+    group = zarr.create_group(
+        tmp_path / "o.zarr", zarr_format=form, attributes={"ome": ome} if form == 3 else ome
+    )
     group.create_array("fine", data=voxels()[None], chunks=(1, 2, 3, 4))
     group.create_array("coarse", data=voxels()[None, ::2, ::2, ::2], chunks=(1, 2, 3, 4))
     image = tb.read(tmp_path / "o.zarr")
@@ -104,7 +116,8 @@ def test_a_lost_chunk_is_not_read_as_zeros(tmp_path):
 
 def test_chunks_of_zeros_are_written(tmp_path):
     path = written(tmp_path, np.zeros_like(VALUES))
-    assert len(list((path / "0" / "c").rglob("*"))) == 1 + 2 + 2  # folders along z and y, and a file each
+    # folders along z and y, and a file each
+    assert len(list((path / "0" / "c").rglob("*"))) == 1 + 2 + 2
 
 
 def test_a_store_is_replaced_whole(tmp_path):
@@ -130,7 +143,8 @@ def test_levels_as_zarr_and_ome_see_them(tmp_path, monkeypatch):
     for level, one in enumerate(datasets):
         scale, *shift = one["coordinateTransformations"]
         assert scale == {"type": "scale", "scale": [2.0 * 2**level, 1.0 * 2**level, 3.0 * 2**level]}
-        # The corner of the volume, half a voxel before the centre of its first, is the same of every level.
+        # The corner of the volume, half a voxel before the centre of its first, is the same of
+        # every level.
         centre = np.array(shift[0]["translation"] if shift else [0, 0, 0])
         assert (centre - np.array(scale["scale"]) / 2).tolist() == [-1.0, -0.5, -1.5]
 
@@ -141,12 +155,24 @@ def test_a_level_is_read_as_an_image_of_larger_voxels(tmp_path, monkeypatch, kin
     values = np.random.default_rng(0).integers(0, 3, shape).astype(np.uint8)
     path = levelled(tmp_path, values, kind, 16, monkeypatch)
     image = tb.read(path, level=1)
-    assert (image.shape, image.kind, image.spacing, image.unit) == ((10, 20, 17), kind, (4, 2, 6), "um")
+    assert (image.shape, image.kind, image.spacing, image.unit) == (
+        (10, 20, 17),
+        kind,
+        (4, 2, 6),
+        "um",
+    )
     channels = np.moveaxis(values, -1, 0) if kind == "colour" else values[None]
     expected = np.stack([halved(one, labels=kind == "labels") for one in channels])
-    assert np.array_equal(image.values, np.moveaxis(expected, 0, -1) if kind == "colour" else expected[0])
-    assert (image.recipe.steps[-1]["verb"], image.recipe.steps[-1]["options"]) == ("read", {"level": 1})
-    assert np.array_equal(tb.read(path).values, values) and not tb.read(path).recipe.steps[-1].get("options")
+    assert np.array_equal(
+        image.values, np.moveaxis(expected, 0, -1) if kind == "colour" else expected[0]
+    )
+    assert (image.recipe.steps[-1]["verb"], image.recipe.steps[-1]["options"]) == (
+        "read",
+        {"level": 1},
+    )
+    assert np.array_equal(tb.read(path).values, values) and not tb.read(path).recipe.steps[-1].get(
+        "options"
+    )
 
 
 def test_a_level_that_is_not_there_is_refused(tmp_path, monkeypatch):
@@ -166,7 +192,10 @@ def test_a_level_that_is_not_there_is_refused(tmp_path, monkeypatch):
 
 def test_a_level_of_somebody_elses_image(tmp_path):
     datasets = [
-        {"path": path, "coordinateTransformations": [{"type": "scale", "scale": [4 * f, 2 * f, 3 * f]}]}
+        {
+            "path": path,
+            "coordinateTransformations": [{"type": "scale", "scale": [4 * f, 2 * f, 3 * f]}],
+        }
         for path, f in (("fine", 1), ("coarse", 2))
     ]
     axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]

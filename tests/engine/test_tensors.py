@@ -32,7 +32,9 @@ def joined(header, body):
     st.dictionaries(
         st.text(min_size=1, max_size=8).filter(lambda name: name != "__metadata__"),
         st.sampled_from([np.dtype(code) for code in TYPES.values()]).flatmap(
-            lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=0, min_side=0, max_dims=4, max_side=4))
+            lambda dtype: hnp.arrays(
+                dtype, hnp.array_shapes(min_dims=0, min_side=0, max_dims=4, max_side=4)
+            )
         ),
         max_size=4,
     ),
@@ -47,7 +49,9 @@ def test_what_is_written_is_read(arrays, words):
 
 
 def test_the_layout_is_the_one_that_is_published():
-    """By hand: widest first, offsets from the end of the header, which is padded with blanks to a multiple of eight."""
+    """By hand: widest first, offsets from the end of the header, which is padded with blanks to a
+    multiple of eight.
+    """
     data = encode(ARRAYS, {"k": "v"})
     header, body = parts(data)
     assert header["__metadata__"] == {"k": "v"}

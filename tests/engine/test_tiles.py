@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.errors import InputError
 
 
@@ -74,5 +74,8 @@ def test_a_bad_environment_is_told(monkeypatch, text):
 
 @pytest.mark.parametrize("count", [0, -1])
 def test_no_threads_are_refused(count):
-    with pytest.raises(InputError, match=f"threads must be at least 1, got {count}"), tb.threads(count):
+    with (
+        pytest.raises(InputError, match=f"threads must be at least 1, got {count}"),
+        tb.threads(count),
+    ):
         pytest.fail("the block ran")

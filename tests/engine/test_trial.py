@@ -4,8 +4,8 @@ from math import prod
 
 import pytest
 
-from trabecula.engine.cuts import boxes_of
-from trabecula.engine.trial import seconds_of, seconds_of_whole
+from trabecula.engine.chunking import boxes_of
+from trabecula.engine.timing import seconds_of, seconds_of_whole
 
 
 class Maker:
@@ -32,7 +32,9 @@ class Maker:
 
 
 @pytest.mark.parametrize("around", [0, 20, 64])
-@pytest.mark.parametrize(("shape", "side"), [((1024,) * 3, 256), ((300, 700, 410), 128), ((90, 80, 70), 256)])
+@pytest.mark.parametrize(
+    ("shape", "side"), [((1024,) * 3, 256), ((300, 700, 410), 128), ((90, 80, 70), 256)]
+)
 @pytest.mark.parametrize("cost", [1e-9, 1e-7, 3e-6])
 def test_what_a_block_takes_follows_from_smaller_boxes(shape, side, around, cost):
     maker = Maker(cost, around)
@@ -50,13 +52,17 @@ def test_a_trial_costs_little():
 
 def test_what_is_done_once_counts_once():
     shape, side = (512,) * 3, 128
-    assert Maker(1e-7, first=100.0).forecast(shape, side) == pytest.approx(100 + Maker(1e-7).forecast(shape, side))
+    assert Maker(1e-7, first=100.0).forecast(shape, side) == pytest.approx(
+        100 + Maker(1e-7).forecast(shape, side)
+    )
 
 
 def test_flat_volumes_and_pictures():
     for shape in ((1, 500, 500), (400, 300), (4, 4, 4)):
         maker = Maker(1e-7)
-        assert maker.forecast(shape, 128) == pytest.approx(maker.truth(shape, 128), rel=0.01, abs=1e-4)
+        assert maker.forecast(shape, 128) == pytest.approx(
+            maker.truth(shape, 128), rel=0.01, abs=1e-4
+        )
 
 
 @pytest.mark.parametrize("shape", [(1024,) * 3, (20, 700, 30), (60, 50, 40), (8, 8, 8)])
@@ -71,7 +77,10 @@ def test_what_a_whole_takes_follows_from_smaller_ones(shape, cost, always):
 
     found = seconds_of_whole(make, shape, clock=lambda: now[0])
     truth = always + cost * prod(shape)
-    # Half of the mean cost is the least that is believed of a further voxel, however much the constant hides.
+    # Half of the mean cost is the least that is believed of a further voxel, however much the
+    # constant hides.
     assert found >= truth
-    assert found == pytest.approx(truth + 30e-9 * prod(shape), rel=0.01) or always / cost > max(made)
+    assert found == pytest.approx(truth + 30e-9 * prod(shape), rel=0.01) or always / cost > max(
+        made
+    )
     assert now[0] < 5 + 8 + 3 * cost * 36**3

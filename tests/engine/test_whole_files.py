@@ -12,7 +12,11 @@ from trabecula.errors import FileError, InputError
 
 def tree(folder):
     """Every file below a folder with its text."""
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def fill_file(path, text="new"):
@@ -26,7 +30,11 @@ def fill_folder(path, text="new"):
 
 def test_the_temporary_name_is_beside_and_keeps_the_suffix(tmp_path):
     with replacing(tmp_path / "bone.nii.gz") as temporary:
-        assert temporary.parent == tmp_path and temporary.name.endswith("bone.nii.gz") and not temporary.exists()
+        assert (
+            temporary.parent == tmp_path
+            and temporary.name.endswith("bone.nii.gz")
+            and not temporary.exists()
+        )
         temporary.write_text("voxels")
         assert not (tmp_path / "bone.nii.gz").exists()
     assert tree(tmp_path) == {"bone.nii.gz": "voxels"}
@@ -39,7 +47,9 @@ def test_the_old_stays_until_the_new_is_whole(tmp_path, fill):
     old = tree(tmp_path)
     with replacing(target) as temporary:
         fill(temporary)
-        assert {name: text for name, text in tree(tmp_path).items() if not name.startswith(".")} == old
+        assert {
+            name: text for name, text in tree(tmp_path).items() if not name.startswith(".")
+        } == old
     assert tree(tmp_path) == {name: "new" for name in old}
 
 
@@ -126,7 +136,10 @@ def test_a_file_never_takes_the_place_of_a_folder(tmp_path):
 
 def test_a_folder_never_takes_the_place_of_a_file(tmp_path):
     (tmp_path / "x.zarr").write_text("precious")
-    with pytest.raises(FileError, match="cannot write"), replacing(tmp_path / "x.zarr") as temporary:
+    with (
+        pytest.raises(FileError, match="cannot write"),
+        replacing(tmp_path / "x.zarr") as temporary,
+    ):
         fill_folder(temporary)
     assert tree(tmp_path) == {"x.zarr": "precious"}
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
@@ -134,7 +147,10 @@ def test_a_folder_never_takes_the_place_of_a_file(tmp_path):
 
 def test_a_file_on_the_way_is_told(tmp_path):
     (tmp_path / "folder").write_text("no folder")
-    with pytest.raises(FileError, match="cannot write"), replacing(tmp_path / "folder" / "x") as temporary:
+    with (
+        pytest.raises(FileError, match="cannot write"),
+        replacing(tmp_path / "folder" / "x") as temporary,
+    ):
         temporary.write_text("new")
     assert tree(tmp_path) == {"folder": "no folder"}
 

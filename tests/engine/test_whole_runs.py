@@ -1,4 +1,6 @@
-"""Volumes made as a whole in scratch files: going on after any end, where the files lie, and that nothing is lost."""
+"""Volumes made as a whole in scratch files: going on after any end, where the files lie, and that
+nothing is lost.
+"""
 
 import json
 
@@ -9,8 +11,8 @@ import trabecula as tb
 from trabecula.core.errors import ClusterError, FileError
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
-from trabecula.engine import checkpoint, scratch
-from trabecula.flow import generate_to, resume
+from trabecula.engine import checkpoint, memmap
+from trabecula.pipeline.demo import generate_to, resume
 from trabecula.synth.texture.method import TextureModel
 
 REQUEST = tb.Request((34, 40, 38), seed=4)
@@ -113,11 +115,13 @@ def test_voxels_that_are_made_are_not_made_again(model, sha256, tmp_path, monkey
     assert resume(path).sha256 == sha256
 
 
-def test_voxels_without_their_note_are_made_again_from_the_last_state(model, sha256, tmp_path, monkeypatch):
+def test_voxels_without_their_note_are_made_again_from_the_last_state(
+    model, sha256, tmp_path, monkeypatch
+):
     """Killed between the two: the state is still there."""
     path = tmp_path / "x.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("trabecula.synth.whole.replacing", lambda *_: 1 / 0)
+        patch.setattr("trabecula.pipeline.out_of_core.replacing", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             generate_to(model, REQUEST, path, chunks=16)
     assert "state" in names(tmp_path / "x.zarr.scratch")
@@ -129,7 +133,7 @@ def test_files_that_a_kill_left_go_with_the_next_word(model, tmp_path, monkeypat
     """Killed between the last block and the removal of the scratch files."""
     path = tmp_path / "x.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("trabecula.synth.whole.Whole.remove", lambda self: 1 / 0)
+        patch.setattr("trabecula.pipeline.out_of_core.Whole.remove", lambda self: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             generate_to(model, REQUEST, path, chunks=16)
     assert names(tmp_path) == ["x.zarr", "x.zarr.scratch"]
@@ -147,8 +151,10 @@ def test_what_workers_say_is_passed_on(model, tmp_path, monkeypatch):
 
 
 def test_too_small_a_disk_is_told_before_any_work(model, tmp_path, monkeypatch):
-    usage = scratch.shutil.disk_usage(tmp_path)
-    monkeypatch.setattr("trabecula.synth.whole.shutil.disk_usage", lambda _: usage._replace(free=1 << 12))
+    usage = memmap.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(
+        "trabecula.pipeline.out_of_core.shutil.disk_usage", lambda _: usage._replace(free=1 << 12)
+    )
     monkeypatch.setattr(TextureModel, "_generate", None)
     with pytest.raises(FileError, match=r"scratch files are needed.*--scratch"):
         generate_to(model, REQUEST, tmp_path / "x.zarr", chunks=16)
@@ -156,16 +162,16 @@ def test_too_small_a_disk_is_told_before_any_work(model, tmp_path, monkeypatch):
 
 def test_a_disk_that_fills_keeps_the_state(model, sha256, tmp_path, monkeypatch):
     """It fills in the middle of the run; what it had done is not lost."""
-    path, real, room = tmp_path / "x.zarr", scratch._allocate, iter(range(30))
+    path, real, room = tmp_path / "x.zarr", memmap._allocate, iter(range(30))
 
     def full(place, descriptor, size):
         if next(room, None) is None:
             raise OSError(28, "No space left on device")
         real(place, descriptor, size)
 
-    monkeypatch.setattr(scratch, "LEAST", 256)
+    monkeypatch.setattr(memmap, "LEAST", 256)
     with monkeypatch.context() as patch:
-        patch.setattr(scratch, "_allocate", full)
+        patch.setattr(memmap, "_allocate", full)
         with pytest.raises(FileError, match=r"No space left.*--scratch; the same run goes on"):
             generate_to(model, REQUEST, path, chunks=16)
     assert "state" in names(tmp_path / "x.zarr.scratch")

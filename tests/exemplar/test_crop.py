@@ -24,7 +24,12 @@ def test_everything_else_stays():
     part = tb.crop(IMAGE, (1, 1, 2), corner=(0, 0, 0))
     assert part.phases == IMAGE.phases and part.spacing == IMAGE.spacing and part.unit == "um"
     assert part.values.flags.c_contiguous
-    assert part.recipe.steps[-1] == {**part.recipe.steps[-1], "verb": "crop", "size": [1, 1, 2], "corner": [0, 0, 0]}
+    assert part.recipe.steps[-1] == {
+        **part.recipe.steps[-1],
+        "verb": "crop",
+        "size": [1, 1, 2],
+        "corner": [0, 0, 0],
+    }
     assert part.recipe.steps[-1]["sha256"] == digest(part.values)
 
 
@@ -40,14 +45,20 @@ def test_a_recorded_crop_can_be_done_again(data):
     size = [data.draw(st.integers(1, side)) for side in IMAGE.shape]
     part = tb.crop(IMAGE, size)
     step = part.recipe.steps[-1]
-    np.testing.assert_array_equal(tb.crop(IMAGE, step["size"], corner=step["corner"]).values, part.values)
+    np.testing.assert_array_equal(
+        tb.crop(IMAGE, step["size"], corner=step["corner"]).values, part.values
+    )
     assert part.shape == tuple(size)
 
 
 @pytest.mark.parametrize(
     ("size", "corner", "says"),
     [
-        (5, None, r"^a crop of \(5, 5, 5\) does not lie inside the image of \(4, 6, 9\): give a smaller one$"),
+        (
+            5,
+            None,
+            r"^a crop of \(5, 5, 5\) does not lie inside the image of \(4, 6, 9\): give a smaller one$",
+        ),
         (2, (3, 0, 0), r"a crop of \(2, 2, 2\) at \(3, 0, 0\) does not lie inside"),
         (2, (-1, 0, 0), "does not lie inside"),
         (2, (0, 0), "does not lie inside"),

@@ -13,12 +13,17 @@ from trabecula.exemplar.place import as_slab, block, place
 @given(st.data())
 def test_the_scan_lies_where_it_was_put(data):
     size, before, after = (data.draw(st.tuples(*[st.integers(low, 4)] * 3)) for low in (1, 0, 0))
-    scan = tb.Image(np.random.default_rng(0).integers(0, 3, size), "labels", (3, 2, 1), "um", ("void", "a", "b"))
+    scan = tb.Image(
+        np.random.default_rng(0).integers(0, 3, size), "labels", (3, 2, 1), "um", ("void", "a", "b")
+    )
     shape = tuple(a + n + b for a, n, b in zip(before, size, after, strict=True))
     larger, known = place(scan, shape, corner=before), block(size, shape, corner=before)
     expected = np.pad(np.ones(size, int), list(zip(before, after, strict=True)))
     assert np.array_equal(known.values, expected)
-    assert np.array_equal(larger.values[expected == 1], scan.values.ravel()) and not larger.values[expected == 0].any()
+    assert (
+        np.array_equal(larger.values[expected == 1], scan.values.ravel())
+        and not larger.values[expected == 0].any()
+    )
     assert (larger.spacing, larger.unit, larger.phases) == (scan.spacing, scan.unit, scan.phases)
 
 
@@ -36,7 +41,9 @@ def test_colour_keeps_its_channels():
 
 @pytest.mark.parametrize("corner", [(2, 0, 0), (0, -1, 0), (0, 0, 99)])
 def test_a_place_outside_is_refused(corner):
-    with pytest.raises(InputError, match=r"a scan of \(3, 3, 3\) voxels at .* does not lie inside \(4, 4, 4\)"):
+    with pytest.raises(
+        InputError, match=r"a scan of \(3, 3, 3\) voxels at .* does not lie inside \(4, 4, 4\)"
+    ):
         place(tb.Image(np.ones((3, 3, 3), int), "labels"), 4, corner=corner)
     with pytest.raises(InputError, match="has 2 numbers"):
         block((3, 3, 3), 4, corner=(0, 0))
@@ -54,7 +61,9 @@ def test_a_picture_lies_in_the_plane_of_the_axes_that_are_named(plane):
         at[columns] += column
         assert volume.values[tuple(at)] == value
     assert volume.values.sum() == 15
-    assert (volume.spacing[rows], volume.spacing[columns]) == (5.0, 7.0) and sorted(volume.spacing) == [3.0, 5.0, 7.0]
+    assert (volume.spacing[rows], volume.spacing[columns]) == (5.0, 7.0) and sorted(
+        volume.spacing
+    ) == [3.0, 5.0, 7.0]
     known = block(as_slab(picture, plane).shape, (6, 7, 8), corner=corner)
     assert known.values.sum() == 6 and volume.values[known.values == 0].sum() == 0
 

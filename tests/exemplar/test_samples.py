@@ -38,7 +38,9 @@ def test_threads_do_not_matter(bone):
 @pytest.mark.parametrize("name", GOLDEN)
 def test_what_they_claim(made, name):
     image, claim = made[name], SAMPLES[name]
-    assert image.shape == (96, 96, 96) and image.kind == "labels" and image.phases == ("void", "solid")
+    assert (
+        image.shape == (96, 96, 96) and image.kind == "labels" and image.phases == ("void", "solid")
+    )
     assert image.spacing == (claim.spacing,) * 3 and image.unit == claim.unit
     assert int(image.values.sum()) == pytest.approx(image.values.size * (1 - claim.porosity), abs=3)
     assert image.recipe.steps[0]["verb"] == "sample" and image.recipe.steps[0]["name"] == name
@@ -61,5 +63,8 @@ def test_one_piece_that_goes_through(made, name):
 def test_bone_is_longer_along_z_and_foam_is_not(made):
     """Walking along z one meets the surface less often, where cells are stretched that way."""
     for name, low, high in (("bone", 0.6, 0.9), ("foam", 0.94, 1.06)):
-        met = [np.count_nonzero(np.diff(made[name].values.astype(np.int8), axis=axis)) for axis in range(3)]
+        met = [
+            np.count_nonzero(np.diff(made[name].values.astype(np.int8), axis=axis))
+            for axis in range(3)
+        ]
         assert low < met[0] / met[1] < high and low < met[0] / met[2] < high

@@ -1,4 +1,6 @@
-"""Thresholds: Otsu's against every threshold there is, two of them against what they should keep, and what is refused."""
+"""Thresholds: Otsu's against every threshold there is, two of them against what they should keep,
+and what is refused.
+"""
 
 from itertools import combinations
 
@@ -19,11 +21,15 @@ def grey(values, **fields):
 
 
 def between_class_variance(values, thresholds):
-    """Otsu's criterion from its definition: sum over classes of weight times squared distance of the means."""
+    """Otsu's criterion from its definition: sum over classes of weight times squared distance of
+    the means.
+    """
     values = np.asarray(values, float).ravel()
     classes = np.searchsorted(thresholds, values, side="left")
     parts = [values[classes == number] for number in range(len(thresholds) + 1)]
-    return sum(len(part) / len(values) * (part.mean() - values.mean()) ** 2 for part in parts if len(part))
+    return sum(
+        len(part) / len(values) * (part.mean() - values.mean()) ** 2 for part in parts if len(part)
+    )
 
 
 def best_variance(values, count):
@@ -37,13 +43,17 @@ def bimodal():
     """Two Gaussians of weights 0.7 and 0.3 at 60 and 160, and which voxel is of which."""
     draw = np.random.default_rng(1)
     solid = draw.random((20, 30, 40)) < 0.3
-    return np.where(solid, draw.normal(160, 12, solid.shape), draw.normal(60, 12, solid.shape)), solid
+    return np.where(
+        solid, draw.normal(160, 12, solid.shape), draw.normal(60, 12, solid.shape)
+    ), solid
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "f4", "f8"])
 def test_two_populations_are_told_apart(bimodal, dtype):
     values, solid = bimodal
-    image = tb.segment(grey(np.clip(np.rint(values), 0, 255).astype(dtype), spacing=(3, 2, 1), unit="um"))
+    image = tb.segment(
+        grey(np.clip(np.rint(values), 0, 255).astype(dtype), spacing=(3, 2, 1), unit="um")
+    )
     assert image.kind == "labels" and image.phases == ("void", "solid")
     assert image.spacing == (3.0, 2.0, 1.0) and image.unit == "um"
     np.testing.assert_array_equal(image.values, solid)
@@ -59,7 +69,9 @@ def test_two_populations_are_told_apart(bimodal, dtype):
 )
 def test_otsu_is_the_best_of_all_thresholds(values):
     assume(np.ptp(values) > 0)
-    assert between_class_variance(values, otsu(values)) == pytest.approx(best_variance(values, 1), rel=1e-9)
+    assert between_class_variance(values, otsu(values)) == pytest.approx(
+        best_variance(values, 1), rel=1e-9
+    )
 
 
 @given(arrays.arrays("u1", (4, 5), elements=st.integers(0, 12)))
@@ -67,7 +79,9 @@ def test_otsu_of_three_classes_is_the_best_of_all_pairs(values):
     assume(len(np.unique(values)) > 2)
     low, high = otsu(values, classes=3)
     assert low < high
-    assert between_class_variance(values, (low, high)) == pytest.approx(best_variance(values, 2), rel=1e-9)
+    assert between_class_variance(values, (low, high)) == pytest.approx(
+        best_variance(values, 2), rel=1e-9
+    )
 
 
 def test_three_populations_get_a_threshold_in_either_gap():
@@ -82,7 +96,9 @@ def test_many_levels_are_binned_finely_enough():
     values = np.concatenate([draw.normal(0, 1, 4000), draw.normal(7, 1.5, 2000)])
     (found,) = otsu(values)
     score = between_class_variance(values, (found,))
-    assert score == pytest.approx(max(between_class_variance(values, (t,)) for t in np.linspace(1, 6, 400)), rel=1e-4)
+    assert score == pytest.approx(
+        max(between_class_variance(values, (t,)) for t in np.linspace(1, 6, 400)), rel=1e-4
+    )
 
 
 def test_few_levels_far_apart_are_not_binned_together():
@@ -159,7 +175,9 @@ def test_two_thresholds_keep_dim_struts_and_drop_dim_specks(strut):
 def test_two_thresholds_lie_between_either_alone(strut):
     draw = np.random.default_rng(4)
     values = draw.normal(100, 30, (12, 12, 12))
-    pair, low, high = (tb.segment(grey(values), threshold).values for threshold in ((90, 150), 90, 150))
+    pair, low, high = (
+        tb.segment(grey(values), threshold).values for threshold in ((90, 150), 90, 150)
+    )
     assert (high <= pair).all() and (pair <= low).all()
     assert high.sum() < pair.sum() < low.sum()
     np.testing.assert_array_equal(tb.segment(grey(values), (90, 90)).values, low)
@@ -193,7 +211,9 @@ def test_refused_thresholds(threshold, says):
 
 def test_refused_ways_and_images():
     values = np.arange(24).reshape(2, 3, 4)
-    with pytest.raises(UnknownNameError, match="unknown way to find a threshold 'otus': did you mean 'otsu'"):
+    with pytest.raises(
+        UnknownNameError, match="unknown way to find a threshold 'otus': did you mean 'otsu'"
+    ):
         tb.segment(grey(values), "otus")
     with pytest.raises(InputError, match=r"one value only \(7\): there is nothing to segment"):
         tb.segment(grey(np.full((3, 3), 7)))

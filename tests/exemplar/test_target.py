@@ -13,7 +13,9 @@ from trabecula.exemplar.target import check_target_porosity, porosity_range
 
 @given(
     arrays.arrays(
-        np.uint8, st.one_of(arrays.array_shapes(min_dims=2, max_dims=3, max_side=9)), elements=st.integers(0, 1)
+        np.uint8,
+        st.one_of(arrays.array_shapes(min_dims=2, max_dims=3, max_side=9)),
+        elements=st.integers(0, 1),
     )
 )
 def test_the_range_is_that_of_every_window(values):

@@ -16,11 +16,15 @@ def blobs(seed=0, share=0.3, shape=(96, 96), spacing=(), sigma=(3, 3)):
         -0.5
         * sum(
             (s * 2 * np.pi * f) ** 2
-            for s, f in zip(sigma, np.meshgrid(*map(np.fft.fftfreq, shape), indexing="ij"), strict=True)
+            for s, f in zip(
+                sigma, np.meshgrid(*map(np.fft.fftfreq, shape), indexing="ij"), strict=True
+            )
         )
     )
     field = np.fft.ifft2(np.fft.fft2(noise) * waves).real
-    return tb.Image((field > np.quantile(field, 1 - share)).astype(np.uint8), "labels", spacing=spacing)
+    return tb.Image(
+        (field > np.quantile(field, 1 - share)).astype(np.uint8), "labels", spacing=spacing
+    )
 
 
 def planes(*args):
@@ -49,7 +53,9 @@ def test_a_plane_cut_from_a_volume_fits_at_its_place(plane):
     if plane in ("xy", "xz", "yz"):
         picture = picture.T
     other = "zx" if across != 1 else "yx"
-    view = next(v for v in views_of([tb.Image(picture, "labels")], [plane, other]) if v.axis == across)
+    view = next(
+        v for v in views_of([tb.Image(picture, "labels")], [plane, other]) if v.axis == across
+    )
     assert np.array_equal(view.image.values, np.moveaxis(volume, across, 0)[7])
 
 
@@ -61,15 +67,21 @@ def test_spacings_are_those_of_the_axes():
 
 
 def test_pictures_of_other_amounts_contradict_each_other():
-    with pytest.raises(InputError, match=r"the fraction of void is 0\.80 in one and 0\.50 in the other"):
+    with pytest.raises(
+        InputError, match=r"the fraction of void is 0\.80 in one and 0\.50 in the other"
+    ):
         views_of([blobs(0, share=0.2), blobs(1, share=0.5)])
 
 
 def test_pictures_that_differ_along_the_axis_they_share_contradict_each_other():
     long, short = blobs(0, sigma=(10, 2)), blobs(1, sigma=(2, 2))
-    with pytest.raises(InputError, match="yx and zy contradict each other: their covariances along y differ by"):
+    with pytest.raises(
+        InputError, match="yx and zy contradict each other: their covariances along y differ by"
+    ):
         views_of([long, short])
-    assert planes([long, short], ["xy", "zy"]) == [("yx", 0), ("zy", 1)], "turned, they agree along y"
+    assert planes([long, short], ["xy", "zy"]) == [("yx", 0), ("zy", 1)], (
+        "turned, they agree along y"
+    )
 
 
 def test_a_picture_that_contradicts_itself_is_told_of_and_taken():
@@ -114,7 +126,8 @@ def test_other_mistakes_are_named():
 
 
 @pytest.mark.parametrize(
-    "values", [np.zeros((1, 1), int), np.zeros((9, 9), int), np.eye(2, dtype=int), np.eye(3, 30, dtype=int)]
+    "values",
+    [np.zeros((1, 1), int), np.zeros((9, 9), int), np.eye(2, dtype=int), np.eye(3, 30, dtype=int)],
 )
 def test_a_picture_with_little_in_it_contradicts_nobody(values):
     picture = tb.Image(values, "labels")
@@ -123,15 +136,21 @@ def test_a_picture_with_little_in_it_contradicts_nobody(values):
 
 def test_pictures_of_which_one_lacks_a_phase_are_compared_in_the_others():
     rng = np.random.default_rng(0)
-    three = tb.Image(np.minimum(rng.integers(0, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
-    two = tb.Image(np.minimum(rng.integers(1, 40, (60, 60)), 2), "labels", phases=("void", "a", "b"))
+    three = tb.Image(
+        np.minimum(rng.integers(0, 40, (60, 60)), 2), "labels", phases=("void", "a", "b")
+    )
+    two = tb.Image(
+        np.minimum(rng.integers(1, 40, (60, 60)), 2), "labels", phases=("void", "a", "b")
+    )
     assert len(views_of([three, two])) == 3
 
 
 def shades(picture, seed=0):
     """A picture of labels as grey values, with noise."""
     noise = np.random.default_rng(seed).integers(0, 30, picture.shape)
-    return tb.Image((picture.values * 150 + noise).astype(np.uint8), "grey", spacing=picture.spacing)
+    return tb.Image(
+        (picture.values * 150 + noise).astype(np.uint8), "grey", spacing=picture.spacing
+    )
 
 
 @pytest.mark.parametrize("kind", ["labels", "grey", "colour"])
@@ -142,7 +161,10 @@ def test_a_sample_of_an_isotropic_field_is_isotropic_and_a_stretched_one_is_not(
         if kind != "labels":
             pictures = [shades(picture) for picture in pictures]
         if kind == "colour":
-            pictures = [tb.Image(np.stack([p.values, p.values // 2, p.values // 3], -1), "colour") for p in pictures]
+            pictures = [
+                tb.Image(np.stack([p.values, p.values // 2, p.values // 3], -1), "colour")
+                for p in pictures
+            ]
         assert [is_isotropic(picture) for picture in pictures] == [True, False, False]
 
 

@@ -24,7 +24,11 @@ def equation_seven(shape, points, values, power, spacing=1.0):
     return field
 
 
-@given(st.integers(0, 1000), st.sampled_from([1.0, 2.0, 4.0, 7.5]), st.sampled_from([(5, 6), (4, 5, 6)]))
+@given(
+    st.integers(0, 1000),
+    st.sampled_from([1.0, 2.0, 4.0, 7.5]),
+    st.sampled_from([(5, 6), (4, 5, 6)]),
+)
 def test_it_is_equation_seven(seed, power, shape):
     rng = np.random.default_rng(seed)
     points = rng.random((4, len(shape))) * shape
@@ -49,7 +53,11 @@ def test_a_filled_field_has_every_known_voxel_as_a_point(power):
     field = tb.Image(np.where(known, values, 99), "grey", spacing=(1, 1, 2.0))
     filled = fields.fill(field, known, power=power)
     points = (np.argwhere(known) + 0.5) * field.spacing
-    assert np.allclose(filled.values, equation_seven((9, 8, 7), points, values[known], power, field.spacing), atol=1e-5)
+    assert np.allclose(
+        filled.values,
+        equation_seven((9, 8, 7), points, values[known], power, field.spacing),
+        atol=1e-5,
+    )
     assert np.array_equal(filled.values[known], values[known].astype(np.float32))
 
 
@@ -65,7 +73,11 @@ def shortest(inside, start):
         for step in np.ndindex(3, 3, 3):
             offset = np.array(step) - 1
             to = tuple(np.array(at) + offset)
-            if min(to) < 0 or any(t >= n for t, n in zip(to, inside.shape, strict=True)) or not inside[to]:
+            if (
+                min(to) < 0
+                or any(t >= n for t, n in zip(to, inside.shape, strict=True))
+                or not inside[to]
+            ):
                 continue
             then = now + float(np.linalg.norm(offset))
             if then < time[to]:
@@ -81,7 +93,9 @@ def test_ways_lead_around_walls():
     found = interior_distance(inside, (3.5, 1.5, 1.5), (1, 1, 1))
     grid = shortest(inside, (3, 1, 1))
     assert np.array_equal(np.isfinite(found), inside)
-    assert np.all(found[inside] <= 1.06 * grid[inside] + 0.5) and np.all(found[inside] >= 0.86 * grid[inside] - 0.5)
+    assert np.all(found[inside] <= 1.06 * grid[inside] + 0.5) and np.all(
+        found[inside] >= 0.86 * grid[inside] - 0.5
+    )
     straight = np.linalg.norm(np.argwhere(inside) - (3, 1, 1), axis=1)
     assert np.all(found[inside] >= straight - 1e-9), "no way is shorter than the straight line"
 
@@ -108,7 +122,10 @@ def test_what_no_way_reaches_goes_by_straight_lines():
     mask = np.ones((9, 9), bool)
     mask[4] = False
     field = fields.interpolate((9, 9), [(1.5, 1.5), (2.5, 6.5)], [0.2, 0.8], mask=mask)
-    assert np.allclose(field.values[5:], fields.interpolate((9, 9), [(1.5, 1.5), (2.5, 6.5)], [0.2, 0.8]).values[5:])
+    assert np.allclose(
+        field.values[5:],
+        fields.interpolate((9, 9), [(1.5, 1.5), (2.5, 6.5)], [0.2, 0.8]).values[5:],
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,7 +137,10 @@ def test_what_no_way_reaches_goes_by_straight_lines():
         ({"points": [(1, np.nan)], "values": [1]}, "NaN"),
         ({"points": [(1, 1)], "values": ["a"]}, "not made of numbers"),
         ({"points": [(1, 1)], "values": [1], "power": 0}, "power=0 is outside"),
-        ({"points": [(1, 1)], "values": [1], "mask": np.ones((3, 3), bool)}, r"boolean array of shape \(4, 4\)"),
+        (
+            {"points": [(1, 1)], "values": [1], "mask": np.ones((3, 3), bool)},
+            r"boolean array of shape \(4, 4\)",
+        ),
         ({"points": [(1, 1)], "values": [1], "mask": np.zeros((4, 4), bool)}, "holds no voxel"),
         ({"points": [(9, 1)], "values": [1], "mask": np.ones((4, 4), bool)}, "outside the mask"),
     ],

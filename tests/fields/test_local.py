@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import trabecula as tb
-from trabecula.engine import tiles
+from trabecula.engine import parallel
 from trabecula.errors import InputError, UnknownNameError
 from trabecula.fields import windowed
 
@@ -24,13 +24,19 @@ def expected(window, name, **options):
         return np.mean(window != 0)
     found = tb.measure.minkowski(tb.Image(window, "labels", **options.pop("image", {})), **options)
     return (
-        found.euler_density if name == "euler" else found.mean_curvature if name == "mean_curvature" else found.surface
+        found.euler_density
+        if name == "euler"
+        else found.mean_curvature
+        if name == "mean_curvature"
+        else found.surface
     )
 
 
 @given(
     arrays.arrays(
-        np.uint8, arrays.array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=6), elements=st.integers(0, 1)
+        np.uint8,
+        arrays.array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=6),
+        elements=st.integers(0, 1),
     ),
     st.data(),
 )
@@ -48,7 +54,9 @@ def test_every_window_is_measured_as_it_would_be_alone(values, data):
 def test_neighbours_and_voxels_that_are_no_cubes(connectivity):
     values = (np.random.default_rng(1).random((5, 6, 7)) < 0.4).astype(np.uint8)
     spacing = (0.5, 1.0, 2.0)
-    fields = windowed(values, size=4, names=NAMES[3][2:], connectivity=connectivity, spacing=spacing)
+    fields = windowed(
+        values, size=4, names=NAMES[3][2:], connectivity=connectivity, spacing=spacing
+    )
     for at in [(0, 0, 0), (1, 2, 3)]:
         window = values[tuple(slice(i, i + 4) for i in at)]
         for name, field in fields.items():
@@ -60,7 +68,9 @@ def test_phases_by_name():
     values = np.random.default_rng(2).integers(0, 3, (6, 6, 6))
     image = tb.Image(values, "labels", phases=("pore", "void", "binder"))
     names = ["porosity", "volume_fraction", "volume_fraction:pore", "volume_fraction:binder"]
-    found = {name: float(field[1, 2, 0]) for name, field in windowed(image, size=4, names=names).items()}
+    found = {
+        name: float(field[1, 2, 0]) for name, field in windowed(image, size=4, names=names).items()
+    }
     window = values[1:5, 2:6, 0:4]
     assert found["porosity"] == pytest.approx(np.mean(window == 1))
     assert found["volume_fraction"] == pytest.approx(np.mean(window != 1))
@@ -95,6 +105,6 @@ def test_tiles_change_no_bit(monkeypatch):
         for a, b in reversed(list(pairwise(bounds))):
             work(a, b)
 
-    monkeypatch.setattr(tiles, "_run", scattered)
+    monkeypatch.setattr(parallel, "_run", scattered)
     for name, field in windowed(values, size=5, names=NAMES[3]).items():
         assert np.array_equal(field, whole[name]), name

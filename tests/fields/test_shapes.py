@@ -26,7 +26,11 @@ def test_distances_count_in_the_unit():
 
 def test_a_cylinder_is_the_same_all_along():
     field = fields.radial((6, 9, 9), inside=0.1, outside=0.9, axis="z").values
-    assert np.all(field == field[:1]) and field[0, 4, 4] == pytest.approx(0.1) and field[0, 0, 0] == pytest.approx(0.9)
+    assert (
+        np.all(field == field[:1])
+        and field[0, 4, 4] == pytest.approx(0.1)
+        and field[0, 0, 0] == pytest.approx(0.9)
+    )
 
 
 def test_a_formula_sees_positions_and_sides():
@@ -46,12 +50,16 @@ def test_a_picture_is_seen_along_its_axis(axis):
     field = fields.picture(drawn, (8, 8, 8), low=0.2, high=0.7, axis=axis).values
     face = np.moveaxis(field, "zyx".index(axis), 0)
     assert np.all(face == face[:1])
-    assert (face[0, 0, 0], face[0, -1, 0], face[0, -1, -1]) == pytest.approx((0.7, 0.2, 0.3), abs=1e-6)
+    assert (face[0, 0, 0], face[0, -1, 0], face[0, -1, -1]) == pytest.approx(
+        (0.7, 0.2, 0.3), abs=1e-6
+    )
 
 
 def test_pictures_of_floats_and_colours():
     ends = {"low": 0.0, "high": 1.0}
-    assert np.allclose(fields.picture(np.array([[3.0, 5.0, 7.0]]), (1, 3), **ends).values, [[0, 0.5, 1]])
+    assert np.allclose(
+        fields.picture(np.array([[3.0, 5.0, 7.0]]), (1, 3), **ends).values, [[0, 0.5, 1]]
+    )
     colour = tb.Image(np.full((2, 2, 3), (0, 255, 0), np.uint8), "colour")
     assert np.allclose(fields.picture(colour, (2, 2), **ends).values, 1 / 3)
     with pytest.raises(InputError, match="one slice"):

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
 from trabecula import fields
-from trabecula.engine import tiles
+from trabecula.engine import parallel
 from trabecula.errors import FileError, InputError, MemoryBudgetError, UnknownNameError
 from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, nodes_of, to_json
 from trabecula.fields.topology.multigrid import largest_eigenvalue, levels_of, preconditioned
@@ -37,7 +37,9 @@ def assembled(part, density):
         columns.append(np.tile(index, 24))
         entries.append((density[tuple(at)] * part.stiffness).ravel())
     size = 3 * number.size
-    return coo_matrix((np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size)).tocsr()
+    return coo_matrix(
+        (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size)
+    ).tocsr()
 
 
 def test_displacements_are_those_of_the_assembled_matrix():
@@ -51,7 +53,9 @@ def test_displacements_are_those_of_the_assembled_matrix():
     expected = np.zeros(free.size)
     expected[free] = spsolve(matrix[free][:, free].tocsc(), part.load.ravel()[free])
     assert np.allclose(u.ravel(), expected, atol=1e-6 * np.abs(expected).max())
-    assert (density * part.energy(u)).sum() == pytest.approx(float(part.load.ravel() @ expected), rel=1e-6)
+    assert (density * part.energy(u)).sum() == pytest.approx(
+        float(part.load.ravel() @ expected), rel=1e-6
+    )
 
 
 def test_a_bar_that_is_pulled_stretches_as_hooke_says():
@@ -69,11 +73,17 @@ def test_the_cantilever_keeps_bounds_and_volume_and_is_stiffer():
     field = fields.simp("cantilever")
     values = field.values
     assert values.shape == (16, 8, 30)
-    assert values.min() >= 0.3 - 1e-6 and values.max() <= 0.85 + 1e-6 and values.mean() == pytest.approx(0.5, abs=1e-4)
+    assert (
+        values.min() >= 0.3 - 1e-6
+        and values.max() <= 0.85 + 1e-6
+        and values.mean() == pytest.approx(0.5, abs=1e-4)
+    )
     compliance = report(field)
     assert compliance[-1] < 0.7 * compliance[0]
     assert np.allclose(values, values[:, ::-1], atol=0.01), "the load is symmetric across y"
-    assert values[0, :, :5].mean() > 0.8 > 0.5 > values[6:10, :, 15:25].mean(), "flanges are dense, the core is open"
+    assert values[0, :, :5].mean() > 0.8 > 0.5 > values[6:10, :, 15:25].mean(), (
+        "flanges are dense, the core is open"
+    )
 
 
 def test_no_other_density_of_that_volume_is_stiffer():
@@ -86,11 +96,16 @@ def test_no_other_density_of_that_volume_is_stiffer():
     between = (density > 0.32) & (density < 0.83)
     price = np.median(gain[between])
     assert np.all(np.abs(gain[between] / price - 1) < 0.05)
-    assert np.all(gain[density > 0.8499] > 0.95 * price) and np.all(gain[density < 0.3001] < 1.05 * price)
+    assert np.all(gain[density > 0.8499] > 0.95 * price) and np.all(
+        gain[density < 0.3001] < 1.05 * price
+    )
 
 
 def test_penalty_drives_densities_to_the_bounds():
-    soft, hard = (fields.simp("cantilever", (8, 4, 15), low=0.01, high=1, penalty=p, rounds=60).values for p in (1, 3))
+    soft, hard = (
+        fields.simp("cantilever", (8, 4, 15), low=0.01, high=1, penalty=p, rounds=60).values
+        for p in (1, 3)
+    )
     middling = [np.mean((values > 0.2) & (values < 0.8)) for values in (soft, hard)]
     assert middling[1] < 0.75 * middling[0]
 
@@ -105,7 +120,9 @@ def test_slopes_go_back_through_the_filter():
 
 def test_a_wheel_is_symmetric_and_dense_at_its_feet():
     values = fields.simp("wheel", (8, 12, 12)).values
-    assert np.allclose(values, values.transpose(0, 2, 1), atol=0.02) and np.allclose(values, values[:, ::-1], atol=0.02)
+    assert np.allclose(values, values.transpose(0, 2, 1), atol=0.02) and np.allclose(
+        values, values[:, ::-1], atol=0.02
+    )
     assert values[0, 0, 0] > 0.8 and values[0, 6, 6] > 0.8 and values[-1, 0, 0] < 0.35
 
 
@@ -113,7 +130,9 @@ def test_a_mask_is_left_alone_and_the_rest_carries():
     mask = np.ones((8, 4, 15), bool)
     mask[3:5, :, 5:10] = False
     values = fields.simp("cantilever", (8, 4, 15), mask=mask).values
-    assert np.all(values[~mask] == np.float32(0.3)) and values[mask].mean() == pytest.approx(0.5, abs=1e-4)
+    assert np.all(values[~mask] == np.float32(0.3)) and values[mask].mean() == pytest.approx(
+        0.5, abs=1e-4
+    )
 
 
 def test_threads_change_no_bit(monkeypatch):
@@ -123,7 +142,7 @@ def test_threads_change_no_bit(monkeypatch):
         for a in reversed(range(length)):
             work(a, a + 1)
 
-    monkeypatch.setattr(tiles, "_run", scattered)
+    monkeypatch.setattr(parallel, "_run", scattered)
     assert np.array_equal(fields.simp("cantilever", (9, 3, 8), rounds=4).values, whole)
 
 
@@ -131,7 +150,9 @@ def test_cases_are_data(tmp_path):
     path = tmp_path / "beam.json"
     path.write_text(json.dumps(to_json(CASES["wheel"])))
     assert case(path) == case(to_json(CASES["wheel"])) == CASES["wheel"]
-    assert nodes_of(((0, 0), (0.5, 0.5), (0, 1)), (2, 3, 4)).sum() == 5, "the nearest node where none lies in the box"
+    assert nodes_of(((0, 0), (0.5, 0.5), (0, 1)), (2, 3, 4)).sum() == 5, (
+        "the nearest node where none lies in the box"
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,7 +163,13 @@ def test_cases_are_data(tmp_path):
         ({"of": {"shape": (2, 2, 2)}}, "needs shape, supports and loads"),
         ({"of": {"shape": (2, 2, 2), "supports": [{}], "loads": []}}, "a support has box and axes"),
         (
-            {"of": {"shape": (2, 2, 2), "supports": [], "loads": [{"box": OTHER, "force": (1, 0, 0)}]}},
+            {
+                "of": {
+                    "shape": (2, 2, 2),
+                    "supports": [],
+                    "loads": [{"box": OTHER, "force": (1, 0, 0)}],
+                }
+            },
             "holds no element",
         ),
         ({"of": {"shape": (2, 2, 2), "supports": [{"box": END}], "loads": []}}, "pushes nothing"),
@@ -159,7 +186,11 @@ def test_what_cannot_be_optimised_is_refused(given_, words):
 
 def test_a_part_that_is_hinged_finds_no_balance():
     hinge = Case(
-        "hinge", "", (2, 2, 4), (Support(((0.0, 0.0), (0.0, 1.0), (0.0, 0.0))),), (Load(OTHER, (-1.0, 0.0, 0.0)),)
+        "hinge",
+        "",
+        (2, 2, 4),
+        (Support(((0.0, 0.0), (0.0, 1.0), (0.0, 0.0))),),
+        (Load(OTHER, (-1.0, 0.0, 0.0)),),
     )
     with pytest.raises(InputError, match="not held firmly"):
         fields.simp(hinge, rounds=1)
@@ -173,7 +204,9 @@ def test_few_steps_are_enough_and_the_preconditioner_is_symmetric(shape):
     solved(part, density, np.zeros_like(part.load), tolerance=1e-4, most=20)  # else it raises
     levels, largest = levels_of(part, density), largest_eigenvalue(part)
     a, b = (np.where(part.free, rng.standard_normal(part.load.shape), 0) for _ in range(2))
-    ab, ba = ((preconditioned(levels, one, largest) * other).sum() for one, other in ((a, b), (b, a)))
+    ab, ba = (
+        (preconditioned(levels, one, largest) * other).sum() for one, other in ((a, b), (b, a))
+    )
     assert ab == pytest.approx(ba, rel=1e-9) and (preconditioned(levels, a, largest) * a).sum() > 0
 
 

@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.finish import OPERATIONS, connect
-from trabecula.flow import load_mask
 from trabecula.measure import components, label_components
+from trabecula.pipeline.demo import load_mask
 
 
 def blocks(gap: int) -> np.ndarray:
@@ -52,13 +52,18 @@ def test_settings_of_0_1_give_what_they_gave():
     """Its recipes hold a reach and a size: near parts are joined to the largest, far ones removed."""
     settings = {"phase": None, "reach": 5, "brush": 2, "min_size": 30, "connectivity": None}
     near, far = connect(blocks(5), **settings), connect(blocks(6), **settings)
-    assert report(near, "joins", "added") == {"joins": 1, "added": 20} and report(far)["removed"] == 128
+    assert (
+        report(near, "joins", "added") == {"joins": 1, "added": 20}
+        and report(far)["removed"] == 128
+    )
 
 
 @pytest.mark.parametrize("gap", [6, 40])
 def test_a_far_block_is_joined_where_no_reach_is_stated(gap):
     part = connect(blocks(gap))
-    assert components(part) == 1 and report(part, *FIGURES) == dict(zip(FIGURES, (1, 4 * gap, 0, 0, 0, 0), strict=True))
+    assert components(part) == 1 and report(part, *FIGURES) == dict(
+        zip(FIGURES, (1, 4 * gap, 0, 0, 0, 0), strict=True)
+    )
 
 
 def test_joins_are_a_minimum_spanning_tree():
@@ -96,7 +101,10 @@ def test_what_no_way_leads_to_stays_unless_it_should_go():
     values[:, :, 11] = 2
     image = tb.Image(values, "labels", phases=("void", "active", "binder"))
     part = connect(image, phase="active")
-    assert np.array_equal(part.values, values) and report(part, "joins", "left") == {"joins": 0, "left": 128}
+    assert np.array_equal(part.values, values) and report(part, "joins", "left") == {
+        "joins": 0,
+        "left": 128,
+    }
     gone = connect(image, phase="active", unjoined="remove")
     assert components(gone, phase="active") == 1 and report(gone)["removed"] == 128
 
@@ -122,7 +130,11 @@ def test_joins_run_inside_of_the_form():
     near = connect(solid, mask=form, reach=20)
     assert report(near)["joins"] == 1 and not np.any((near.values == 1) & ~form)
     assert report(connect(solid, mask=form, reach=19))["removed"] == 160
-    for wrong, says in ((form[1:], "has shape"), (form.astype(np.uint8), "uint8"), (form & False, "holds no voxel")):
+    for wrong, says in (
+        (form[1:], "has shape"),
+        (form.astype(np.uint8), "uint8"),
+        (form & False, "holds no voxel"),
+    ):
         with pytest.raises(tb.errors.InputError, match=says):
             connect(solid, mask=wrong)
 
@@ -143,7 +155,9 @@ def test_a_filled_form_keeps_its_limbs(bone, data):
     for number, size in enumerate(sizes, 1):
         assert kept[limbs == number].all() or size < report(part)["min_size"]
     assert report(part)["left"] == 0 and report(part)["min_size"] < 0.01 * sizes.sum()
-    assert report(part)["removed"] < 0.015 * sizes.sum() and report(part)["added"] < 0.03 * sizes.sum()
+    assert (
+        report(part)["removed"] < 0.015 * sizes.sum() and report(part)["added"] < 0.03 * sizes.sum()
+    )
 
 
 def test_losses_are_said():
@@ -163,7 +177,9 @@ def test_a_speck_is_a_cube_of_the_mean_chord():
     for z in range(2, 64, 8):
         for y in range(2, 64, 8):
             solid[z : z + 4, y : y + 4] = 1
-    assert report(connect(solid, reach=0, unjoined="keep"))["min_size"] == round((3 / (1 / 4 + 1 / 4 + 1 / 64)) ** 3)
+    assert report(connect(solid, reach=0, unjoined="keep"))["min_size"] == round(
+        (3 / (1 / 4 + 1 / 4 + 1 / 64)) ** 3
+    )
     assert report(connect(blocks(3)))["min_size"] == 2  # 0.5 % of the phase
     assert report(connect(blocks(3), min_size=129))["removed"] == 128
 
@@ -183,7 +199,8 @@ def test_specks_are_dropped_even_where_they_are_near():
 
 def test_a_part_comes_within_reach_through_another():
     chain = np.zeros((12, 12, 40), np.uint8)
-    for start, size in ((1, 10), (14, 8), (25, 12)):  # the middle one is smallest: the first lies 13 from the largest
+    # the middle one is smallest: the first lies 13 from the largest
+    for start, size in ((1, 10), (14, 8), (25, 12)):
         chain[2 : size + 1, 3:7, start : start + 8] = 1
     for settings in ({}, {"reach": 5}):
         part = connect(chain, **settings)
@@ -198,7 +215,8 @@ def test_several_phases_keep_their_labels():
     part = connect(image)
     assert components(part) == 1 and part.values[0, 0, 0] == 0
     assert np.all(part.values[blocks(3) == 1] == solid[blocks(3) == 1])
-    assert np.count_nonzero(part.values == 2) == 128 + 12  # the join takes the label of the part that is joined
+    # the join takes the label of the part that is joined
+    assert np.count_nonzero(part.values == 2) == 128 + 12
     assert part.phases == image.phases and part.spacing == image.spacing and part.unit == "um"
 
 
@@ -219,7 +237,12 @@ def test_pores_can_be_connected():
 def test_the_recipe_replays():
     part = connect(blocks(3), brush=1)
     step = part.recipe.steps[-1]
-    assert step["verb"] == "finish" and set(step["settings"]) >= {"reach", "brush", "min_size", "phase"}
+    assert step["verb"] == "finish" and set(step["settings"]) >= {
+        "reach",
+        "brush",
+        "min_size",
+        "phase",
+    }
     again = OPERATIONS[step["operation"]](blocks(3), **step["settings"])
     assert again.recipe.steps[-1] == step
 
@@ -259,7 +282,10 @@ def test_nothing_but_specks_is_lost_where_no_reach_is_stated(solid, brush, min_s
     old, sizes = label_components(solid, connectivity=connectivity)
     for number, size in enumerate(sizes, 1):
         assert size < changes["min_size"] or np.all(part.values[old == number] == 1)
-    assert changes["left"] == 0 and part.values.sum() == solid.sum() + changes["added"] - changes["removed"]
+    assert (
+        changes["left"] == 0
+        and part.values.sum() == solid.sum() + changes["added"] - changes["removed"]
+    )
     assert np.array_equal(connect(part, **settings).values, part.values)
 
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import trabecula as tb
-from trabecula.engine import blocks, scratch
-from trabecula.engine.slabs import slabs_of
+from trabecula.engine import blocks, memmap
+from trabecula.engine.lazy_volume import slabs_of
 from trabecula.errors import InputError, MemoryBudgetError, UnknownNameError
-from trabecula.finish import OPERATIONS, connect, joins
+from trabecula.finish import OPERATIONS, bridges, connect
 from trabecula.finish import slabs as finishing
 from trabecula.finish.slabs import finish_slabs
 from trabecula.io.lazy import open_slabs
@@ -35,9 +35,9 @@ def thin(monkeypatch):
     """Every array in a scratch file, slabs of three planes, and two threads."""
     monkeypatch.setattr(runs, "_MANY", 1)
     monkeypatch.setenv("TRABECULA_THREADS", "2")
-    monkeypatch.setattr(scratch, "LEAST", 1)
-    monkeypatch.setattr(finishing.scratch, "spilled", partial(scratch.spilled, thickest=3))
-    monkeypatch.setattr(joins, "SIDE", 9)
+    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(finishing.scratch, "spilled", partial(memmap.spilled, thickest=3))
+    monkeypatch.setattr(bridges, "SIDE", 9)
 
 
 CASES = {
@@ -47,7 +47,11 @@ CASES = {
     "pores": [("connect", {"phase": "void", "reach": 3})],
     "floaters": [("remove_floaters", {"smaller_than": 40})],
     "fill": [("fill_trapped", {"connectivity": 6})],
-    "all": [("connect", {"reach": 2, "min_size": 5}), ("remove_floaters", {}), ("fill_trapped", {})],
+    "all": [
+        ("connect", {"reach": 2, "min_size": 5}),
+        ("remove_floaters", {}),
+        ("fill_trapped", {}),
+    ],
 }
 
 
@@ -57,7 +61,9 @@ def test_the_store_is_that_of_the_whole(thin, tmp_path, name):
     image = tb.read(tmp_path / "in.zarr")
     for operation, given_settings in CASES[name]:
         image = OPERATIONS[operation](image, **given_settings)
-        assert sum(value for value in image.recipe.steps[-1]["report"].values()) > 0, "nothing to do"
+        assert sum(value for value in image.recipe.steps[-1]["report"].values()) > 0, (
+            "nothing to do"
+        )
     recipe = finish_slabs(open_slabs(tmp_path / "in.zarr"), tmp_path / "out.zarr", CASES[name])
     found = tb.read(tmp_path / "out.zarr")
     assert np.array_equal(found.values, image.values)
@@ -69,7 +75,9 @@ def test_the_store_is_that_of_the_whole(thin, tmp_path, name):
 def test_one_phase_of_three_and_coarser_levels(thin, tmp_path):
     image = tb.Image(grains((40, 30, 300), phases=3), "labels", phases=("void", "a", "b"))
     finish_slabs(
-        slabs_of(image), tmp_path / "out.zarr", [("connect", {"phase": "a"}), ("fill_trapped", {"phase": "b"})]
+        slabs_of(image),
+        tmp_path / "out.zarr",
+        [("connect", {"phase": "a"}), ("fill_trapped", {"phase": "b"})],
     )
     whole = tb.finish.fill_trapped(connect(image, phase="a"), phase="b")
     tb.write(whole, tmp_path / "whole.zarr")
@@ -103,7 +111,7 @@ def test_the_shortest_join_does_not_depend_on_the_blocks_it_is_sought_in(solid, 
             wanted = {"reach": reach, "brush": 1, "min_size": 0}
             whole = connect(values, **wanted)
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(joins, "SIDE", side)
+                patch.setattr(bridges, "SIDE", side)
                 found = connect(values, **wanted)
             assert np.array_equal(found.values, whole.values)
             assert found.recipe.steps[-1] == whole.recipe.steps[-1]
@@ -123,7 +131,9 @@ def test_a_run_that_was_interrupted_writes_the_rest(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         finish_slabs(slabs_of(image), tmp_path / "out.zarr", CASES["connect"])
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr.part"]
-    monkeypatch.setattr(blocks, "do", lambda task, *words, **more: (done.append(task), real(task, *words, **more)))
+    monkeypatch.setattr(
+        blocks, "do", lambda task, *words, **more: (done.append(task), real(task, *words, **more))
+    )
     finish_slabs(slabs_of(image), tmp_path / "out.zarr", CASES["connect"])
     assert len(done) == len(set(done)) == 2
     assert np.array_equal(tb.read(tmp_path / "out.zarr").values, connect(image).values)
@@ -149,8 +159,14 @@ def test_a_full_disk_is_told_and_nothing_left(tmp_path, monkeypatch):
     def full(*words):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(scratch, "LEAST", 1)
-    monkeypatch.setattr(scratch.os, "posix_fallocate", full, raising=False)
-    with pytest.raises(tb.errors.FileError, match="No space left on device; scratch files of up to six times"):
-        finish_slabs(slabs_of(tb.Image(grains((40, 30, 30)), "labels")), tmp_path / "out.zarr", CASES["connect"])
+    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap.os, "posix_fallocate", full, raising=False)
+    with pytest.raises(
+        tb.errors.FileError, match="No space left on device; scratch files of up to six times"
+    ):
+        finish_slabs(
+            slabs_of(tb.Image(grains((40, 30, 30)), "labels")),
+            tmp_path / "out.zarr",
+            CASES["connect"],
+        )
     assert not list(tmp_path.iterdir())

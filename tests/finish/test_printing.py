@@ -7,7 +7,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, UnknownNameError
-from trabecula.finish import fill_trapped, layers, print_check, thicken
+from trabecula.finish import fill_trapped, print_check, print_layers, thicken
 from trabecula.finish.printers import PRINTERS
 
 
@@ -17,12 +17,16 @@ def block(side=24):
 
 
 def verdicts(solid, printer="sls", spacing=0.5, unit="mm", **limits):
-    found = print_check(tb.Image(solid, "labels", spacing=spacing, unit=unit), printer=printer, **limits)
+    found = print_check(
+        tb.Image(solid, "labels", spacing=spacing, unit=unit), printer=printer, **limits
+    )
     return {finding.name: finding.verdict for finding in found.findings}
 
 
 def figures(solid, name, printer="sls", spacing=0.5, **limits):
-    found = print_check(tb.Image(solid, "labels", spacing=spacing, unit="mm"), printer=printer, **limits)
+    found = print_check(
+        tb.Image(solid, "labels", spacing=spacing, unit="mm"), printer=printer, **limits
+    )
     return next(finding.figures for finding in found.findings if finding.name == name)
 
 
@@ -41,7 +45,12 @@ def test_a_solid_cube_passes(printer):
 
 def test_the_box_may_be_met_by_turning_about_the_vertical():
     beam = np.ones((4, 4, 40), bool)
-    for box, fits in (((2, 2, 20), True), ((2, 20, 2), True), ((20, 2, 2), False), ((2, 2, 19.9), False)):
+    for box, fits in (
+        ((2, 2, 20), True),
+        ((2, 20, 2), True),
+        ((20, 2, 2), False),
+        ((2, 2, 19.9), False),
+    ):
         assert verdicts(beam, box=box)["size"] == ("pass" if fits else "refuse")
     # The part counts, not the empty image around it.
     assert figures(np.pad(beam, 5), "size")["extent"] == [2, 2, 20]
@@ -50,8 +59,12 @@ def test_the_box_may_be_met_by_turning_about_the_vertical():
 def test_lengths_are_those_of_the_unit():
     for unit, factor in (("mm", 1), ("um", 1000), ("cm", 0.1), ("inch", 1 / 25.4)):
         image = tb.Image(block(), "labels", spacing=0.5 * factor, unit=unit)
-        assert print_check(image).findings[0].figures["extent"] == pytest.approx([12, 12, 12], abs=1e-5)
-    with pytest.raises(InputError, match=r"unit is 'voxel', which is no length.*--spacing 19\.5 --unit um"):
+        assert print_check(image).findings[0].figures["extent"] == pytest.approx(
+            [12, 12, 12], abs=1e-5
+        )
+    with pytest.raises(
+        InputError, match=r"unit is 'voxel', which is no length.*--spacing 19\.5 --unit um"
+    ):
         print_check(block())
 
 
@@ -64,7 +77,9 @@ def test_voxels_that_touch_in_an_edge_or_a_corner():
     assert figures(corner, "surface") == {"edges": 0, "corners": 1}
 
 
-@pytest.mark.parametrize(("printer", "says"), [("sls", "warn"), ("sla", "refuse"), ("fdm", "refuse")])
+@pytest.mark.parametrize(
+    ("printer", "says"), [("sls", "warn"), ("sla", "refuse"), ("fdm", "refuse")]
+)
 def test_loose_pieces(printer, says):
     part = np.pad(block(), ((0, 0), (0, 0), (0, 20)))
     part[:4, 4:10, 34:40] = True
@@ -99,8 +114,12 @@ def test_voxels_too_coarse_for_the_limit_are_told():
     part = np.pad(block(), ((0, 0), (0, 0), (0, 24)))
     part[:4, 10:12, 24:] = True
     assert verdicts(part, spacing=0.5, wall=0.7)["walls"] == "warn"
-    assert verdicts(part, spacing=0.5, wall=0.5)["walls"] == "pass", "two voxels are thicker, whatever the error"
-    assert verdicts(block(), spacing=0.5, wall=0.7)["walls"] == "pass", "nothing is anywhere near it"
+    assert verdicts(part, spacing=0.5, wall=0.5)["walls"] == "pass", (
+        "two voxels are thicker, whatever the error"
+    )
+    assert verdicts(block(), spacing=0.5, wall=0.7)["walls"] == "pass", (
+        "nothing is anywhere near it"
+    )
     assert verdicts(~part, spacing=0.5, gap=0.7, wall=0.1)["gaps"] == "warn"
 
 
@@ -124,7 +143,10 @@ def test_a_pore_behind_a_narrow_hole_is_hard_to_clear():
     part[8:32, 8:32, 8:32] = False
     part[18:21, 18:21, 32:] = False  # 1.5 mm
     assert verdicts(part, passage=1.4)["passage"] == "pass"
-    assert verdicts(part, passage=2)["passage"] == "warn" and figures(part, "passage", passage=2)["far_share"] > 0.9
+    assert (
+        verdicts(part, passage=2)["passage"] == "warn"
+        and figures(part, "passage", passage=2)["far_share"] > 0.9
+    )
     assert verdicts(part, passage=2)["trapped"] == "pass"
 
 
@@ -132,16 +154,18 @@ def test_cups_are_what_only_the_next_layer_opens():
     cup = block()
     cup[4:, 4:20, 4:20] = False
     # Up to the last layer the bowl is closed below and at its sides.
-    assert layers.sealed(cup) == 20 * 16 * 16
+    assert print_layers.sealed(cup) == 20 * 16 * 16
     assert verdicts(cup, "sla")["cups"] == "warn" and figures(cup, "cups", "sla")["volume"] == 640
     assert verdicts(cup, "sla", cup=650)["cups"] == "pass"
-    assert layers.sealed(cup[::-1]) == 0, "a bell opens downwards: it is open from its first layer on"
+    assert print_layers.sealed(cup[::-1]) == 0, (
+        "a bell opens downwards: it is open from its first layer on"
+    )
     drained = cup.copy()
     drained[4:6, 20:, 10:12] = False
-    assert layers.sealed(drained) <= 16 * 16 * 2
+    assert print_layers.sealed(drained) <= 16 * 16 * 2
     late = cup.copy()
     late[14, 20:, 10] = False  # a drain ten layers up: until then it is a cup
-    assert 10 * 16 * 16 <= layers.sealed(late) <= 11 * 16 * 16
+    assert 10 * 16 * 16 <= print_layers.sealed(late) <= 11 * 16 * 16
 
 
 def test_what_starts_in_the_air():
@@ -161,25 +185,26 @@ def test_a_slope_is_measured_at_its_angle(slope, angle):
     z, _, x = np.indices((30, 30, 90))
     wedge = x < 15 + slope * z
     for limit in (angle - 6, angle + 6):
-        down, leaning = layers.overhang(wedge, (1.0, 1.0, 1.0), limit)
+        down, leaning = print_layers.overhang(wedge, (1.0, 1.0, 1.0), limit)
         assert leaning / down == pytest.approx(1.0 if limit < angle else 0.0, abs=0.15)
-    area, _ = layers.overhang(wedge[:, 8:-8], (1.0, 1.0, 1.0), 45)
+    area, _ = print_layers.overhang(wedge[:, 8:-8], (1.0, 1.0, 1.0), 45)
     assert area == pytest.approx(14 * 29 * np.hypot(1, slope), rel=0.12)
 
 
 def test_a_ball_hangs_over_by_its_cap():
     """Of the lower half of a ball, the share beyond 45 degrees is 1 - cos 45."""
     z, y, x = np.indices((64, 64, 64)) - 31.5
-    _, leaning = layers.overhang(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
+    _, leaning = print_layers.overhang(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
     cap = 2 * np.pi * 30**2 * (1 - np.sqrt(0.5))
     assert leaning == pytest.approx(cap, rel=0.1)
 
 
 def test_voxels_that_are_not_cubes_lean_as_they_do_in_space():
     z, _, x = np.indices((40, 20, 100))
-    wedge = x * 0.5 < 6 + 0.5 * 2 * z  # 26.6 degrees from the vertical: 0.5 along x for every 1 along z
+    # 26.6 degrees from the vertical: 0.5 along x for every 1 along z
+    wedge = x * 0.5 < 6 + 0.5 * 2 * z
     for limit in (20, 33):
-        down, leaning = layers.overhang(wedge, (2.0, 1.0, 0.5), limit)
+        down, leaning = print_layers.overhang(wedge, (2.0, 1.0, 0.5), limit)
         assert leaning / down == pytest.approx(1.0 if limit == 20 else 0.0, abs=0.15)
 
 
@@ -187,7 +212,9 @@ def test_bridges_and_overhangs():
     gate = block(40)
     gate[:20, :, 8:32] = False  # a span of 12 mm
     found = verdicts(gate, "fdm", spacing=0.5)
-    assert found["bridges"] == "warn" and found["overhangs"] == "warn" and found["islands"] == "pass"
+    assert (
+        found["bridges"] == "warn" and found["overhangs"] == "warn" and found["islands"] == "pass"
+    )
     assert figures(gate, "bridges", "fdm")["span"] == pytest.approx(12, abs=1)
     assert figures(gate, "overhangs", "fdm")["share"] > 0.9
     assert verdicts(gate, "fdm", bridge=13)["bridges"] == "pass"
@@ -202,7 +229,10 @@ def test_the_verdict_is_the_worst_and_plain_json():
     plain = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert found.verdict == plain["verdict"] == plain["checks"]["walls"]["verdict"] == "refuse"
     assert plain["printer"]["wall"] == 1.6 and "passage" not in plain["printer"]
-    assert found.to_table().splitlines()[-1] == "fdm: refuse" and "thinner than 1.6 mm" in found.to_table()
+    assert (
+        found.to_table().splitlines()[-1] == "fdm: refuse"
+        and "thinner than 1.6 mm" in found.to_table()
+    )
 
 
 @pytest.mark.parametrize("printer", PRINTERS)
@@ -242,9 +272,11 @@ def rough(seed, shape=(26, 31, 22)):
 @pytest.mark.parametrize("passage", [0.6, 1.5, 3.0, 4.0, 5.5, 6.0, 9.0])
 @pytest.mark.parametrize("spacing", [0.5, (0.5, 0.3, 0.7)])
 def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
-    """The share that is far from every way, with a margin of a whole passage and more around the part."""
-    from trabecula.finish.questions import Part
-    from trabecula.finish.questions import passage as ask
+    """The share that is far from every way, with a margin of a whole passage and more around the
+    part.
+    """
+    from trabecula.finish.print_checks import Part
+    from trabecula.finish.print_checks import passage as ask
     from trabecula.measure import label_components
     from trabecula.measure.distance import distance_transform
 
@@ -256,7 +288,9 @@ def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
         void = np.pad(~solid, margin, constant_values=True)
         wide = distance_transform(void, spacing=edges) - min(edges) / 2 >= passage / 2 * (1 - 1e-6)
         ways, pores = (label_components(where)[0] for where in (wide, void))
-        far = (distance_transform(ways != ways[0, 0, 0], spacing=edges) > 1.5 * passage) & (pores == pores[0, 0, 0])
+        far = (distance_transform(ways != ways[0, 0, 0], spacing=edges) > 1.5 * passage) & (
+            pores == pores[0, 0, 0]
+        )
         found = ask(Part(solid, np.pad(solid, 1), edges), passage).figures["far_share"]
         assert found == pytest.approx(far.sum() / (~solid).sum(), abs=1e-6)
 
@@ -284,6 +318,7 @@ def test_memory_is_that_of_the_part_whatever_its_unit(printer, spacing, unit):
 
 def test_the_budget_of_a_check_names_what_check_has():
     with pytest.raises(
-        tb.errors.MemoryBudgetError, match=r"check a crop \(--crop N\), or a coarser level .* or raise --memory"
+        tb.errors.MemoryBudgetError,
+        match=r"check a crop \(--crop N\), or a coarser level .* or raise --memory",
     ):
         print_check(tb.Image(rough(1), "labels", 0.5, "mm"), memory=1 << 16)

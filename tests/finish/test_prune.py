@@ -44,8 +44,12 @@ def test_a_short_stub_is_removed_and_nothing_else(length):
     # The perimeter of its cell is 4 x 16, and theta times that about 7.
     part = prune(with_stub(length))
     left = np.flatnonzero(part.values != lattice())
-    assert len(left) <= 10 and np.all(part.values >= lattice())  # what lies in the strut's own sphere stays
-    assert report(part)["ends_before"] == report(part)["removed"] == 1 and report(part)["ends_after"] == 0
+    # what lies in the strut's own sphere stays
+    assert len(left) <= 10 and np.all(part.values >= lattice())
+    assert (
+        report(part)["ends_before"] == report(part)["removed"] == 1
+        and report(part)["ends_after"] == 0
+    )
     assert report(part)["removed_voxels"] == 9 * length - len(left) and report(part)["added"] == 0
 
 
@@ -58,9 +62,13 @@ def test_a_long_stub_is_grown_to_the_next_strut(length):
     part = prune(stub)
     assert np.all(part.values >= stub) and components(part) == 1
     assert (report(part)["grown"], report(part)["removed"], report(part)["ends_after"]) == (1, 0, 0)
-    assert euler(part) == euler(stub) - 1 and euler(part, connectivity=26) == euler(stub, connectivity=26) - 1
+    assert (
+        euler(part) == euler(stub) - 1
+        and euler(part, connectivity=26) == euler(stub, connectivity=26) - 1
+    )
     new = np.argwhere(part.values > stub)
-    assert np.all(np.abs(new[:, :2] - [ALONG, MIDDLE.start + 1]) <= 1)  # straight on, no thicker than the stub
+    # straight on, no thicker than the stub
+    assert np.all(np.abs(new[:, :2] - [ALONG, MIDDLE.start + 1]) <= 1)
     assert set(new[:, 2]) == set(range(MIDDLE.stop + length, MIDDLE.stop + SIDE - THICK))
 
 
@@ -91,7 +99,9 @@ def test_cells_of_a_lattice_have_its_perimeter():
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_the_shortest_loop_by_taking_edges_away(seed):
-    """The shortest loop through a joint: over its branches, the branch and the shortest way back without it."""
+    """The shortest loop through a joint: over its branches, the branch and the shortest way back
+    without it.
+    """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -122,7 +132,11 @@ def test_a_cut_strut_is_mended():
     cut[ALONG - 2 : ALONG + 3, MIDDLE, MIDDLE] = 0
     assert euler(cut) == euler(whole) + 1
     part = prune(cut, theta=0)
-    assert euler(part) == euler(whole) and report(part)["grown"] == 1 and report(part)["ends_before"] == 2
+    assert (
+        euler(part) == euler(whole)
+        and report(part)["grown"] == 1
+        and report(part)["ends_before"] == 2
+    )
     assert np.all(part.values >= cut) and np.all(part.values <= ndimage.binary_dilation(whole))
 
 
@@ -131,7 +145,12 @@ def test_no_more_are_treated_than_the_exemplar_has_too_few_of():
     assert report(prune(two, exemplar=two))["ends_before"] == 2
     assert np.array_equal(prune(two, exemplar=two).values, two)
     one = prune(two, exemplar=with_stub(5))
-    assert report(one)["ends_exemplar"] == report(one)["ends_allowed"] == report(one)["ends_after"] == 1
+    assert (
+        report(one)["ends_exemplar"]
+        == report(one)["ends_allowed"]
+        == report(one)["ends_after"]
+        == 1
+    )
     assert one.values[ALONG, MIDDLE.start + 1, MIDDLE.stop + 4] == 1  # the shortest goes first
     none = prune(two, exemplar=lattice())
     assert report(none)["removed"] == 2 and report(none)["ends_after"] == 0
@@ -174,7 +193,9 @@ def test_images_of_two_axes():
     removed = prune(short)
     assert removed.values.shape == frame.shape and report(removed)["removed"] == 1
     assert np.count_nonzero(removed.values != frame) <= 2
-    assert np.all(prune(long).values[27:32, 28:32].any(axis=1)) and report(prune(long))["grown"] == 1
+    assert (
+        np.all(prune(long).values[27:32, 28:32].any(axis=1)) and report(prune(long))["grown"] == 1
+    )
     assert euler(prune(long)) == euler(frame) - 1
 
 
@@ -195,7 +216,9 @@ def test_several_phases_keep_their_labels():
     part = prune(image)
     assert part.phases == image.phases and report(part)["removed"] == 1
     kept = part.values == stub
-    assert np.all(part.values[~kept] == 0) and np.all(stub[~kept] == 2) and part.values[1, 1, 1] == 3
+    assert (
+        np.all(part.values[~kept] == 0) and np.all(stub[~kept] == 2) and part.values[1, 1, 1] == 3
+    )
 
 
 def test_one_phase_does_not_grow_through_another():
@@ -209,7 +232,9 @@ def test_one_phase_does_not_grow_through_another():
 
 def test_pores_can_be_pruned():
     part = prune(1 - with_stub(5), phase="void")
-    assert report(part)["removed"] == 1 and np.array_equal(part.values, 1 - prune(with_stub(5)).values)
+    assert report(part)["removed"] == 1 and np.array_equal(
+        part.values, 1 - prune(with_stub(5)).values
+    )
 
 
 def test_the_recipe_replays():
@@ -217,7 +242,9 @@ def test_the_recipe_replays():
     part = prune(with_stub(5), exemplar=exemplar, theta=0.2)
     step = part.recipe.steps[-1]
     assert (
-        step["verb"] == "finish" and step["operation"] == "prune" and step["settings"] == {"phase": None, "theta": 0.2}
+        step["verb"] == "finish"
+        and step["operation"] == "prune"
+        and step["settings"] == {"phase": None, "theta": 0.2}
     )
     assert step["exemplars"][0][0]["verb"] == "array"
     assert prune(with_stub(5), exemplar=exemplar, **step["settings"]).recipe.steps[-1] == step
@@ -235,7 +262,10 @@ def test_the_file_reruns_with_its_exemplar(tmp_path):
 def test_two_ends_that_face_each_other_are_joined_once():
     cut = lattice()
     cut[ALONG - 1 : ALONG + 2, MIDDLE, MIDDLE] = 0
-    assert report(prune(cut, theta=0))["ends_before"] == 2 and report(prune(cut, theta=0))["grown"] == 1
+    assert (
+        report(prune(cut, theta=0))["ends_before"] == 2
+        and report(prune(cut, theta=0))["grown"] == 1
+    )
 
 
 def test_an_exemplar_without_a_unit_has_the_voxels_of_the_image():
@@ -298,7 +328,9 @@ def with_stubs(count: int) -> np.ndarray:
     """A lattice with short stubs, each in a cell of its own."""
     solid = lattice(4)
     starts = [6 + SIDE * k for k in range(1, 4)]
-    places = [(z - SIDE // 2 + 1, y, x) for z in starts for y in starts for x in starts if x < starts[-1]]
+    places = [
+        (z - SIDE // 2 + 1, y, x) for z in starts for y in starts for x in starts if x < starts[-1]
+    ]
     for z, y, x in places[:count]:
         solid[z - 1 : z + 2, y : y + THICK, x + THICK : x + THICK + 5] = 1
     return solid
@@ -308,7 +340,10 @@ def test_a_form_is_pruned_as_a_box_of_its_size():
     """Of the exemplar's 4 ends the material has 12, whatever empty room is around it."""
     material, exemplar = with_stubs(12), with_stubs(4)
     box = prune(material, exemplar=exemplar)
-    assert report(box)["removed"] == 8 and report(box)["ends_allowed"] == report(box)["ends_after"] == 4
+    assert (
+        report(box)["removed"] == 8
+        and report(box)["ends_allowed"] == report(box)["ends_after"] == 4
+    )
     room = [(40, 30), (30, 40), (50, 20)]
     inside = np.pad(np.ones(material.shape, bool), room)
     form = prune(np.pad(material, room), exemplar=exemplar, mask=inside)
@@ -326,7 +361,11 @@ def test_what_the_surface_of_a_form_cuts_is_no_free_end():
     cut = np.where(ball, solid, 0).astype(np.uint8)
     whole, part = prune(cut), prune(cut, mask=ball)
     assert report(whole)["ends_before"] > 10
-    assert (report(part)["ends_before"], report(part)["removed"], report(part)["ends_after"]) == (1, 1, 0)
+    assert (report(part)["ends_before"], report(part)["removed"], report(part)["ends_after"]) == (
+        1,
+        1,
+        0,
+    )
     assert np.array_equal(part.values, prune(solid).values * ball)
 
 
@@ -335,7 +374,11 @@ def test_nothing_is_grown_out_of_a_form():
     solid[ALONG - 5 : ALONG + 6, MIDDLE, MIDDLE.stop + SIDE - THICK : MIDDLE.stop + SIDE] = 1
     stub = with_stub(10, solid)
     form = np.ones(stub.shape, bool)
-    form[ALONG - 3 : ALONG + 4, MIDDLE.start - 3 : MIDDLE.stop + 3, MIDDLE.stop + 11 : MIDDLE.stop + 12] = False
+    form[
+        ALONG - 3 : ALONG + 4,
+        MIDDLE.start - 3 : MIDDLE.stop + 3,
+        MIDDLE.stop + 11 : MIDDLE.stop + 12,
+    ] = False
     assert report(prune(stub))["grown"] == 1
     assert report(prune(stub, mask=form))["grown"] == 0
 
@@ -346,7 +389,11 @@ def test_a_form_is_recorded_and_a_missing_one_is_said():
     step = prune(material, mask=inside).recipe.steps[-1]
     assert step["mask"][0]["verb"] == "array" and "mask" not in step["settings"]
     request = {"shape": list(material.shape), "mask": [{"verb": "array"}]}
-    filled = tb.Image(material.values, "labels", recipe=tb.Recipe().then("generate", material.values, request=request))
+    filled = tb.Image(
+        material.values,
+        "labels",
+        recipe=tb.Recipe().then("generate", material.values, request=request),
+    )
     said = []
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
         prune(material)
@@ -359,5 +406,7 @@ def test_a_form_is_recorded_and_a_missing_one_is_said():
 def test_voxels_taken_for_alike_are_said():
     said = []
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
-        prune(tb.Image(with_stubs(2), "labels"), exemplar=tb.Image(with_stubs(1), "labels", 25, "um"))
+        prune(
+            tb.Image(with_stubs(2), "labels"), exemplar=tb.Image(with_stubs(1), "labels", 25, "um")
+        )
     assert len(said) == 1 and "the image is in voxel, the exemplar in um" in said[0]

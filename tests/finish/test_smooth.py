@@ -35,14 +35,18 @@ def test_a_rough_ball_becomes_a_ball_again():
 def test_it_is_the_gaussian_of_the_field_cut_at_its_volume(spacing):
     solid = ndimage.gaussian_filter(np.random.default_rng(1).random((20, 24, 40)), 1.5) > 0.5
     part = smooth(tb.Image(solid, "labels", spacing=spacing, unit="um"), sigma=1.5)
-    level = ndimage.gaussian_filter(solid.astype(float), [1.5 / edge for edge in spacing], mode="nearest", truncate=6)
+    level = ndimage.gaussian_filter(
+        solid.astype(float), [1.5 / edge for edge in spacing], mode="nearest", truncate=6
+    )
     expected = level >= np.sort(level.ravel())[-solid.sum()]
     # The kernel is cut at 3.5 sigma: voxels at the very level may fall either way.
     assert np.count_nonzero(expected != part.values) < 0.002 * solid.size
     assert part.values.sum() == solid.sum() and part.unit == "um"
 
 
-@given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=8)), st.floats(0.3, 2))
+@given(
+    arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=8)), st.floats(0.3, 2)
+)
 def test_what_always_holds(solid, sigma):
     if not solid.any():
         return
@@ -94,4 +98,8 @@ def test_refusals():
     with pytest.raises(InputError, match="nothing to smooth"):
         smooth(np.zeros((4, 4, 4), int), sigma=1)
     with pytest.raises(InputError, match="open which phase"):
-        smooth(tb.Image(np.eye(4, dtype=int), "labels", phases=("void", "a", "b")), sigma=1, phase="void")
+        smooth(
+            tb.Image(np.eye(4, dtype=int), "labels", phases=("void", "a", "b")),
+            sigma=1,
+            phase="void",
+        )

@@ -1,4 +1,6 @@
-"""Thicken: rods and plates of known thickness grow to what was asked for; thick parts and their corners stay."""
+"""Thicken: rods and plates of known thickness grow to what was asked for; thick parts and their
+corners stay.
+"""
 
 import numpy as np
 import pytest
@@ -83,7 +85,9 @@ def test_a_strut_on_a_block_grows_and_the_block_does_not():
 
 
 @settings(max_examples=40)
-@given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=3, max_side=9)), st.floats(0.5, 5))
+@given(
+    arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=3, max_side=9)), st.floats(0.5, 5)
+)
 def test_what_always_holds(solid, thickness):
     if not solid.any() or thickness > max(solid.shape):
         return
@@ -108,7 +112,9 @@ def test_labels_and_closed_phases():
     part = thicken(image, thickness=7, phase="a").values
     assert np.array_equal(part[12:], values[12:]) and np.array_equal(part == 2, values == 2)
     assert (part == 1)[:, :, 10].sum() > 20
-    joint = thicken(tb.Image(np.where(values == 3, 0, values), "labels", phases=("void", "a", "b")), thickness=7).values
+    joint = thicken(
+        tb.Image(np.where(values == 3, 0, values), "labels", phases=("void", "a", "b")), thickness=7
+    ).values
     assert set(np.unique(joint[:, :, :19])) == {0, 1} and set(np.unique(joint[:, :, 21:])) == {0, 2}
 
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.finish import OPERATIONS, fill_trapped, remove_floaters, trapped
+from trabecula.finish import OPERATIONS, closed_pores, fill_trapped, remove_floaters
 from trabecula.measure import components
 
 
@@ -27,22 +27,28 @@ def hollow():
 
 
 def test_trapped_pores_are_counted_in_the_images_unit():
-    found = trapped(tb.Image(hollow(), "labels", spacing=(2, 1, 0.5), unit="mm"))
+    found = closed_pores(tb.Image(hollow(), "labels", spacing=(2, 1, 0.5), unit="mm"))
     assert found == {"pores": 2, "voxels": 28, "volume": 28.0, "share": 28 / 40, "largest": 27}
-    assert trapped(np.ones((3, 3, 3), int)) == {"pores": 0, "voxels": 0, "volume": 0.0, "share": 0.0, "largest": 0}
+    assert closed_pores(np.ones((3, 3, 3), int)) == {
+        "pores": 0,
+        "voxels": 0,
+        "volume": 0.0,
+        "share": 0.0,
+        "largest": 0,
+    }
 
 
 def test_trapped_pores_are_filled_and_channels_stay_open():
     part = fill_trapped(hollow())
     assert report(part) == {"filled_pores": 2, "filled": 28}
     assert (part.values[6, 6] == 0).all() and part.values.sum() == 12**3 - 12
-    assert trapped(part)["pores"] == 0
+    assert closed_pores(part)["pores"] == 0
 
 
 def test_a_way_out_over_an_edge_is_none_unless_it_is_asked_for():
     block = np.ones((5, 5), int)
     block[2, 2] = block[1, 1] = block[0, 0] = 0
-    assert trapped(block)["pores"] == 2 and trapped(block, connectivity=8)["pores"] == 0
+    assert closed_pores(block)["pores"] == 2 and closed_pores(block, connectivity=8)["pores"] == 0
 
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=8)))
@@ -50,7 +56,11 @@ def test_filling_is_filling_holes(solid):
     """Where ways lead through faces, as scipy's do."""
     part = fill_trapped(solid)
     assert np.array_equal(part.values, ndimage.binary_fill_holes(solid))
-    assert report(part)["filled"] == trapped(solid)["voxels"] == np.count_nonzero(part.values != solid)
+    assert (
+        report(part)["filled"]
+        == closed_pores(solid)["voxels"]
+        == np.count_nonzero(part.values != solid)
+    )
 
 
 def test_what_is_filled_takes_the_nearest_label():
@@ -61,7 +71,7 @@ def test_what_is_filled_takes_the_nearest_label():
     filled = fill_trapped(image).values
     assert filled[4, 4, 2] == 1 and filled[4, 4, 15] == 2
     # The void of a phase alone is the void, not the other phase.
-    assert trapped(image, phase="a")["pores"] == 2
+    assert closed_pores(image, phase="a")["pores"] == 2
 
 
 def specks():
@@ -74,10 +84,16 @@ def specks():
 
 def test_floaters_are_removed():
     part = remove_floaters(specks())
-    assert report(part) == {"removed_parts": 2, "removed": 4, "left": 1} and part.values.sum() == 343
+    assert (
+        report(part) == {"removed_parts": 2, "removed": 4, "left": 1} and part.values.sum() == 343
+    )
     some = remove_floaters(specks(), smaller_than=2)
-    assert report(some) == {"removed_parts": 1, "removed": 1, "left": 2} and some.values[9, 9, 9] == 1
-    assert report(remove_floaters(specks(), smaller_than=10**6))["left"] == 1, "the largest stays, however small"
+    assert (
+        report(some) == {"removed_parts": 1, "removed": 1, "left": 2} and some.values[9, 9, 9] == 1
+    )
+    assert report(remove_floaters(specks(), smaller_than=10**6))["left"] == 1, (
+        "the largest stays, however small"
+    )
 
 
 @given(
@@ -90,11 +106,15 @@ def test_removing_always_leaves_the_rest_as_it_was(solid, smaller_than, wide):
         return
     connectivity = {2: 8, 3: 26}[solid.ndim] if wide else None
     part = remove_floaters(solid, smaller_than=smaller_than, connectivity=connectivity)
-    assert np.all(part.values <= solid) and report(part)["removed"] == solid.sum() - part.values.sum()
+    assert (
+        np.all(part.values <= solid) and report(part)["removed"] == solid.sum() - part.values.sum()
+    )
     labels, count = ndimage.label(solid, np.ones((3,) * solid.ndim) if wide else None)
     sizes = np.bincount(labels.ravel())[1:]
     kept = int((sizes >= smaller_than).sum()) if smaller_than and sizes.max() >= smaller_than else 1
-    assert components(part, connectivity=connectivity) == kept == count - report(part)["removed_parts"]
+    assert (
+        components(part, connectivity=connectivity) == kept == count - report(part)["removed_parts"]
+    )
 
 
 def test_the_recipes_replay():
@@ -109,6 +129,6 @@ def test_refusals():
     with pytest.raises(InputError, match="smaller_than=0 is outside"):
         remove_floaters(specks(), smaller_than=0)
     with pytest.raises(InputError, match="connectivity 4"):
-        trapped(hollow(), connectivity=4)
+        closed_pores(hollow(), connectivity=4)
     with pytest.raises(InputError, match="open what is solid"):
-        trapped(tb.Image(hollow(), "labels", phases=("pore", "bone")))
+        closed_pores(tb.Image(hollow(), "labels", phases=("pore", "bone")))

@@ -20,5 +20,7 @@ def test_the_other_of_two_phases_is_what_is_left(name):
     values[2:12, 5:9, 5:9], values[0, 0, 0], values[6, 6, 6] = 1, 1, 0
     finish = tb.finish.OPERATIONS[name]
     named = finish(tb.Image(values, "labels"), **OPERATIONS[name])
-    other = finish(tb.Image(values, "labels", phases=("rest", "binder")), phase="binder", **OPERATIONS[name])
+    other = finish(
+        tb.Image(values, "labels", phases=("rest", "binder")), phase="binder", **OPERATIONS[name]
+    )
     assert np.array_equal(named.values, other.values) and not np.array_equal(named.values, values)

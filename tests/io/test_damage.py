@@ -1,4 +1,6 @@
-"""Missing, empty, truncated, huge by their header, half-written: one line of ours, never half a file."""
+"""Missing, empty, truncated, huge by their header, half-written: one line of ours, never half a
+file.
+"""
 
 import json
 import struct
@@ -21,7 +23,13 @@ WIDE = RNG.integers(0, 2**30, (4, 6, 7)).astype(np.int32)
 
 
 def volume(values=LABELS, kind="labels"):
-    return tb.Image(values, kind, spacing=(3, 2, 1), unit="um", recipe=Recipe().then("made", values, note="n" * 50))
+    return tb.Image(
+        values,
+        kind,
+        spacing=(3, 2, 1),
+        unit="um",
+        recipe=Recipe().then("made", values, note="n" * 50),
+    )
 
 
 def picture(kind):
@@ -37,7 +45,11 @@ CASES = {
     for kind, image in {"labels": volume(), "int32": volume(WIDE, "grey")}.items()
     for suffix in VOLUMES
 }
-CASES |= {f"{kind} {name}": (picture(kind), name) for kind in ("labels", "colour") for name in ("x.png", "x.bmp")}
+CASES |= {
+    f"{kind} {name}": (picture(kind), name)
+    for kind in ("labels", "colour")
+    for name in ("x.png", "x.bmp")
+}
 CASES |= {"colour x.jpg": (picture("colour"), "x.jpg"), "slices": (volume(), "x/")}
 
 
@@ -51,7 +63,9 @@ def test_truncated_anywhere(case, tmp_path):
     files = sorted(file for file in tmp_path.rglob("*") if file.is_file())
     contents = {file: file.read_bytes() for file in files}
 
-    @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @settings(
+        max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
     @given(st.data())
     def cut(data):
         file = data.draw(st.sampled_from(files))
@@ -69,14 +83,18 @@ def test_truncated_anywhere(case, tmp_path):
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.startswith("labels")])
 def test_any_byte_changed(case, tmp_path):
-    """A wrong byte may change a voxel or the meaning; it never brings a library's exception through."""
+    """A wrong byte may change a voxel or the meaning; it never brings a library's exception
+    through.
+    """
     image, name = CASES[case]
     path = f"{tmp_path}/{name}"
     tb.write(image, path)
     files = sorted(file for file in tmp_path.rglob("*") if file.is_file())
     contents = {file: file.read_bytes() for file in files}
 
-    @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @settings(
+        max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
     @given(st.data())
     def change(data):
         file = data.draw(st.sampled_from(files))
@@ -175,7 +193,9 @@ HUGE = {
     "x.png": png(2**31 - 1),
     "x.tif": tif(2**31),
     "x.nii": nii(),
-    "x.nrrd": b"NRRD0004\ntype: short\ndimension: 3\nsizes: " + SIDES + b"\nendian: little\nencoding: gzip\n\n\x1f\x8b",
+    "x.nrrd": b"NRRD0004\ntype: short\ndimension: 3\nsizes: "
+    + SIDES
+    + b"\nendian: little\nencoding: gzip\n\n\x1f\x8b",
     "x.mha": b"NDims = 3\nDimSize = "
     + SIDES
     + b"\nElementType = MET_SHORT\nCompressedData = True\nElementDataFile = LOCAL\nxx",
@@ -209,7 +229,9 @@ def test_more_than_the_memory_that_is_free(tmp_path, monkeypatch):
 @pytest.mark.parametrize("suffix", [*VOLUMES, ".png", ".bmp", "/"])
 def test_an_interrupted_write_leaves_the_old_file(suffix, tmp_path, monkeypatch):
     flat = suffix in (".png", ".bmp")
-    old = tb.Image(LABELS[0], "labels", recipe=Recipe().then("made", LABELS[0])) if flat else volume()
+    old = (
+        tb.Image(LABELS[0], "labels", recipe=Recipe().then("made", LABELS[0])) if flat else volume()
+    )
     path = f"{tmp_path}/x{suffix}"
     tb.write(old, path)
     before = sorted(entry.name for entry in tmp_path.rglob("*"))
@@ -234,7 +256,12 @@ def test_a_disk_that_fills_up(suffix, tmp_path, monkeypatch):
     def full(self, *args, **options):
         raise OSError(28, "No space left on device")
 
-    for owner in ("pathlib.Path.write_text", "pathlib.Path.open", "nrrd.write", "tifffile.TiffWriter.write"):
+    for owner in (
+        "pathlib.Path.write_text",
+        "pathlib.Path.open",
+        "nrrd.write",
+        "tifffile.TiffWriter.write",
+    ):
         monkeypatch.setattr(owner, full)
     monkeypatch.setattr("nibabel.Nifti1Image.to_filename", full)
     monkeypatch.setattr("trabecula.engine.store.create", full)

@@ -12,7 +12,7 @@ from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.io.formats import FORMATS, SLICES
 from trabecula.io.guard import damaged, library_of
-from trabecula.replay import replay
+from trabecula.pipeline.replay import replay
 
 LABELS = np.random.default_rng(3).integers(0, 2, (4, 6, 7)).astype(np.uint8)
 NAMES = {**{f"x{suffix}": form for suffix, form in FORMATS.items()}, "x/": SLICES}
@@ -48,11 +48,18 @@ def test_a_mistake_of_a_library_blames_no_file(name, tmp_path, monkeypatch):
     with pytest.raises(FileError, match="fails on it") as raised:
         tb.read(path)
     text = str(raised.value)
-    assert f"tifffile {tifffile.__version__} fails on it (AttributeError: " in text and "get_axes" in text
-    assert "try another version of tifffile" in text and "whole" not in text and "damaged" not in text
+    assert (
+        f"tifffile {tifffile.__version__} fails on it (AttributeError: " in text
+        and "get_axes" in text
+    )
+    assert (
+        "try another version of tifffile" in text and "whole" not in text and "damaged" not in text
+    )
 
 
-@pytest.mark.parametrize("error", [TypeError, NameError, ImportError, AssertionError, NotImplementedError])
+@pytest.mark.parametrize(
+    "error", [TypeError, NameError, ImportError, AssertionError, NotImplementedError]
+)
 def test_other_mistakes_of_ours_come_through(error, tmp_path):
     with pytest.raises(error), damaged(tmp_path, "TIFF"):
         exec("raise error('mine')", {"__name__": "trabecula.io.tiff", "error": error})
@@ -63,7 +70,7 @@ def test_where_types_are_not_checked_both_readings_are_said(tmp_path):
         pytest.raises(FileError, match="changed by other hands, or trabecula has a defect"),
         damaged(tmp_path, "a model", checked=False),
     ):
-        exec("None.shape", {"__name__": "trabecula.synth.saved"})
+        exec("None.shape", {"__name__": "trabecula.synth.api.serialize"})
 
 
 def test_frames_of_the_standard_library_are_their_callers():
@@ -76,7 +83,7 @@ def test_frames_of_the_standard_library_are_their_callers():
 
 def test_a_recipe_is_not_called_damaged_for_a_mistake_of_ours(tmp_path, monkeypatch):
     path = tb.write(tb.crop(tb.sample("bone"), 8), tmp_path / "x.npy")
-    monkeypatch.setattr("trabecula.replay._model_again", mistake_in("trabecula"))
+    monkeypatch.setattr("trabecula.pipeline.replay._model_again", mistake_in("trabecula"))
     recipe = Recipe(({**tb.read(path).recipe.steps[0], "verb": "generate"},))
     with pytest.raises(InputError, match=r"damaged, or trabecula has a defect.*get_axes"):
         replay(recipe, folder=tmp_path)
@@ -94,14 +101,18 @@ def test_a_volume_in_several_files_is_refused(tmp_path):
     parts = "".join(PART.format(z=z) for z in range(2))
     for z in range(2):
         tifffile.imwrite(
-            tmp_path / f"{z}.ome.tif", LABELS[z], description=OME.format(own=z, parts=parts), metadata=None
+            tmp_path / f"{z}.ome.tif",
+            LABELS[z],
+            description=OME.format(own=z, parts=parts),
+            metadata=None,
         )
     with pytest.raises(InputError, match="one of several files"):
         tb.read(tmp_path / "0.ome.tif")
 
 
 @pytest.mark.parametrize("shape", [(1, 6, 7), (4, 1, 7), (4, 6, 1), (1, 1, 1), (1, 7), (6, 1)])
-@pytest.mark.parametrize("dtype", ["uint8", "int16", "int64"])  # as ImageJ's, as OME, as plain pages
+# as ImageJ's, as OME, as plain pages
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "int64"])
 def test_axes_of_one_voxel_stay(shape, dtype, tmp_path):
     """Versions of tifffile differ in which of them they leave out."""
     values = np.arange(np.prod(shape)).reshape(shape).astype(dtype)

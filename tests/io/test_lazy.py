@@ -10,7 +10,9 @@ from trabecula.io.lazy import open_slabs, volume_shape
 @pytest.fixture
 def foam() -> tb.Image:
     values = np.random.default_rng(2).integers(0, 3, (70, 9, 8)).astype(np.uint8)
-    return tb.Image(values, "labels", spacing=(2.0, 1.0, 1.0), unit="um", phases=("void", "solid", "binder"))
+    return tb.Image(
+        values, "labels", spacing=(2.0, 1.0, 1.0), unit="um", phases=("void", "solid", "binder")
+    )
 
 
 def whole_of(volume):
@@ -24,7 +26,9 @@ def check_same(volume, image):
     assert volume.recipe.to_json() == image.recipe.to_json()
 
 
-@pytest.mark.parametrize("options", [{}, {"spacing": 3.0, "unit": "mm"}, {"phases": ("void", "bone", "glue")}])
+@pytest.mark.parametrize(
+    "options", [{}, {"spacing": 3.0, "unit": "mm"}, {"phases": ("void", "bone", "glue")}]
+)
 def test_a_store_of_ours(foam, tmp_path, options):
     path = tb.write(foam, tmp_path / "foam.zarr")
     check_same(open_slabs(path, **options), tb.read(path, **options))
@@ -54,10 +58,14 @@ def test_figures_depend_neither_on_chunks_nor_on_slabs(foam, tmp_path, chunks, d
     import zarr
 
     values = (foam.values > 0).astype(np.uint8)
-    array = zarr.create_array(str(tmp_path / "foam.zarr"), shape=values.shape, dtype=values.dtype, chunks=chunks)
+    array = zarr.create_array(
+        str(tmp_path / "foam.zarr"), shape=values.shape, dtype=values.dtype, chunks=chunks
+    )
     array[...] = values
     volume = open_slabs(tmp_path / "foam.zarr")
-    assert tb.measure.describe_slabs(volume, depth=depth, level="quick") == tb.describe(values, level="quick")
+    assert tb.measure.describe_slabs(volume, depth=depth, level="quick") == tb.describe(
+        values, level="quick"
+    )
 
 
 def test_truth_values_are_labels(foam, tmp_path):
@@ -68,10 +76,14 @@ def test_truth_values_are_labels(foam, tmp_path):
 
 
 def test_only_labels_of_one_volume_are_read_so(foam, tmp_path):
-    grey = tb.write(tb.Image(np.random.default_rng(0).random((6, 5, 4)), "grey"), tmp_path / "grey.zarr")
+    grey = tb.write(
+        tb.Image(np.random.default_rng(0).random((6, 5, 4)), "grey"), tmp_path / "grey.zarr"
+    )
     few = tb.write(tb.Image(foam.values, "grey"), tmp_path / "few.zarr")
     flat = tb.write(tb.Image(foam.values[0], "labels"), tmp_path / "flat.zarr")
-    colour = tb.write(tb.Image(np.zeros((6, 5, 4, 3), np.uint8), "colour"), tmp_path / "colour.zarr")
+    colour = tb.write(
+        tb.Image(np.zeros((6, 5, 4, 3), np.uint8), "colour"), tmp_path / "colour.zarr"
+    )
     for path, word in ((grey, "segment"), (few, "segment"), (flat, "volume"), (colour, "volume")):
         with pytest.raises(tb.errors.InputError, match=word):
             open_slabs(path)

@@ -35,7 +35,9 @@ def test_float_labels_ask(tmp_path):
         tb.read(path)
     assert tb.read(path, kind="labels").values.tolist() == [[0, 1], [2, 1]]
     assert tb.read(path, kind="grey").values.dtype == np.float64
-    assert tb.read(saved(tmp_path, np.zeros((4, 5, 3), np.uint8), "c.npy"), kind="colour").shape == (4, 5)
+    assert tb.read(
+        saved(tmp_path, np.zeros((4, 5, 3), np.uint8), "c.npy"), kind="colour"
+    ).shape == (4, 5)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +51,11 @@ def test_float_labels_ask(tmp_path):
         (np.zeros(4, np.uint8), {}, "2 or 3 axes"),
         (np.zeros((2, 2), complex), {}, "complex"),
         (np.zeros((2, 2), "S3"), {}, "real numbers"),
-        (np.array([[0, 170]], np.uint8), {"phases": ["pore", "active", "binder"]}, "holds 2 levels 0, 170"),
+        (
+            np.array([[0, 170]], np.uint8),
+            {"phases": ["pore", "active", "binder"]},
+            "holds 2 levels 0, 170",
+        ),
         (np.array([[0, 9]], np.uint8), {"spacing": (1, 2, 3)}, "3 numbers"),
         (np.array([[0, 9]], np.uint8), {"spacing": -1}, "positive"),
     ],
@@ -94,7 +100,10 @@ def test_pictures(tmp_path):
 
 def test_palettes_and_bits_are_resolved(tmp_path):
     indices = np.array([[0, 1, 2], [2, 1, 0]], np.uint8)
-    for name, palette in {"grey": [0, 0, 0, 90, 90, 90, 200, 200, 200], "colour": [0, 0, 0, 9, 0, 0, 0, 0, 9]}.items():
+    for name, palette in {
+        "grey": [0, 0, 0, 90, 90, 90, 200, 200, 200],
+        "colour": [0, 0, 0, 9, 0, 0, 0, 0, 9],
+    }.items():
         picture = Picture.new("P", (3, 2))
         picture.putdata(indices.ravel().tolist())
         picture.putpalette(palette)
@@ -103,7 +112,11 @@ def test_palettes_and_bits_are_resolved(tmp_path):
     for suffix in (".png", ".tif"):
         image = tb.read(tmp_path / f"grey{suffix}")
         assert image.kind == "labels" and image.recipe.steps[0]["levels"] == [0, 90, 200]
-        assert tb.read(tmp_path / f"colour{suffix}").values[0].tolist() == [[0, 0, 0], [9, 0, 0], [0, 0, 9]]
+        assert tb.read(tmp_path / f"colour{suffix}").values[0].tolist() == [
+            [0, 0, 0],
+            [9, 0, 0],
+            [0, 0, 9],
+        ]
     Picture.fromarray(indices > 0).save(tmp_path / "bits.png")
     assert tb.read(tmp_path / "bits.png").values.tolist() == [[0, 1, 1], [1, 1, 0]]
 
@@ -126,13 +139,17 @@ def test_units_without_length():
 
 
 def test_real_scans(data, tmp_path):
-    bone = tb.read(data / "trabecular_bone_a.tif", spacing=0.05, unit="mm", phases=("marrow", "bone"))
+    bone = tb.read(
+        data / "trabecular_bone_a.tif", spacing=0.05, unit="mm", phases=("marrow", "bone")
+    )
     assert (bone.kind, bone.shape) == ("labels", (201, 201, 201))
     assert np.mean(bone.values == 0) == pytest.approx(0.8372, abs=5e-5)
     assert bone.recipe.steps[0]["levels"] == [0, 255]
     assert tb.read(data / "trabecular_bone_grey_lhdl.tif").kind == "grey"
     electrode = tb.read(data / "electrode_3phase_a.tif")
-    assert len(electrode.phases) == 3 and np.mean(electrode.values == 0) == pytest.approx(0.4502, abs=5e-5)
+    assert len(electrode.phases) == 3 and np.mean(electrode.values == 0) == pytest.approx(
+        0.4502, abs=5e-5
+    )
     bread = tb.read(data / "bread_baguette2.png")
     assert (bread.kind, bread.shape) == ("colour", (380, 380))
     assert tb.read(data / "tex_gravel.png").kind == "grey"
@@ -141,7 +158,9 @@ def test_real_scans(data, tmp_path):
 
 
 def test_metaimage_keeps_bars_wherever_its_lines_are_cut(tmp_path):
-    """The JSON is cut into lines that stand in bars; a bar of the JSON itself at a cut must survive."""
+    """The JSON is cut into lines that stand in bars; a bar of the JSON itself at a cut must
+    survive.
+    """
     values = np.zeros((2, 2, 2), np.uint8)
     for length in range(400):
         recipe = tb.Recipe().then("made", values, note="x" * length + "|")

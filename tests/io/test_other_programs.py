@@ -1,4 +1,6 @@
-"""Files as other programs write and read them: the formats' own libraries, and files laid out by hand."""
+"""Files as other programs write and read them: the formats' own libraries, and files laid out by
+hand.
+"""
 
 import base64
 import struct
@@ -29,7 +31,8 @@ def test_imagej_reads_ours(tmp_path):
         assert page.compression.name == "ADOBE_DEFLATE"
     labels = tb.write(np.eye(3, dtype=np.uint8), tmp_path / "l.tif")
     with tifffile.TiffFile(labels) as tiff:
-        assert (tiff.imagej_metadata["min"], tiff.imagej_metadata["max"]) == (0.0, 1.0)  # else 1 shows as black
+        # else 1 shows as black
+        assert (tiff.imagej_metadata["min"], tiff.imagej_metadata["max"]) == (0.0, 1.0)
 
 
 def test_ome_reads_ours(tmp_path):
@@ -46,35 +49,58 @@ def test_imagej_and_ome_files_are_read(tmp_path):
     tifffile.imwrite(tmp_path / "ij.tif", RAMP, imagej=True, resolution=(2.0, 5.0), metadata=stack)
     image = tb.read(tmp_path / "ij.tif")
     assert image.spacing == (4.0, 0.2, 0.5) and image.unit == "um" and image.kind == "grey"
-    sizes = {"PhysicalSizeX": 500.0, "PhysicalSizeXUnit": "nm", "PhysicalSizeY": 0.25, "PhysicalSizeZ": 2.0}
+    sizes = {
+        "PhysicalSizeX": 500.0,
+        "PhysicalSizeXUnit": "nm",
+        "PhysicalSizeY": 0.25,
+        "PhysicalSizeZ": 2.0,
+    }
     tifffile.imwrite(tmp_path / "ome.tif", RAMP, ome=True, metadata={"axes": "ZYX", **sizes})
     image = tb.read(tmp_path / "ome.tif")
     assert image.spacing == pytest.approx((2000.0, 250.0, 500.0)) and image.unit == "nm"
-    tifffile.imwrite(tmp_path / "cm.tif", RAMP[0], resolution=(50, 100), resolutionunit="CENTIMETER")
-    assert tb.read(tmp_path / "cm.tif").spacing == (0.01, 0.02) and tb.read(tmp_path / "cm.tif").unit == "cm"
+    tifffile.imwrite(
+        tmp_path / "cm.tif", RAMP[0], resolution=(50, 100), resolutionunit="CENTIMETER"
+    )
+    assert (
+        tb.read(tmp_path / "cm.tif").spacing == (0.01, 0.02)
+        and tb.read(tmp_path / "cm.tif").unit == "cm"
+    )
     tifffile.imwrite(tmp_path / "dpi.tif", RAMP[0], resolution=(72, 72), resolutionunit="INCH")
     assert tb.read(tmp_path / "dpi.tif").unit == "voxel"  # a print size says nothing of a specimen
 
 
 def test_tiff_of_many_makes(tmp_path):
     rgb = np.arange(3 * 4 * 5 * 3, dtype=np.uint8).reshape(3, 4, 5, 3)
-    tifffile.imwrite(tmp_path / "planar.tif", np.moveaxis(rgb, -1, 1), photometric="rgb", planarconfig="separate")
+    tifffile.imwrite(
+        tmp_path / "planar.tif", np.moveaxis(rgb, -1, 1), photometric="rgb", planarconfig="separate"
+    )
     image = tb.read(tmp_path / "planar.tif")
     assert image.kind == "colour"
     np.testing.assert_array_equal(image.values, rgb)
     tifffile.imwrite(
-        tmp_path / "big.tif", RAMP.astype(">u2"), byteorder=">", bigtiff=True, tile=(16, 16), photometric="minisblack"
+        tmp_path / "big.tif",
+        RAMP.astype(">u2"),
+        byteorder=">",
+        bigtiff=True,
+        tile=(16, 16),
+        photometric="minisblack",
     )
     np.testing.assert_array_equal(tb.read(tmp_path / "big.tif").values, RAMP)
     tifffile.imwrite(tmp_path / "white.tif", RAMP[0].astype("u1"), photometric="miniswhite")
-    np.testing.assert_array_equal(tb.read(tmp_path / "white.tif").values, 255 - RAMP[0].astype("u1"))
+    np.testing.assert_array_equal(
+        tb.read(tmp_path / "white.tif").values, 255 - RAMP[0].astype("u1")
+    )
     pages = [Picture.fromarray(plane.astype("u1")) for plane in RAMP]
-    pages[0].save(tmp_path / "lzw.tif", save_all=True, append_images=pages[1:], compression="tiff_lzw")
+    pages[0].save(
+        tmp_path / "lzw.tif", save_all=True, append_images=pages[1:], compression="tiff_lzw"
+    )
     np.testing.assert_array_equal(tb.read(tmp_path / "lzw.tif").values, RAMP.astype("u1"))
 
 
 def test_tiff_of_times_and_channels_is_refused(tmp_path):
-    tifffile.imwrite(tmp_path / "t.tif", np.zeros((2, 3, 4, 5), np.uint8), imagej=True, metadata={"axes": "TZYX"})
+    tifffile.imwrite(
+        tmp_path / "t.tif", np.zeros((2, 3, 4, 5), np.uint8), imagej=True, metadata={"axes": "TZYX"}
+    )
     with pytest.raises(InputError, match="T 2, Z 3, Y 4, X 5"):
         tb.read(tmp_path / "t.tif")
 
@@ -92,17 +118,31 @@ def test_nifti_both_ways(tmp_path):
     nibabel.save(other, tmp_path / "y.nii")
     image = tb.read(tmp_path / "y.nii")
     np.testing.assert_array_equal(image.values, RAMP)
-    assert image.spacing == (5.0, 2.0, 3.0) and image.unit == "mm" and image.values.dtype == np.dtype("=i2")
-    nanometres = tb.Image(RAMP, "grey", spacing=500.0, unit="nm")  # which the header has no word for
-    assert nibabel.load(tb.write(nanometres, tmp_path / "n.nii")).header.get_zooms() == pytest.approx((0.5,) * 3)
+    assert (
+        image.spacing == (5.0, 2.0, 3.0)
+        and image.unit == "mm"
+        and image.values.dtype == np.dtype("=i2")
+    )
+    # which the header has no word for
+    nanometres = tb.Image(RAMP, "grey", spacing=500.0, unit="nm")
+    assert nibabel.load(
+        tb.write(nanometres, tmp_path / "n.nii")
+    ).header.get_zooms() == pytest.approx((0.5,) * 3)
 
 
 def test_nrrd_both_ways(tmp_path):
     values, header = nrrd.read(str(tb.write(grey_ramp(), tmp_path / "x.nrrd")))
     np.testing.assert_array_equal(values, RAMP.T)
     assert header["spacings"].tolist() == [0.3, 0.1, 2.5] and header["units"] == ["um"] * 3
-    oblique = {"space": "left-posterior-superior", "space directions": np.array([[0, 3, 4], [2, 0, 0], [0, 0, 7.0]])}
-    nrrd.write(str(tmp_path / "y.nrrd"), RAMP.T, {**oblique, "space units": ["mm", "mm", "mm"], "encoding": "raw"})
+    oblique = {
+        "space": "left-posterior-superior",
+        "space directions": np.array([[0, 3, 4], [2, 0, 0], [0, 0, 7.0]]),
+    }
+    nrrd.write(
+        str(tmp_path / "y.nrrd"),
+        RAMP.T,
+        {**oblique, "space units": ["mm", "mm", "mm"], "encoding": "raw"},
+    )
     image = tb.read(tmp_path / "y.nrrd")
     np.testing.assert_array_equal(image.values, RAMP)
     assert image.spacing == (7.0, 2.0, 5.0) and image.unit == "mm"
@@ -110,13 +150,25 @@ def test_nrrd_both_ways(tmp_path):
 
 @pytest.mark.parametrize("local", [True, False])
 @pytest.mark.parametrize("packed", [True, False])
-@pytest.mark.parametrize(("element", "dtype"), [("MET_SHORT", "i2"), ("MET_DOUBLE", "f8"), ("MET_UCHAR", "u1")])
+@pytest.mark.parametrize(
+    ("element", "dtype"), [("MET_SHORT", "i2"), ("MET_DOUBLE", "f8"), ("MET_UCHAR", "u1")]
+)
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_metaimage_by_hand(local, packed, element, dtype, order, tmp_path):
     raw = RAMP.astype(order + dtype).tobytes()
     raw = zlib.compress(raw) if packed else raw
-    lines = ["ObjectType = Image", "NDims = 3", "DimSize = 5 4 3", "ElementSpacing = 0.3 0.1 2.5", "BinaryData = True"]
-    lines += [f"BinaryDataByteOrderMSB = {order == '>'}", f"CompressedData = {packed}", f"ElementType = {element}"]
+    lines = [
+        "ObjectType = Image",
+        "NDims = 3",
+        "DimSize = 5 4 3",
+        "ElementSpacing = 0.3 0.1 2.5",
+        "BinaryData = True",
+    ]
+    lines += [
+        f"BinaryDataByteOrderMSB = {order == '>'}",
+        f"CompressedData = {packed}",
+        f"ElementType = {element}",
+    ]
     lines += [f"ElementDataFile = {'LOCAL' if local else 'voxels.zraw'}", ""]
     path = tmp_path / ("x.mha" if local else "x.mhd")
     path.write_bytes("\n".join(lines).encode() + (raw if local else b""))
@@ -128,13 +180,21 @@ def test_metaimage_by_hand(local, packed, element, dtype, order, tmp_path):
 
 def test_metaimage_header_as_itk_wants_it(tmp_path):
     image = tb.Image(
-        RAMP, "grey", spacing=grey_ramp().spacing, unit="um", recipe=tb.Recipe().then("made", RAMP, note="n" * 3000)
+        RAMP,
+        "grey",
+        spacing=grey_ramp().spacing,
+        unit="um",
+        recipe=tb.Recipe().then("made", RAMP, note="n" * 3000),
     )
     path = tb.write(image, tmp_path / "x.raw")
     assert path.name == "x.mhd" and tb.read(tmp_path / "x.raw").recipe == image.recipe
     lines = path.read_text().splitlines()
     keys = dict(line.split(" = ", 1) for line in lines)
-    assert (keys["DimSize"], keys["ElementSpacing"], keys["DistanceUnits"]) == ("5 4 3", "0.3 0.1 2.5", "um")
+    assert (keys["DimSize"], keys["ElementSpacing"], keys["DistanceUnits"]) == (
+        "5 4 3",
+        "0.3 0.1 2.5",
+        "um",
+    )
     assert lines[-1] == "ElementDataFile = x.raw" and max(map(len, lines)) < 500
     np.testing.assert_array_equal(np.fromfile(tmp_path / "x.raw", "<u2").reshape(3, 4, 5), RAMP)
 
@@ -187,7 +247,9 @@ def test_vti_by_hand(place, mode, packed, header, tmp_path):
 def test_our_vti_by_hand(tmp_path):
     raw = tb.write(grey_ramp(), tmp_path / "x.vti").read_bytes()
     assert (
-        b'WholeExtent="0 5 0 4 0 3"' in raw and b'Spacing="0.3 0.1 2.5"' in raw and b'<CellData Scalars="grey">' in raw
+        b'WholeExtent="0 5 0 4 0 3"' in raw
+        and b'Spacing="0.3 0.1 2.5"' in raw
+        and b'<CellData Scalars="grey">' in raw
     )
     data = raw[raw.index(b"_", raw.index(b"<AppendedData")) + 1 :]
     blocks, size, last, packed = struct.unpack_from("<4Q", data)

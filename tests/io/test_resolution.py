@@ -1,4 +1,6 @@
-"""Where a spacing comes from: flag, OME, ImageJ, resolution tags; and the tags that are habits of programs."""
+"""Where a spacing comes from: flag, OME, ImageJ, resolution tags; and the tags that are habits of
+programs.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,13 @@ def read(path, **given):
 
 def tiff(path, resolution, unit, values=GREY, **more):
     tifffile.imwrite(
-        path, values, resolution=resolution, resolutionunit=unit, metadata=None, photometric="minisblack", **more
+        path,
+        values,
+        resolution=resolution,
+        resolutionunit=unit,
+        metadata=None,
+        photometric="minisblack",
+        **more,
     )
     return path
 
@@ -38,9 +46,13 @@ def tiff(path, resolution, unit, values=GREY, **more):
 def test_resolution_tags_are_read_and_named(tmp_path, resolution, unit, spacing, named, stated):
     image, said, step = read(tiff(tmp_path / "x.tif", resolution, unit))
     assert image.spacing == pytest.approx(spacing) and image.unit == named
-    assert step["spacing_from"] == f"the TIFF's resolution tags ({stated})" and "ignored" not in step
+    assert (
+        step["spacing_from"] == f"the TIFF's resolution tags ({stated})" and "ignored" not in step
+    )
     edges = " x ".join(f"{edge:.6g}" for edge in spacing)
-    assert said == [f"{tmp_path / 'x.tif'}: spacing {edges} {named} from the TIFF's resolution tags ({stated})"]
+    assert said == [
+        f"{tmp_path / 'x.tif'}: spacing {edges} {named} from the TIFF's resolution tags ({stated})"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -56,7 +68,11 @@ def test_resolution_tags_are_read_and_named(tmp_path, resolution, unit, spacing,
         ((28.35, 28.35), "CENTIMETER", "the 72 dpi of prints"),
         ((28, 28), "CENTIMETER", "the 72 dpi of prints"),
         ((118.11, 118.11), "CENTIMETER", "the 300 dpi of prints"),
-        ((4_000_000_000, 4_000_000_000), "CENTIMETER", "voxels of 2.5e-12 m, hardly those of a material"),
+        (
+            (4_000_000_000, 4_000_000_000),
+            "CENTIMETER",
+            "voxels of 2.5e-12 m, hardly those of a material",
+        ),
     ],
 )
 def test_habits_of_programs_are_no_voxel_size(tmp_path, resolution, unit, why):
@@ -81,23 +97,35 @@ def test_imagej_comes_before_the_tags_and_says_inches_by_habit(tmp_path):
     assert image.spacing == pytest.approx((3, 1 / 72, 1 / 72)) and image.unit == "um" and not said
     assert step["spacing_from"] == "ImageJ metadata"
     # ImageJ takes a print's 300 dpi over as a length.
-    tifffile.imwrite(tmp_path / "b.tif", GREY, imagej=True, resolution=(300, 300), metadata={"unit": "inch"})
+    tifffile.imwrite(
+        tmp_path / "b.tif", GREY, imagej=True, resolution=(300, 300), metadata={"unit": "inch"}
+    )
     image, said, step = read(tmp_path / "b.tif")
     assert image.unit == "voxel" and "ImageJ metadata in inches say 300 dpi" in said[0]
     tifffile.imwrite(tmp_path / "c.tif", GREY, imagej=True, resolution=(1, 1))
     image, said, step = read(tmp_path / "c.tif")
     assert image.unit == "voxel" and not said and "spacing_from" not in step
-    tifffile.imwrite(tmp_path / "d.tif", GREY, imagej=True, resolution=(2000, 2000), resolutionunit="CENTIMETER")
+    tifffile.imwrite(
+        tmp_path / "d.tif", GREY, imagej=True, resolution=(2000, 2000), resolutionunit="CENTIMETER"
+    )
     image, said, step = read(tmp_path / "d.tif")
-    assert image.spacing == pytest.approx((5e-4, 5e-4)) and "resolution tags" in step["spacing_from"]
+    assert (
+        image.spacing == pytest.approx((5e-4, 5e-4)) and "resolution tags" in step["spacing_from"]
+    )
 
 
 def test_ome_comes_first_and_is_not_completed(tmp_path):
     sizes = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.25}
     stack = np.stack([GREY] * 4)
-    tifffile.imwrite(tmp_path / "a.ome.tif", stack, ome=True, metadata={**sizes, "PhysicalSizeZ": 2.0})
+    tifffile.imwrite(
+        tmp_path / "a.ome.tif", stack, ome=True, metadata={**sizes, "PhysicalSizeZ": 2.0}
+    )
     image, said, step = read(tmp_path / "a.ome.tif")
-    assert image.spacing == (2.0, 0.25, 0.5) and image.unit == "um" and step["spacing_from"] == "OME metadata"
+    assert (
+        image.spacing == (2.0, 0.25, 0.5)
+        and image.unit == "um"
+        and step["spacing_from"] == "OME metadata"
+    )
     tifffile.imwrite(tmp_path / "b.ome.tif", stack, ome=True, metadata=sizes)
     image, said, step = read(tmp_path / "b.ome.tif")
     assert image.unit == "voxel" and "its OME metadata say nothing of Z" in said[0]
@@ -117,7 +145,8 @@ def test_tags_of_a_stack_say_nothing_of_z(tmp_path):
     assert image.shape == (2, 20, 30) and image.unit == "voxel"
     assert (
         len(said) == 1
-        and "a.tif has a spacing (from the TIFF's resolution tags (1000 dpi)), which says nothing of z" in said[0]
+        and "a.tif has a spacing (from the TIFF's resolution tags (1000 dpi)), which says nothing of z"
+        in said[0]
     )
 
 

@@ -10,7 +10,9 @@ import trabecula as tb
 from trabecula.core.recipe import Recipe
 from trabecula.io.formats import suffixes
 
-often = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+often = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @pytest.mark.parametrize("suffix", VOLUMES)
@@ -34,15 +36,20 @@ def test_pictures_come_back(suffix, greys, tmp_path):
     comes_back()
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(image=images(ndim=(3,), greys=("uint8", "uint16")))
 def test_slices_come_back(image, tmp_path):
     same(tb.read(tb.write(image, f"{tmp_path}/slices/")), image)
 
 
-@pytest.mark.parametrize("suffix", sorted({*VOLUMES} - {".npy", ".zarr"}))  # which say it in our JSON; see test_store
+# which say it in our JSON; see test_store
+@pytest.mark.parametrize("suffix", sorted({*VOLUMES} - {".npy", ".zarr"}))
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
-def test_without_our_json_the_formats_own_fields_say_the_spacing(suffix, dtype, tmp_path, monkeypatch):
+def test_without_our_json_the_formats_own_fields_say_the_spacing(
+    suffix, dtype, tmp_path, monkeypatch
+):
     # What other programs see: spacing and unit in the format's own words, axes in its own order.
     for room in ("tiff", "metaimage", "nrrd", "nifti", "vti"):
         monkeypatch.setattr(f"trabecula.io.{room}.encode", lambda image: '{"somebody": "else"}')
@@ -65,16 +72,20 @@ def test_tiff_resolution_keeps_nine_digits(edge):
 
 def test_every_suffix_is_tried_here():
     tried = {*VOLUMES, ".png", ".bmp"}
-    assert set(suffixes()) - tried == {".tiff", ".raw", ".jpg", ".jpeg"}  # spellings of those, and the lossy one
+    # spellings of those, and the lossy one
+    assert set(suffixes()) - tried == {".tiff", ".raw", ".jpg", ".jpeg"}
 
 
 def test_jpeg_is_near_and_starts_a_new_recipe(tmp_path):
     ramp = np.tile(np.arange(64, dtype=np.uint8) * 4, (64, 1))
-    image = tb.Image(ramp, "grey", spacing=(2.0, 3.0), unit="mm", recipe=Recipe().then("made", ramp))
+    image = tb.Image(
+        ramp, "grey", spacing=(2.0, 3.0), unit="mm", recipe=Recipe().then("made", ramp)
+    )
     back = tb.read(tb.write(image, tmp_path / "x.jpg"))
     assert back.kind == "grey" and back.spacing == (2.0, 3.0) and back.unit == "mm"
     assert np.abs(back.values.astype(int) - ramp).max() <= 8
-    assert [step["verb"] for step in back.recipe.steps] == ["read"]  # the recipe of the exact voxels would be a lie
+    # the recipe of the exact voxels would be a lie
+    assert [step["verb"] for step in back.recipe.steps] == ["read"]
     with pytest.raises(tb.errors.InputError, match="blurs labels"):
         tb.write(np.eye(3, dtype=np.uint8), tmp_path / "y.jpg")
 
@@ -86,7 +97,12 @@ def test_a_raw_scan_starts_a_recipe_that_reads_it_again(tmp_path):
     image = tb.read(str(path), **options)
     assert image.values.tolist() == [[0, 1, 1], [2, 0, 1]] and image.unit == "um"
     (step,) = image.recipe.steps
-    assert (step["verb"], step["source"], step["levels"], step["options"]) == ("read", str(path), [0, 7, 255], options)
+    assert (step["verb"], step["source"], step["levels"], step["options"]) == (
+        "read",
+        str(path),
+        [0, 7, 255],
+        options,
+    )
     same(tb.read(step["source"], **step["options"]), image)
 
 

@@ -1,7 +1,8 @@
-"""What must work wherever the package is installed: the command line, every method, the main job. Minutes; `make test-matrix`.
+"""What must work wherever the package is installed: the command line, every method, the main job.
+Minutes; `make test-matrix`.
 
-The name keeps it out of `make test`, whose own tests say more of each. Kernels are compiled where it runs first, which
-takes most of its time, so everything is small and is made once.
+The name keeps it out of `make test`, whose own tests say more of each. Kernels are compiled where
+it runs first, which takes most of its time, so everything is small and is made once.
 """
 
 import importlib.metadata
@@ -15,7 +16,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.cli.main import VERBS
-from trabecula.synth.registry import methods
+from trabecula.synth.api.registry import methods
 
 SPECS = methods()
 COMMAND = Path(sys.executable).with_name("trabecula")
@@ -24,7 +25,9 @@ SMALL = ("--set", "neighbourhood=4", "--set", "first_rounds=2", "--set", "rounds
 
 def run(folder, *words):
     """Run the installed command in a process of its own, and return what it printed."""
-    done = subprocess.run([COMMAND, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [COMMAND, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -37,7 +40,9 @@ def test_the_installed_package_is_tested():
 def test_the_command_says_what_it_is(tmp_path):
     assert run(tmp_path, "--version") == f"trabecula {tb.__version__}\n"
     assert all(verb in run(tmp_path, "--help") for verb in VERBS)
-    done = subprocess.run([sys.executable, "-m", "trabecula", "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "trabecula", "--version"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == f"trabecula {tb.__version__}\n"
 
 
@@ -62,9 +67,14 @@ def job(tmp_path_factory):
 def test_the_main_job_leaves_its_files(job):
     made, part = tb.read(job / "bone.zarr"), tb.read(job / "part.zarr")
     assert made.shape == part.shape == (28, 28, 28) and made.spacing == (40.0, 40.0, 40.0)
-    assert tb.measure.porosity(made) == pytest.approx(tb.measure.porosity(tb.read(job / "scan.tif")), abs=0.02)
+    assert tb.measure.porosity(made) == pytest.approx(
+        tb.measure.porosity(tb.read(job / "scan.tif")), abs=0.02
+    )
     assert "<html" in (job / "report.html").read_text(encoding="utf-8").lower()
-    assert (job / "part.stl").stat().st_size > 10_000 and tb.read(job / "part.png").shape[:2] == (64, 96)
+    assert (job / "part.stl").stat().st_size > 10_000 and tb.read(job / "part.png").shape[:2] == (
+        64,
+        96,
+    )
 
 
 def test_the_recipe_gives_the_same_voxels(job):
@@ -79,7 +89,9 @@ def test_every_method_makes_a_volume(name):
     volume = tb.crop(tb.sample("bone"), 64 if spec.learns else 32)
     picture = tb.Image(volume.values[16], "labels", volume.spacing[1:], volume.unit, volume.phases)
     made = (
-        tb.method(name, **spec.trial).fit(picture if spec.exemplar == "2d" else volume).generate((20, 22, 24), seed=1)
+        tb.method(name, **spec.trial)
+        .fit(picture if spec.exemplar == "2d" else volume)
+        .generate((20, 22, 24), seed=1)
     )
     assert made.shape == (20, 22, 24) and made.spacing == (40.0,) * 3
     assert 0.02 < made.values.mean() < 0.98

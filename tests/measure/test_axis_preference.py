@@ -31,17 +31,25 @@ def rods(seed, side=64, *, count=40):
 def test_rods_along_the_axes_raise_it_and_balls_do_not():
     assert axis_preference(balls(0)) < 0.15 < 0.5 < axis_preference(rods(0))
     middle = balls(1)[32]
-    assert axis_preference(middle) < 0.5 * axis_preference(np.indices((64, 64)).sum(axis=0) // 4 % 2)
+    assert axis_preference(middle) < 0.5 * axis_preference(
+        np.indices((64, 64)).sum(axis=0) // 4 % 2
+    )
 
 
 def test_it_is_the_norm_that_it_says():
     values = balls(2, 28)[:20, :, :24]
     axial = np.mean([two_point(values, r_max=10, axis=axis) for axis in range(3)], axis=0)
     ways = [(1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]
-    diagonal = covariance_form(np.mean([two_point(values, r_max=7, direction=way) for way in ways], axis=0))
+    diagonal = covariance_form(
+        np.mean([two_point(values, r_max=7, direction=way) for way in ways], axis=0)
+    )
     there = np.interp(np.arange(8) * np.sqrt(2), np.arange(11), covariance_form(axial))
     expected = np.linalg.norm((there - diagonal)[1:]) / np.linalg.norm((there + diagonal)[1:] / 2)
-    assert axis_preference(values, r_max=10) == axis_preference(values, r_max=99) == pytest.approx(expected)
+    assert (
+        axis_preference(values, r_max=10)
+        == axis_preference(values, r_max=99)
+        == pytest.approx(expected)
+    )
 
 
 def test_turning_and_mirroring_do_not_matter():
@@ -49,7 +57,9 @@ def test_turning_and_mirroring_do_not_matter():
     found = axis_preference(values, r_max=12)
     for other in (values.transpose(2, 0, 1), values[::-1], values[:, ::-1, ::-1]):
         assert axis_preference(other, r_max=12) == pytest.approx(found)
-    assert axis_preference(1 - values, r_max=12) == pytest.approx(found, rel=0.1), "but for what faces cut"
+    assert axis_preference(1 - values, r_max=12) == pytest.approx(found, rel=0.1), (
+        "but for what faces cut"
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trabecula as tb
+from trabecula.engine.lazy_volume import Slabs, depth_within, slabs_of
 from trabecula.engine.plan import Plan
-from trabecula.engine.slabs import Slabs, depth_within, slabs_of
 from trabecula.measure import component_sizes, describe, percolating_fraction
 from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
 from trabecula.measure.labelling import label_components
-from trabecula.measure.tallies import Cubes, Pieces
+from trabecula.measure.streaming import Cubes, Pieces
 
 SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
 
@@ -100,7 +100,7 @@ def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
 
 @given(arrays(bool, SHAPES), st.integers(1, 9))
 def test_the_cubes_of_an_object_are_those_with_a_margin_around_it(inside, depth):
-    from trabecula.measure.cubes import count_cubes
+    from trabecula.measure.configurations import count_cubes
 
     cubes = in_pieces(slabs_of(tb.Image(inside, "labels")), Cubes(), depth)
     assert cubes.object().tolist() == count_cubes(np.pad(inside, 1), None).tolist()
@@ -130,7 +130,9 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
     volume = slabs_of(tb.Image(values, "labels"))
     found = describe_slabs(volume, depth=5)
     assert set(found) == set(describe(values))
-    assert all(found[name] is None and any(name in note for note in found["notes"]) for name in LEFT_OUT)
+    assert all(
+        found[name] is None and any(name in note for note in found["notes"]) for name in LEFT_OUT
+    )
     with pytest.raises(tb.errors.InputError, match="depth"):
         describe_slabs(volume, depth=0)
     with pytest.raises(tb.errors.InputError, match="--box"):
@@ -145,12 +147,24 @@ def test_transport_is_that_of_the_box_in_the_middle(bone):
 
 
 def test_the_deepest_slab_that_fits_is_taken_and_none_is_refused():
-    volume = Slabs((1000, 10, 10), lambda box: np.zeros(0), (1.0,) * 3, "voxel", ("void", "solid"), grain=128)
+    volume = Slabs(
+        (1000, 10, 10), lambda box: np.zeros(0), (1.0,) * 3, "voxel", ("void", "solid"), grain=128
+    )
 
     def depth(budget):
-        return depth_within(volume, lambda planes: Plan({"slab": 100 * planes}), memory=budget, advice="crop it")
+        return depth_within(
+            volume, lambda planes: Plan({"slab": 100 * planes}), memory=budget, advice="crop it"
+        )
 
-    assert [depth(100 * most) for most in (1000, 999, 600, 300, 130, 127, 5)] == [1000, 512, 512, 256, 128, 64, 4]
+    assert [depth(100 * most) for most in (1000, 999, 600, 300, 130, 127, 5)] == [
+        1000,
+        512,
+        512,
+        256,
+        128,
+        64,
+        4,
+    ]
     with pytest.raises(tb.errors.MemoryBudgetError, match="crop it"):
         depth(99)
 
@@ -183,7 +197,13 @@ def test_the_forecast_bounds_a_pass_of_every_phase():
 
 
 def test_a_slab_with_a_label_that_has_no_name_is_refused():
-    volume = Slabs((4, 3, 3), lambda box: np.full((1, 3, 3), 5, np.uint8), (1.0,) * 3, "voxel", ("void", "solid"))
+    volume = Slabs(
+        (4, 3, 3),
+        lambda box: np.full((1, 3, 3), 5, np.uint8),
+        (1.0,) * 3,
+        "voxel",
+        ("void", "solid"),
+    )
     with pytest.raises(tb.errors.InputError, match="phases"):
         describe_slabs(volume, depth=1)
 
@@ -194,4 +214,7 @@ def test_slabs_of_an_image_are_its_planes(inside, depth):
     slabs = list(slabs_of(image).slabs(depth))
     assert np.array_equal(np.concatenate([slab.values for slab in slabs]), image.values)
     assert {len(slab.values) for slab in slabs[:-1]} <= {depth}
-    assert len(label_components(inside)[1]) == in_pieces(slabs_of(image), Pieces(), depth).result().components
+    assert (
+        len(label_components(inside)[1])
+        == in_pieces(slabs_of(image), Pieces(), depth).result().components
+    )

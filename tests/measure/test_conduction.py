@@ -1,4 +1,6 @@
-"""Diffusivity and conductivity: layers, ducts, grains and checkerboards of known value, bounds, an oracle, invariances."""
+"""Diffusivity and conductivity: layers, ducts, grains and checkerboards of known value, bounds, an
+oracle, invariances.
+"""
 
 import math
 from itertools import pairwise
@@ -28,7 +30,9 @@ def direct(values, sigma, edges):
     local = np.asarray(sigma, float)[values]
     rows, columns, couplings = [], [], []
     for d in range(values.ndim):
-        low, high = [np.delete(np.arange(values.shape[d]), -1 if side == 0 else 0) for side in (0, 1)]
+        low, high = [
+            np.delete(np.arange(values.shape[d]), -1 if side == 0 else 0) for side in (0, 1)
+        ]
         a, b = local.take(low, d), local.take(high, d)
         coupling = (2 * a * b / (a + b) * math.prod(edges) / edges[d] ** 2).ravel()
         i, j = number.take(low, d).ravel(), number.take(high, d).ravel()
@@ -39,7 +43,9 @@ def direct(values, sigma, edges):
     rows += [number[0].ravel(), number[-1].ravel()]
     columns += [number[0].ravel(), number[-1].ravel()]
     couplings += [ends[0].ravel(), ends[1].ravel()]
-    matrix = sparse.csr_array((np.concatenate(couplings), (np.concatenate(rows), np.concatenate(columns))))
+    matrix = sparse.csr_array(
+        (np.concatenate(couplings), (np.concatenate(rows), np.concatenate(columns)))
+    )
     right = np.zeros(values.size)
     right[number[0].ravel()] = ends[0].ravel()
     potential = spsolve(matrix, right).reshape(values.shape)
@@ -52,10 +58,14 @@ def test_layers_are_the_harmonic_mean_across_and_the_arithmetic_mean_along(shape
     rng = np.random.default_rng(3)
     layer = rng.integers(0, 3, 20)
     values = np.broadcast_to(layer.reshape(-1, *[1] * (len(shape) - 1)), shape)
-    image = tb.Image(values, "labels", spacing=(1.0, 3.0, 0.4)[: len(shape)], phases=("void", "a", "b"))
+    image = tb.Image(
+        values, "labels", spacing=(1.0, 3.0, 0.4)[: len(shape)], phases=("void", "a", "b")
+    )
     sigma = {"void": 0.02, "a": 7.0, "b": 1.5}
     local = np.array(list(sigma.values()))[layer]
-    across, along = [conductivity(image, conductivities=sigma, axis=axis, tolerance=1e-9) for axis in (0, 1)]
+    across, along = [
+        conductivity(image, conductivities=sigma, axis=axis, tolerance=1e-9) for axis in (0, 1)
+    ]
     assert across.converged and across.value == pytest.approx(1 / np.mean(1 / local), rel=1e-6)
     assert along.converged and along.value == pytest.approx(np.mean(local), rel=1e-6)
 
@@ -65,7 +75,9 @@ def test_straight_duct_has_its_share_of_the_area():
     values[:, 1:4, 2:6] = 0
     for axis in range(3):
         turned = np.moveaxis(values, 0, axis)
-        assert diffusivity(turned, axis=axis, tolerance=1e-8).value == pytest.approx(12 / 56, rel=1e-7)
+        assert diffusivity(turned, axis=axis, tolerance=1e-8).value == pytest.approx(
+            12 / 56, rel=1e-7
+        )
         assert tortuosity(turned, axis=axis, tolerance=1e-8).value == pytest.approx(1, rel=1e-7)
 
 
@@ -74,27 +86,36 @@ def test_checkerboard_in_2d_tends_to_the_geometric_mean():
     errors = []
     for side in (4, 8, 16, 32):
         board = np.kron(np.indices((4, 4)).sum(axis=0) % 2, np.ones((side, side))).astype(np.uint8)
-        errors.append(1 - conductivity(board, conductivities={"void": 1, "solid": 4}, axis=0).value / 2)
+        errors.append(
+            1 - conductivity(board, conductivities={"void": 1, "solid": 4}, axis=0).value / 2
+        )
     assert errors[0] < 0.05 and 0 < errors[-1] < 0.005
     assert all(fine < 0.65 * coarse for coarse, fine in pairwise(errors))
 
 
 def test_interchange_of_phases_in_2d():
-    # Dykhne: conductivity along y, times that of the inverse conductivities along x, is 1 in the continuum.
+    # Dykhne: conductivity along y, times that of the inverse conductivities along x, is 1 in the
+    # continuum.
     values = np.kron(medium(5, (12, 12), 0.5), np.ones((8, 8), np.uint8))
     product = 1.0
     for axis, power in ((0, 1), (1, -1)):
-        product *= conductivity(values, conductivities={"void": 1.0, "solid": 3.0**power}, axis=axis).value
+        product *= conductivity(
+            values, conductivities={"void": 1.0, "solid": 3.0**power}, axis=axis
+        ).value
     assert product == pytest.approx(1, abs=0.02)
 
 
 def test_simple_cubic_insulating_spheres():
-    # Rayleigh's series to the first term beyond Maxwell's (McPhedran and McKenzie 1978, doi:10.1098/rspa.1978.0031).
-    # Voxel grains are a little too large for the flux: the error falls with the first power of the edge.
+    # Rayleigh's series to the first term beyond Maxwell's (McPhedran and McKenzie 1978,
+    # doi:10.1098/rspa.1978.0031).
+    # Voxel grains are a little too large for the flux: the error falls with the first power of the
+    # edge.
     errors = []
     for n in (24, 48):
         at = (np.arange(n) + 0.5) / n - 0.5
-        ball = (at[:, None, None] ** 2 + at[:, None] ** 2 + at**2 < (0.15 / np.pi) ** (2 / 3)).astype(np.uint8)
+        ball = (
+            at[:, None, None] ** 2 + at[:, None] ** 2 + at**2 < (0.15 / np.pi) ** (2 / 3)
+        ).astype(np.uint8)
         f = ball.mean()
         exact = 1 - 3 * f / (2 + f - 1.569 * 0.75 * f ** (10 / 3))
         errors.append(1 - diffusivity(ball, axis=0).value / exact)
@@ -106,7 +127,9 @@ def test_equals_a_direct_solve(edges):
     values = np.random.default_rng(1).choice(3, (9, 8, 7)).astype(np.uint8)
     image = tb.Image(values, "labels", spacing=edges, phases=("void", "a", "b"))
     sigma = [0.01, 1.0, 30.0]
-    found = conductivity(image, conductivities=dict(zip(image.phases, sigma, strict=True)), axis=0, tolerance=1e-8)
+    found = conductivity(
+        image, conductivities=dict(zip(image.phases, sigma, strict=True)), axis=0, tolerance=1e-8
+    )
     assert found.converged and found.imbalance < 1e-8
     assert found.value == pytest.approx(direct(values, sigma, edges), rel=1e-6)
 
@@ -119,13 +142,17 @@ def test_void_alone_is_the_limit_of_a_poorly_conducting_solid():
 
 @given(volumes, st.sampled_from([0.0, 0.05, 0.5]))
 def test_bounds_are_never_violated(values, low):
-    found = [conductivity(values, conductivities={"void": 1, "solid": low}, axis=axis).value for axis in range(3)]
+    found = [
+        conductivity(values, conductivities={"void": 1, "solid": low}, axis=axis).value
+        for axis in range(3)
+    ]
     f = 1 - values.mean()
     arithmetic = f + (1 - f) * low
     harmonic = 0.0 if low == 0 and f < 1 else 1 / (f + (1 - f) / low) if low else 1.0
     assert all(harmonic - 1e-5 <= value <= arithmetic + 1e-5 for value in found)
     assume(0 < f < 1)
-    # Hashin and Shtrikman's upper bound for any anisotropy (Milton and Kohn 1988, doi:10.1016/0022-5096(88)90001-4); with
+    # Hashin and Shtrikman's upper bound for any anisotropy (Milton and Kohn 1988,
+    # doi:10.1016/0022-5096(88)90001-4); with
     # three equal values it is the well-known one.
     bound = 1 / (1 - harmonic) + 2 / (1 - arithmetic)
     assert sum(1 / (1 - value) for value in found) <= bound * (1 + 1e-4)
@@ -139,17 +166,21 @@ def test_turning_and_mirroring_the_image_turns_the_result(seed, order, mirror):
     other = tb.Image(turned, "labels", spacing=[edges[d] for d in order])
     for axis in range(3):
         expected = diffusivity(one, axis=order[axis], tolerance=1e-8).value
-        assert diffusivity(other, axis=axis, tolerance=1e-8).value == pytest.approx(expected, rel=1e-6)
+        assert diffusivity(other, axis=axis, tolerance=1e-8).value == pytest.approx(
+            expected, rel=1e-6
+        )
 
 
 def test_spacing_scales_nothing_and_2d_is_one_slice():
     values = medium(4)
     plain = diffusivity(values, axis=1).value
-    assert diffusivity(tb.Image(values, "labels", spacing=19.5, unit="um"), axis=-2).value == pytest.approx(
-        plain, rel=1e-9
-    )
+    assert diffusivity(
+        tb.Image(values, "labels", spacing=19.5, unit="um"), axis=-2
+    ).value == pytest.approx(plain, rel=1e-9)
     flat = medium(8, (20, 15), 0.25)
-    assert diffusivity(flat, axis=1).value == pytest.approx(diffusivity(flat[None], axis=2).value, rel=1e-9)
+    assert diffusivity(flat, axis=1).value == pytest.approx(
+        diffusivity(flat[None], axis=2).value, rel=1e-9
+    )
 
 
 def test_what_does_not_percolate_is_exactly_zero():
@@ -169,15 +200,20 @@ def test_floating_pores_and_dead_ends_change_nothing():
     pruned = values.copy()
     while True:  # a voxel with one neighbour carries no flux, nor does one without
         void = np.pad(pruned == 0, 1)
-        void[0, 1:-1, 1:-1], void[-1, 1:-1, 1:-1] = pruned[0] == 0, pruned[-1] == 0  # the end faces hold on
-        count = sum(np.roll(void, step, axis).astype(int) for axis in range(3) for step in (-1, 1))[1:-1, 1:-1, 1:-1]
+        # the end faces hold on
+        void[0, 1:-1, 1:-1], void[-1, 1:-1, 1:-1] = pruned[0] == 0, pruned[-1] == 0
+        count = sum(np.roll(void, step, axis).astype(int) for axis in range(3) for step in (-1, 1))[
+            1:-1, 1:-1, 1:-1
+        ]
         dead = (pruned == 0) & (count <= 1)
         if not dead.any():
             break
         pruned[dead] = 1
     assert (pruned != values).sum() > 50
     full = diffusivity(values, axis=0, tolerance=1e-7)
-    assert full.value > 0 and full.value == pytest.approx(diffusivity(pruned, axis=0, tolerance=1e-7).value, rel=1e-6)
+    assert full.value > 0 and full.value == pytest.approx(
+        diffusivity(pruned, axis=0, tolerance=1e-7).value, rel=1e-6
+    )
 
 
 def test_threads_change_no_bit():
@@ -195,7 +231,9 @@ def test_box_is_the_centre_and_halving_compares_it_with_itself():
     assert diffusivity(image, axis=1, box=10) == diffusivity(inner, axis=1)
     split = values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
     change = diffusivity(values, axis=0, halving=True).halving
-    assert change == pytest.approx(diffusivity(split, axis=0).value / diffusivity(values, axis=0).value - 1, rel=1e-3)
+    assert change == pytest.approx(
+        diffusivity(split, axis=0).value / diffusivity(values, axis=0).value - 1, rel=1e-3
+    )
     layers = np.repeat([[0, 0, 1, 0]], 6, axis=0)
     assert abs(diffusivity(layers, axis=0, halving=True).halving) < 1e-6
 

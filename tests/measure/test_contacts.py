@@ -21,18 +21,24 @@ def random_phases(phases, shape=(9, 8, 7), seed=0):
 def coated_sphere(core=10, shell=14, side=40):
     radius = np.sqrt(sum((axis - side / 2 + 0.5) ** 2 for axis in np.indices((side,) * 3)))
     return tb.Image(
-        np.where(radius < core, 1, np.where(radius < shell, 2, 0)), "labels", phases=("void", "core", "shell")
+        np.where(radius < core, 1, np.where(radius < shell, 2, 0)),
+        "labels",
+        phases=("void", "core", "shell"),
     )
 
 
-@given(phases=st.integers(2, 5), seed=st.integers(0, 99), flat=st.booleans(), periodic=st.booleans())
+@given(
+    phases=st.integers(2, 5), seed=st.integers(0, 99), flat=st.booleans(), periodic=st.booleans()
+)
 def test_the_contacts_of_a_phase_add_up_to_its_surface(phases, seed, flat, periodic):
     image = random_phases(phases, (9, 8) if flat else (6, 5, 7), seed)
     areas = contacts(image, periodic=periodic)
     assert list(areas) == list(combinations(image.phases, 2))
     for phase in image.phases:
         own = sum(area for pair, area in areas.items() if phase in pair)
-        assert own == pytest.approx(specific_surface(image, phase=phase, periodic=periodic), rel=1e-12)
+        assert own == pytest.approx(
+            specific_surface(image, phase=phase, periodic=periodic), rel=1e-12
+        )
 
 
 def test_of_two_phases_the_contact_is_the_surface_and_of_three_half_a_sum():
@@ -62,7 +68,9 @@ def test_phases_that_never_meet_have_no_contact_at_all():
     checkers = np.indices((8, 8, 8)).sum(axis=0) % 2
     image = tb.Image(checkers, "labels", phases=("void", "a", "b", "c"))
     areas = contacts(image)
-    assert areas["void", "a"] > 0.8 and not any(area for pair, area in areas.items() if pair != ("void", "a"))
+    assert areas["void", "a"] > 0.8 and not any(
+        area for pair, area in areas.items() if pair != ("void", "a")
+    )
 
 
 def test_a_mask_counts_what_lies_in_it():

@@ -1,4 +1,6 @@
-"""Copying against what is known: crops, mosaics of tiles, mirrored copies, independent fields, and search by brute force."""
+"""Copying against what is known: crops, mosaics of tiles, mirrored copies, independent fields, and
+search by brute force.
+"""
 
 import numpy as np
 import pytest
@@ -33,31 +35,43 @@ SCAN = blobs((40, 40, 40), seed=0)
 
 @pytest.mark.parametrize(("phases", "size", "step"), [(2, 9, 1), (2, 5, 2), (3, 7, 1), (5, 5, 1)])
 def test_the_search_is_exact(phases, size, step):
-    """Oracle: every candidate compared in NumPy, for the distance, a source that has it, and the best of all that move along."""
+    """Oracle: every candidate compared in NumPy, for the distance, a source that has it, and the
+    best of all that move along.
+    """
     exemplar, image = (blobs((18, 19, 20), seed=seed, phases=phases) for seed in (1, 2))
     geometry = Geometry((size,) * 3, step, max(1, (phases - 1).bit_length()), 1)
     tree, cubes = grow(cut(exemplar, geometry), geometry, leaf=32), cut(image, geometry)
     rng = np.random.default_rng(3)
     sites = np.stack([rng.integers(2, side - 2, 12) for side in cubes.counts.shape], -1)
     moves = np.tile(np.array([[2, 0, 0], [0, 0, -1]]), (len(sites), 1, 1))
-    best, source, along = search(tree, cubes, geometry, sites, moves, np.full(len(sites), FAR, np.int32))
+    best, source, along = search(
+        tree, cubes, geometry, sites, moves, np.full(len(sites), FAR, np.int32)
+    )
 
     span = (size - 1) * step + 1
     every = [
-        neighbourhoods(part, span).reshape(*cubes.counts.shape, *(span,) * 3)[..., ::step, ::step, ::step]
+        neighbourhoods(part, span).reshape(*cubes.counts.shape, *(span,) * 3)[
+            ..., ::step, ::step, ::step
+        ]
         for part in (exemplar, image)
     ]
     candidates = np.argwhere(tree.cubes.counts)
     for n, site in enumerate(sites):
-        differing = np.array([np.count_nonzero(every[0][tuple(c)] != every[1][tuple(site)]) for c in candidates])
+        differing = np.array(
+            [np.count_nonzero(every[0][tuple(c)] != every[1][tuple(site)]) for c in candidates]
+        )
         assert best[n] == differing.min()
         nearest = candidates[differing == best[n]]
-        assert np.any(np.all(nearest == np.unravel_index(source[n], tree.cubes.counts.shape), axis=1))
+        assert np.any(
+            np.all(nearest == np.unravel_index(source[n], tree.cubes.counts.shape), axis=1)
+        )
         for m, move in enumerate(moves[n]):
             ends = nearest + move
             ends = ends[np.all((ends >= 0) & (ends < tree.cubes.counts.shape), axis=1)]
             there = every[1][tuple(site + move)]
-            wanted = min((np.count_nonzero(every[0][tuple(end)] != there) for end in ends), default=int(FAR))
+            wanted = min(
+                (np.count_nonzero(every[0][tuple(end)] != there) for end in ends), default=int(FAR)
+            )
             assert along[n, m] == wanted
 
 
@@ -72,7 +86,11 @@ def test_a_crop_is_coherent_wherever_it_lies(corner, seed, half):
 def test_the_sources_of_a_crop_are_where_it_was_taken():
     taken = sources(SCAN, SCAN[5:33, 7:35, 2:30])
     counted = taken.position[..., 0] >= 0
-    assert counted[4:-4, 4:-4, 4:-4].mean() > 0.3 and not counted[:4].any() and not counted[:, :, -4:].any()
+    assert (
+        counted[4:-4, 4:-4, 4:-4].mean() > 0.3
+        and not counted[:4].any()
+        and not counted[:, :, -4:].any()
+    )
     assert np.all(taken.position[counted] - np.argwhere(counted) == (5, 7, 2))
     assert np.all(taken.distance[counted] == 0) and np.all(np.isnan(taken.distance[~counted]))
     assert not taken.mirror.any()
@@ -86,7 +104,9 @@ def test_half_resolution_has_the_same_frame():
 
 
 def test_a_mosaic_falls_into_its_tiles():
-    """Tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile, patches about a tile."""
+    """Tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile,
+    patches about a tile.
+    """
     rng, s, tiles = np.random.default_rng(4), 16, 3
     exemplar = blobs((48, 48, 48), seed=5)
     mosaic = np.empty((s * tiles,) * 3, np.uint8)
@@ -95,7 +115,8 @@ def test_a_mosaic_falls_into_its_tiles():
         here = tuple(slice(i * s, (i + 1) * s) for i in tile)
         mosaic[here] = exemplar[tuple(slice(c, c + s) for c in corner)]
     shares = coherence(exemplar, mosaic, k=(1, 4, 8), samples=800, size=5)
-    for k, share in shares.items():  # neighbourhoods across a seam are nobody's copy, which costs a few percents more
+    # neighbourhoods across a seam are nobody's copy, which costs a few percents more
+    for k, share in shares.items():
         assert (s - k) / s - 0.18 < share < (s - k) / s + 0.06
     patches = coherent_patches(sources(exemplar, mosaic, size=5))
     assert 0.3 * s**3 < patches.mean < 1.1 * s**3
@@ -118,7 +139,10 @@ def test_a_mirrored_copy_is_found_with_mirrors_alone():
     counted = taken.position[..., 0] >= 0
     place = np.argwhere(counted)
     assert np.all(taken.mirror[counted] == 2)
-    assert np.all(taken.position[counted] == np.stack([place[:, 0] + 4, 30 - place[:, 1], place[:, 2] + 5], -1))
+    assert np.all(
+        taken.position[counted]
+        == np.stack([place[:, 0] + 4, 30 - place[:, 1], place[:, 2] + 5], -1)
+    )
     assert coherent_patches(taken).mean > 0.9 * np.count_nonzero(counted)
 
 

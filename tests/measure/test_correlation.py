@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import trabecula as tb
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.measure.correlation import covariance_form, two_point
 
 
@@ -43,7 +43,9 @@ def test_equals_pairs_counted_one_by_one(inside, spacing, periodic, masked, seed
     image = tb.Image(inside, "labels", spacing=spacing[-inside.ndim :])
     periodic = periodic[-inside.ndim :]
     result = two_point(image, r_max=r_max, periodic=periodic, mask=mask)
-    expected = counted(inside, r_max, spacing=spacing, mask=mask, periodic=(False,) * (3 - inside.ndim) + periodic)
+    expected = counted(
+        inside, r_max, spacing=spacing, mask=mask, periodic=(False,) * (3 - inside.ndim) + periodic
+    )
     np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
@@ -66,7 +68,8 @@ def test_layers_have_a_triangle_wave_across_and_a_constant_along():
     across = two_point(layers, r_max=10, axis=0, periodic=True)
     np.testing.assert_allclose(across, np.abs(np.arange(11) - 5) / 10, atol=1e-15)
     np.testing.assert_allclose(two_point(layers, r_max=10, axis=1), 0.5, atol=1e-15)
-    # Not wrapped, every pair that fits still counts alike: the share differs from 0.5 only by where the window ends.
+    # Not wrapped, every pair that fits still counts alike: the share differs from 0.5 only by where
+    # the window ends.
     assert two_point(layers, r_max=10, axis=0)[10] == 0.5
 
 
@@ -84,15 +87,24 @@ def test_independent_voxels_give_phi_squared():
 
 def test_two_dimensions_and_phases():
     image = tb.Image(
-        np.arange(3)[np.random.default_rng(3).integers(0, 3, (40, 50))], "labels", phases=("void", "a", "b")
+        np.arange(3)[np.random.default_rng(3).integers(0, 3, (40, 50))],
+        "labels",
+        phases=("void", "a", "b"),
     )
     union = two_point(image, r_max=5)
-    assert union[0] == pytest.approx(two_point(image, r_max=5, phase="a")[0] + two_point(image, r_max=5, phase=2)[0])
+    assert union[0] == pytest.approx(
+        two_point(image, r_max=5, phase="a")[0] + two_point(image, r_max=5, phase=2)[0]
+    )
     np.testing.assert_allclose(union, counted(image.values > 0, 5), atol=1e-12)
 
 
 def test_covariance_of_an_empty_phase_is_finite():
-    assert covariance_form(two_point(np.zeros((8, 8, 8), np.uint8), r_max=3)).tolist() == [1, 0, 0, 0]
+    assert covariance_form(two_point(np.zeros((8, 8, 8), np.uint8), r_max=3)).tolist() == [
+        1,
+        0,
+        0,
+        0,
+    ]
 
 
 def test_what_does_not_fit_is_refused():
@@ -159,7 +171,10 @@ def test_between_voxels_a_direction_interpolates_pairs(masked):
     inside = rng.random((9, 10)) < 0.5
     mask = rng.random((9, 10)) < 0.8 if masked else np.ones((9, 10), bool)
     # Sample 2 ends at (1.5, -0.5): a quarter each of the four voxels around it.
-    corners = [lattice_count(inside & mask, mask, np.array(at), False) for at in ((1, 0), (1, -1), (2, 0), (2, -1))]
+    corners = [
+        lattice_count(inside & mask, mask, np.array(at), False)
+        for at in ((1, 0), (1, -1), (2, 0), (2, -1))
+    ]
     hits, pairs = np.sum(corners, axis=0)
     s2 = two_point(inside, r_max=2, direction=(0.75, -0.25), mask=mask if masked else None)
     assert s2[2] == pytest.approx(hits / pairs, abs=1e-14)
@@ -174,7 +189,9 @@ def test_a_tilted_wave_is_a_triangle_along_every_direction():
         s2 = two_point(solid, r_max=12, direction=direction, periodic=(False, True, True))
         turn = np.arange(13) * np.dot(wave, direction) % 1
         theory = np.abs(turn - 0.5)
-        np.testing.assert_allclose(s2, theory, atol=0.035 if np.any(np.array(direction) % 1) else 1e-12)
+        np.testing.assert_allclose(
+            s2, theory, atol=0.035 if np.any(np.array(direction) % 1) else 1e-12
+        )
 
 
 def test_a_direction_along_an_axis_is_that_axis():
@@ -184,7 +201,9 @@ def test_a_direction_along_an_axis_is_that_axis():
         unit = np.eye(3)[axis]
         assert two_point(solid, r_max=8, direction=unit).tolist() == along.tolist()
         assert two_point(solid, r_max=4, direction=-2 * unit).tolist() == along[::2].tolist()
-        np.testing.assert_allclose(two_point(solid, r_max=16, direction=unit / 2)[::2], along, atol=1e-14)
+        np.testing.assert_allclose(
+            two_point(solid, r_max=16, direction=unit / 2)[::2], along, atol=1e-14
+        )
 
 
 def test_where_few_pairs_fit_they_are_still_counted_exactly():
@@ -198,19 +217,24 @@ def test_where_few_pairs_fit_they_are_still_counted_exactly():
 
 
 def test_errors_of_float32_stay_below_a_millionth_wherever_pairs_are_few(monkeypatch):
-    from trabecula.measure.correlation import separations
+    from trabecula.measure.correlation import pair_geometry
 
     def with_the_largest_error(first, second, *args, exact=False):
         counts = mirrored_counts(first, second, *args, exact=True)
         return counts if exact else counts + 5e-8 * np.count_nonzero(first)
 
-    mirrored_counts = separations.mirrored_counts
+    mirrored_counts = pair_geometry.mirrored_counts
     rng = np.random.default_rng(11)
     solid, sparse = rng.random((30, 31, 32)) < 0.7, rng.random((30, 31, 32)) < 0.03
-    for options in [{"r_max": 31}, {"r_max": 20, "mask": sparse}, {"r_max": 10}, {"r_max": 10, "mask": ~sparse}]:
+    for options in [
+        {"r_max": 31},
+        {"r_max": 20, "mask": sparse},
+        {"r_max": 10},
+        {"r_max": 10, "mask": ~sparse},
+    ]:
         truth = two_point(solid, **options)
         with monkeypatch.context() as patch:
-            patch.setattr(separations, "mirrored_counts", with_the_largest_error)
+            patch.setattr(pair_geometry, "mirrored_counts", with_the_largest_error)
             np.testing.assert_allclose(two_point(solid, **options), truth, rtol=0, atol=1.2e-6)
             assert two_point(solid | True, **options).max() <= 1
 
@@ -242,12 +266,17 @@ def test_threads_change_nothing():
     curves = []
     for count in (1, 2, 5):
         with threads(count):
-            curves.append(two_point(solid, r_max=15, mask=solid | (np.indices(solid.shape)[0] > 3)).tolist())
+            curves.append(
+                two_point(solid, r_max=15, mask=solid | (np.indices(solid.shape)[0] > 3)).tolist()
+            )
     assert curves[0] == curves[1] == curves[2]
 
 
 @settings(max_examples=25)
-@given(arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=5, max_side=9)), st.permutations(range(3)))
+@given(
+    arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=5, max_side=9)),
+    st.permutations(range(3)),
+)
 def test_turning_and_mirroring_change_nothing_radial(inside, order):
     s2 = two_point(inside, r_max=4)
     np.testing.assert_allclose(two_point(inside.transpose(order)[::-1], r_max=4), s2, atol=1e-14)

@@ -18,7 +18,11 @@ FAR = {4: 1, 6: 1, 8: 2, 18: 2, 26: 3}
 def flooded(inside, connectivity, periodic):
     """Labels by visiting neighbours one by one."""
     labels = np.zeros(inside.shape, int)
-    steps = [step for step in product((-1, 0, 1), repeat=inside.ndim) if 0 < np.abs(step).sum() <= FAR[connectivity]]
+    steps = [
+        step
+        for step in product((-1, 0, 1), repeat=inside.ndim)
+        if 0 < np.abs(step).sum() <= FAR[connectivity]
+    ]
     for number, start in enumerate(map(tuple, np.argwhere(inside)), 1):
         queue = deque([start] if labels[start] == 0 else [])
         while queue:
@@ -88,7 +92,8 @@ def test_equals_pairs_counted_one_by_one(seconds, inside, neighbours, periodic, 
 
 
 def test_separate_balls_overlap_as_two_spheres_do(way):
-    # Balls of radius 8 on a lattice of 20: pairs in one ball, a share of the volume where two such balls overlap.
+    # Balls of radius 8 on a lattice of 20: pairs in one ball, a share of the volume where two such
+    # balls overlap.
     radius, side = 8.0, 20
     grid = np.indices((side, side, side)) - (side - 1) / 2
     balls = np.tile((grid**2).sum(axis=0) < radius**2, (2, 2, 2))
@@ -109,7 +114,9 @@ def test_layers_hold_only_pairs_of_one_layer(way):
     layers[np.arange(40) % 10 < 5] = 1
     across = two_point_cluster(layers, r_max=20, axis=0, periodic=True)
     np.testing.assert_allclose(across, np.maximum(0, 5 - np.arange(21)) / 10, atol=1e-15)
-    np.testing.assert_allclose(two_point_cluster(layers, r_max=10, axis=2, periodic=True), 0.5, atol=1e-15)
+    np.testing.assert_allclose(
+        two_point_cluster(layers, r_max=10, axis=2, periodic=True), 0.5, atol=1e-15
+    )
     radial = two_point_cluster(layers, r_max=10, periodic=True)
     assert radial[0] == 0.5
     assert radial[10] < two_point(layers, r_max=10, periodic=True)[10]
@@ -132,7 +139,9 @@ def test_a_cluster_that_crosses_the_faces_is_one_when_they_wrap(way):
     joined = two_point_cluster(rods, r_max=6, axis=0, periodic=True)
     # Around the face it is a bar of 6 in 24, over a sixth of the section.
     np.testing.assert_allclose(joined, np.maximum(0, 6 - np.arange(7)) / 24 / 6, atol=1e-15)
-    np.testing.assert_allclose(apart, 2 * np.maximum(0, 3 - np.arange(7)) / (24 - np.arange(7)) / 6, atol=1e-15)
+    np.testing.assert_allclose(
+        apart, 2 * np.maximum(0, 3 - np.arange(7)) / (24 - np.arange(7)) / 6, atol=1e-15
+    )
     radial = two_point_cluster(rods, r_max=6, periodic=True)
     np.testing.assert_allclose(radial, two_point(rods, r_max=6, periodic=True), atol=1e-13)
 

@@ -23,7 +23,10 @@ def test_equals_segments_counted_one_by_one(inside, periodic, masked, seed):
         mask[:] = True
     hits, fits = np.zeros(4), np.zeros(4)
     for axis in range(inside.ndim):
-        lines = [np.moveaxis(values, axis, 0).reshape(inside.shape[axis], -1).T for values in (inside & mask, mask)]
+        lines = [
+            np.moveaxis(values, axis, 0).reshape(inside.shape[axis], -1).T
+            for values in (inside & mask, mask)
+        ]
         for line, allowed in zip(*lines, strict=True):
             for r in range(4):
                 for start in range(len(line) if periodic else len(line) - r):
@@ -41,9 +44,12 @@ def test_equals_segments_counted_one_by_one(inside, periodic, masked, seed):
 def test_layers_fall_linearly():
     layers = np.zeros((44, 8, 8), np.uint8)
     layers[np.arange(44) % 11 < 6] = 1
-    # A segment of r + 1 voxels fits 6 - r times into a layer of 6, once per period of 11; the window holds 4 whole
+    # A segment of r + 1 voxels fits 6 - r times into a layer of 6, once per period of 11; the
+    # window holds 4 whole
     # periods.
-    assert lineal_path(layers, r_max=6, axis=0).tolist() == pytest.approx([4 * (6 - r) / (44 - r) for r in range(7)])
+    assert lineal_path(layers, r_max=6, axis=0).tolist() == pytest.approx(
+        [4 * (6 - r) / (44 - r) for r in range(7)]
+    )
     assert lineal_path(layers, r_max=6, axis=1).tolist() == pytest.approx([24 / 44] * 7)
     wrapped = lineal_path(layers, r_max=6, axis=0, periodic=True)
     assert wrapped.tolist() == pytest.approx([(6 - r) / 11 for r in range(7)])
@@ -57,6 +63,11 @@ def test_independent_voxels_give_powers_of_phi():
 def test_what_does_not_fit_is_refused():
     solid = np.ones((8, 8, 8), bool)
     dots = np.indices(solid.shape).sum(axis=0) % 2 == 0
-    for options in [{"r_max": 8}, {"r_max": -1}, {"r_max": 2, "axis": 3}, {"r_max": 1, "mask": dots}]:
+    for options in [
+        {"r_max": 8},
+        {"r_max": -1},
+        {"r_max": 2, "axis": 3},
+        {"r_max": 1, "mask": dots},
+    ]:
         with pytest.raises(tb.errors.InputError):
             lineal_path(solid, **options)

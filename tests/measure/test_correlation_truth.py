@@ -26,16 +26,32 @@ def overlapping_spheres(seed, *, side, radius, count):
 
 
 def test_overlapping_spheres_follow_their_formula():
-    # Torquato 2002, chapter 5: between overlapping spheres S2 = exp(-n V(r)), V the union of two spheres r apart; for
-    # a count that is fixed, (1 - V / volume)^count, without any error of voxels, since a voxel is its centre.
+    # Torquato 2002, chapter 5: between overlapping spheres S2 = exp(-n V(r)), V the union of two
+    # spheres r apart; for
+    # a count that is fixed, (1 - V / volume)^count, without any error of voxels, since a voxel is
+    # its centre.
     side, radius, count, seeds = 44, 7.0, 40, 30
     r = np.arange(21)
-    union = 4 / 3 * np.pi * radius**3 * np.where(r < 2 * radius, 1 + 0.75 * r / radius - (r / radius) ** 3 / 16, 2)
+    union = (
+        4
+        / 3
+        * np.pi
+        * radius**3
+        * np.where(r < 2 * radius, 1 + 0.75 * r / radius - (r / radius) ** 3 / 16, 2)
+    )
     theory = (1 - union / side**3) ** count
     curves = np.array(
         [
-            np.mean([two_point(solid, r_max=20, phase="void", axis=axis, periodic=True) for axis in range(3)], axis=0)
-            for solid in (overlapping_spheres(s, side=side, radius=radius, count=count) for s in range(seeds))
+            np.mean(
+                [
+                    two_point(solid, r_max=20, phase="void", axis=axis, periodic=True)
+                    for axis in range(3)
+                ],
+                axis=0,
+            )
+            for solid in (
+                overlapping_spheres(s, side=side, radius=radius, count=count) for s in range(seeds)
+            )
         ]
     )
     error = curves.std(axis=0, ddof=1) / np.sqrt(seeds)
@@ -55,8 +71,12 @@ def gaussian_fields(seeds, *, side, width):
 
 
 def over_offsets(function, r_max):
-    """Mean of a function of distance over the offsets that round to r: for r = 1 they are 1 or sqrt(2) long."""
-    lengths = np.sqrt(sum(np.square(axis) for axis in np.ogrid[[slice(-r_max - 1, r_max + 2)] * 3])).ravel()
+    """Mean of a function of distance over the offsets that round to r: for r = 1 they are 1 or
+    sqrt(2) long.
+    """
+    lengths = np.sqrt(
+        sum(np.square(axis) for axis in np.ogrid[[slice(-r_max - 1, r_max + 2)] * 3])
+    ).ravel()
     bins = (lengths + 0.5).astype(int)
     near = bins <= r_max
     return np.bincount(bins[near], function(lengths[near])) / np.bincount(bins[near])
@@ -70,7 +90,11 @@ def test_halved_gaussian_fields_follow_the_arcsine():
     axes, radial, cross = [], [], []
     for field in gaussian_fields(10, side=60, width=6.0):
         solid = field > 0
-        axes.append(np.mean([two_point(solid, r_max=16, axis=axis, periodic=True) for axis in range(3)], axis=0))
+        axes.append(
+            np.mean(
+                [two_point(solid, r_max=16, axis=axis, periodic=True) for axis in range(3)], axis=0
+            )
+        )
         radial.append(two_point(solid, r_max=16, periodic=True))
         cross.append(cross_correlation(solid, first=0, second=1, r_max=16, periodic=True))
     binned = over_offsets(theory, 16)
@@ -94,9 +118,13 @@ def test_correlation_length_of_a_gaussian_field():
 def test_correlation_length_runs_in_the_images_unit_along_every_axis():
     # Blocks of 4 x 8 independent pixels: covariance 1 - r / side of the block.
     blocks = np.random.default_rng(1).random((64, 64)) < 0.5
-    image = tb.Image(np.kron(blocks, np.ones((4, 8), bool)), "labels", spacing=(3.0, 1.0), unit="um")
+    image = tb.Image(
+        np.kron(blocks, np.ones((4, 8), bool)), "labels", spacing=(3.0, 1.0), unit="um"
+    )
     assert correlation_length(image, axis=0) == pytest.approx(4 * (1 - 1 / math.e) * 3, rel=0.1)
-    assert correlation_length(image, axis=-1, r_max=60) == pytest.approx(8 * (1 - 1 / math.e), rel=0.1)
+    assert correlation_length(image, axis=-1, r_max=60) == pytest.approx(
+        8 * (1 - 1 / math.e), rel=0.1
+    )
     assert 4 < correlation_length(image) < 9
 
 
@@ -123,4 +151,6 @@ def test_half_plane_pairs_that_fit():
     expected = [max(0, 10 - r) / (20 - r) for r in range(16)]
     np.testing.assert_allclose(two_point(half, r_max=15, axis=0), expected, atol=1e-15)
     np.testing.assert_allclose(two_point(half, r_max=5, axis=1), 0.5, atol=1e-15)
-    np.testing.assert_allclose(two_point(half, r_max=5, direction=(1, 0, 1)), expected[:6], atol=1e-15)
+    np.testing.assert_allclose(
+        two_point(half, r_max=5, direction=(1, 0, 1)), expected[:6], atol=1e-15
+    )

@@ -45,8 +45,12 @@ def test_interface_is_half_an_edge_from_either_side():
     inside[:, :, 3:] = True
     expected = np.arange(8) - 2.5
     assert np.array_equal(signed_distance(inside), np.broadcast_to(expected, inside.shape))
-    assert np.array_equal(signed_distance(inside, spacing=2.0), np.broadcast_to(2 * expected, inside.shape))
-    assert np.array_equal(signed_distance(inside, clip=1.0), np.broadcast_to(expected.clip(-1, 1), inside.shape))
+    assert np.array_equal(
+        signed_distance(inside, spacing=2.0), np.broadcast_to(2 * expected, inside.shape)
+    )
+    assert np.array_equal(
+        signed_distance(inside, clip=1.0), np.broadcast_to(expected.clip(-1, 1), inside.shape)
+    )
 
 
 @given(volumes)
@@ -56,14 +60,22 @@ def test_signed_distance_changes_sign_with_the_sides(inside):
 
 
 @pytest.mark.parametrize(
-    "bad", [np.zeros((3, 3, 3)), np.full((3, 3), 255, np.uint8), np.zeros(4, bool), np.zeros((0, 3), bool)]
+    "bad",
+    [
+        np.zeros((3, 3, 3)),
+        np.full((3, 3), 255, np.uint8),
+        np.zeros(4, bool),
+        np.zeros((0, 3), bool),
+    ],
 )
 def test_what_is_not_a_boolean_image_is_refused(bad):
     with pytest.raises(tb.errors.InputError):
         distance_transform(bad)
 
 
-@pytest.mark.parametrize("options", [{"spacing": 0}, {"spacing": (1, 2)}, {"clip": 0}, {"clip": float("nan")}])
+@pytest.mark.parametrize(
+    "options", [{"spacing": 0}, {"spacing": (1, 2)}, {"clip": 0}, {"clip": float("nan")}]
+)
 def test_bad_options_are_refused(options):
     with pytest.raises(tb.errors.InputError):
         signed_distance(np.eye(3, dtype=bool)[None], **options)
@@ -76,9 +88,13 @@ def test_periodic_distance_equals_scipy_on_tiles(inside, wraps, edges):
         assert np.isinf(distance_transform(inside, spacing=spacing, periodic=periodic)).all()
         return
     # Three copies: nothing is further than half a side along a periodic axis.
-    margin = [(side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, periodic, strict=True)]
+    margin = [
+        (side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, periodic, strict=True)
+    ]
     tiles = ndimage.distance_transform_edt(np.pad(inside, margin, mode="wrap"), sampling=spacing)
-    middle = tuple(slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True))
+    middle = tuple(
+        slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True)
+    )
     result = distance_transform(inside, spacing=spacing, periodic=periodic)
     np.testing.assert_allclose(result, tiles[middle], rtol=1e-5)
 
@@ -87,7 +103,9 @@ def test_periodic_signed_distance_of_a_slab_that_crosses_the_face():
     inside = np.zeros((3, 4, 8), bool)
     inside[:, :, [0, 1, 6, 7]] = True
     expected = [1.5, 0.5, -0.5, -1.5, -1.5, -0.5, 0.5, 1.5]
-    assert np.array_equal(signed_distance(inside, periodic=True), np.broadcast_to(expected, inside.shape))
+    assert np.array_equal(
+        signed_distance(inside, periodic=True), np.broadcast_to(expected, inside.shape)
+    )
     assert signed_distance(inside, periodic=(True, True, False))[0, 0, 0] == 1.5
     with pytest.raises(tb.errors.InputError, match="periodic"):
         distance_transform(inside, periodic=(True, True))

@@ -1,4 +1,6 @@
-"""What every measure does at the edge of its domain: arrays for images, thin images, wrong axes; nothing is written to."""
+"""What every measure does at the edge of its domain: arrays for images, thin images, wrong axes;
+nothing is written to.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,9 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
+from trabecula.measure.effective_properties import physics_notes
 from trabecula.measure.fft import fast_side, sums_by_offset
-from trabecula.measure.physics import physics_notes
 
 InputError = tb.errors.InputError
 
@@ -36,9 +38,11 @@ def test_physics_is_told_in_the_order_of_the_axes_whichever_ends_first(monkeypat
         for at in reversed(range(length)):
             work(at, at + 1)
 
-    monkeypatch.setattr("trabecula.measure.physics.for_slabs", backwards)
+    monkeypatch.setattr("trabecula.measure.effective_properties.for_slabs", backwards)
     with threads(3):
-        found = tb.measure.describe_physics((np.random.default_rng(4).random((8, 8, 8)) < 0.3).astype(np.uint8))
+        found = tb.measure.describe_physics(
+            (np.random.default_rng(4).random((8, 8, 8)) < 0.3).astype(np.uint8)
+        )
     for name in ("diffusivity", "tortuosity", "conductivity", "permeability"):
         assert list(found[name]) == ["z", "y", "x"]
 
@@ -46,7 +50,12 @@ def test_physics_is_told_in_the_order_of_the_axes_whichever_ends_first(monkeypat
 def test_notes_tell_what_has_not_converged_even_without_a_flux():
     trust = {"converged": False, "imbalance": 0.25}
     notes = physics_notes(
-        {"physics": {"permeability": {"z": {**trust, "imbalance": None}}, "stiffness": {"all": trust}}}
+        {
+            "physics": {
+                "permeability": {"z": {**trust, "imbalance": None}},
+                "stiffness": {"all": trust},
+            }
+        }
     )
     assert notes == [
         "The permeability (z) has not converged: no steady flux was found.",
@@ -67,18 +76,28 @@ AXIS = {
 @pytest.mark.parametrize("name", AXIS)
 @pytest.mark.parametrize("axis", [3, -4, 1.5, True, "z"])
 def test_an_axis_that_is_none_is_told_alike_by_all(name, axis):
-    with pytest.raises(InputError, match=r"axis .* does not exist: the image has 3 axes, give 0 \(z\), 1 \(y\) or 2"):
+    with pytest.raises(
+        InputError,
+        match=r"axis .* does not exist: the image has 3 axes, give 0 \(z\), 1 \(y\) or 2",
+    ):
         AXIS[name](np.ones((4, 4, 4), np.uint8), axis)
 
 
 @pytest.mark.parametrize("name", AXIS)
 def test_a_negative_axis_counts_from_the_last(name):
     image = (np.random.default_rng(0).random((6, 7, 8)) < 0.6).astype(np.uint8)
-    assert np.array_equal(np.array(AXIS[name](image, -3), object), np.array(AXIS[name](image, 0), object))
+    assert np.array_equal(
+        np.array(AXIS[name](image, -3), object), np.array(AXIS[name](image, 0), object)
+    )
 
 
 def test_a_single_slice_is_told_to_be_given_as_2d():
-    for measure in (tb.measure.minkowski, tb.measure.fabric, tb.measure.structure_tensor, tb.describe):
+    for measure in (
+        tb.measure.minkowski,
+        tb.measure.fabric,
+        tb.measure.structure_tensor,
+        tb.describe,
+    ):
         with pytest.raises(InputError, match="2-D image"):
             measure(np.eye(8, dtype=np.uint8)[None])
 
@@ -146,8 +165,14 @@ def test_a_covariance_is_of_one_curve_of_numbers(s2):
 def test_texture_does_not_know_the_unit_of_grey_levels(scale):
     """Squares of such levels do not fit into float32."""
     values = np.random.default_rng(8).random((12, 14)).astype(np.float32)
-    plain, scaled = tb.Image(values, "grey"), tb.Image(values * np.float32(scale), "grey", spacing=1e-9)
-    for measure in (lambda i: tb.measure.autocorrelation(i, lags=4), lambda i: tb.measure.orientation(i).shares):
+    plain, scaled = (
+        tb.Image(values, "grey"),
+        tb.Image(values * np.float32(scale), "grey", spacing=1e-9),
+    )
+    for measure in (
+        lambda i: tb.measure.autocorrelation(i, lags=4),
+        lambda i: tb.measure.orientation(i).shares,
+    ):
         np.testing.assert_allclose(measure(scaled), measure(plain), rtol=0, atol=1e-5)
 
 

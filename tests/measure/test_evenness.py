@@ -1,4 +1,6 @@
-"""Local figures and trends: known truths, symmetry, and the same cells from slabs as from the whole."""
+"""Local figures and trends: known truths, symmetry, and the same cells from slabs as from the
+whole.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ import pytest
 import trabecula as tb
 from trabecula.measure import evenness
 from trabecula.measure.evenness import depth_of, trends, window_means, windows_for
-from trabecula.measure.tallies.cells import CellSums, cells_of
+from trabecula.measure.streaming.cells import CellSums, cells_of
 
 
 def noise(shape, share=0.3, seed=0):
@@ -27,7 +29,10 @@ def test_window_means_are_the_literal_means():
     values = np.random.default_rng(1).random((5, 6, 7))
     found = window_means(values, (2, 3, 4))
     assert found.shape == (4, 4, 4)
-    literal = [[[values[z : z + 2, y : y + 3, x : x + 4].mean() for x in range(4)] for y in range(4)] for z in range(4)]
+    literal = [
+        [[values[z : z + 2, y : y + 3, x : x + 4].mean() for x in range(4)] for y in range(4)]
+        for z in range(4)
+    ]
     assert np.allclose(found, literal)
 
 
@@ -48,9 +53,13 @@ def test_turning_the_image_turns_the_trends_and_nothing_else():
     image[:24] = 0
     found = evenness(image, windows=[8, 16])
     turned = evenness(np.ascontiguousarray(image.transpose(2, 0, 1)), windows=[8, 16])
-    assert [turned.trend[axis] for axis in "zyx"] == pytest.approx([found.trend[axis] for axis in "xzy"])
+    assert [turned.trend[axis] for axis in "zyx"] == pytest.approx(
+        [found.trend[axis] for axis in "xzy"]
+    )
     for name in ("fraction", "surface", "direction"):
-        here, there = ([(s.deviation, s.lowest, s.highest) for s in getattr(e, name)] for e in (found, turned))
+        here, there = (
+            [(s.deviation, s.lowest, s.highest) for s in getattr(e, name)] for e in (found, turned)
+        )
         assert np.allclose(here, there)
 
 
@@ -71,9 +80,13 @@ def test_cells_do_not_depend_on_slabs():
     for depth in (1, 3, 7, 50):
         sums = CellSums(image.shape, image.spacing, 2)
         for first in range(0, 50, depth):
-            sums.add(tb.Image(image.values[first : first + depth], "labels", phases=("void", "solid")))
+            sums.add(
+                tb.Image(image.values[first : first + depth], "labels", phases=("void", "solid"))
+            )
         found = sums.result()
-        assert np.array_equal(found.shares, whole.shares) and np.array_equal(found.faces, whole.faces)
+        assert np.array_equal(found.shares, whole.shares) and np.array_equal(
+            found.faces, whole.faces
+        )
     assert whole.shape == (12, 10, 11) and whole.extents == (48.0, 80.0, 132.0)
 
 
@@ -97,8 +110,14 @@ def test_grey_and_colour_by_their_values():
 def test_windows_follow_the_correlation_length_and_the_shortest_side():
     fine, coarse = noise((96, 96, 96)), np.kron(noise((16, 16, 16)), np.ones((6, 6, 6), np.uint8))
     small, large = (windows_for(tb.Image(each, "labels", spacing=2.0)) for each in (fine, coarse))
-    assert len(small) == len(large) == 3 and small[0] < large[0] and large[-1] == pytest.approx(0.4 * 96 * 2)
-    assert max(windows_for(tb.Image(coarse, "labels", spacing=2.0), shortest=100)) == pytest.approx(40)
+    assert (
+        len(small) == len(large) == 3
+        and small[0] < large[0]
+        and large[-1] == pytest.approx(0.4 * 96 * 2)
+    )
+    assert max(windows_for(tb.Image(coarse, "labels", spacing=2.0), shortest=100)) == pytest.approx(
+        40
+    )
 
 
 def test_trends_of_a_plane_have_two_axes():

@@ -49,11 +49,17 @@ def test_ten_bins_are_those_of_the_paper():
 
 
 def test_divergence_of_known_histograms():
-    assert kullback_leibler([0.5, 0.5], [0.9, 0.1], floor=0) == pytest.approx(np.log(0.5 / np.sqrt(0.09)))
+    assert kullback_leibler([0.5, 0.5], [0.9, 0.1], floor=0) == pytest.approx(
+        np.log(0.5 / np.sqrt(0.09))
+    )
     assert kullback_leibler([0, 4], [2, 2], floor=0) == pytest.approx(np.log(2))
     assert kullback_leibler([1, 1], [1, 0], floor=0) == np.inf
-    assert kullback_leibler([1, 1], [1, 0], floor=1e-6) == pytest.approx(0.5 * np.log(0.25e6), rel=1e-3)
-    assert kullback_leibler([[1, 1], [0, 4]], [[1, 1], [2, 2]], floor=0) == pytest.approx(np.log(2) / 2)
+    assert kullback_leibler([1, 1], [1, 0], floor=1e-6) == pytest.approx(
+        0.5 * np.log(0.25e6), rel=1e-3
+    )
+    assert kullback_leibler([[1, 1], [0, 4]], [[1, 1], [2, 2]], floor=0) == pytest.approx(
+        np.log(2) / 2
+    )
     for wrong in ([1, 2, 3], [1, -1], [0, 0]):
         with pytest.raises(tb.errors.InputError):
             kullback_leibler([1, 1], wrong)
@@ -77,7 +83,11 @@ def test_cosine_correlates_as_a_cosine():
 
 
 @given(
-    arrays(np.float32, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=6), elements=st.integers(0, 9)),
+    arrays(
+        np.float32,
+        array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=6),
+        elements=st.integers(0, 9),
+    ),
     st.integers(1, 4),
 )
 def test_autocorrelation_equals_the_sum_over_pairs(values, lags):
@@ -88,8 +98,14 @@ def test_autocorrelation_equals_the_sum_over_pairs(values, lags):
     for offset in np.ndindex(rho.shape):
         k = np.array(offset) - reach
         here = tuple(slice(max(0, -s), n - max(0, s)) for s, n in zip(k, values.shape, strict=True))
-        there = tuple(slice(max(0, s), n - max(0, -s)) for s, n in zip(k, values.shape, strict=True))
-        expected = (centred[here] * centred[there]).mean() / centred.var() if centred.any() else float(not k.any())
+        there = tuple(
+            slice(max(0, s), n - max(0, -s)) for s, n in zip(k, values.shape, strict=True)
+        )
+        expected = (
+            (centred[here] * centred[there]).mean() / centred.var()
+            if centred.any()
+            else float(not k.any())
+        )
         assert rho[offset] == pytest.approx(expected, abs=2e-4)
 
 
@@ -97,7 +113,9 @@ def test_autocorrelation_of_colour_and_labels():
     pattern = np.random.default_rng(0).integers(0, 2, (20, 20)).astype(np.uint8)
     expected = autocorrelation(grey(pattern), lags=5)
     assert np.allclose(
-        autocorrelation(tb.Image(np.stack([200 * pattern] * 3, axis=-1), "colour"), lags=5), expected, atol=1e-5
+        autocorrelation(tb.Image(np.stack([200 * pattern] * 3, axis=-1), "colour"), lags=5),
+        expected,
+        atol=1e-5,
     )
     assert np.allclose(autocorrelation(pattern, lags=5), expected)
     with pytest.raises(tb.errors.InputError, match="phases"):
@@ -109,7 +127,9 @@ def test_gaussian_has_its_width_and_keeps_the_mean():
     point[20, 30] = 1
     smooth = gaussian(point, (2.0, 3.0))
     y, x = np.ogrid[-20:21, -30:31]
-    assert np.allclose(smooth, np.exp(-(y**2) / 8 - x**2 / 18) / (12 * np.pi), atol=2e-4 / (12 * np.pi) * 10)
+    assert np.allclose(
+        smooth, np.exp(-(y**2) / 8 - x**2 / 18) / (12 * np.pi), atol=2e-4 / (12 * np.pi) * 10
+    )
     assert smooth.sum() == pytest.approx(1, rel=1e-5)
     assert np.allclose(gaussian(np.full((5, 6, 7), 3, np.uint8), 1.5), 3)
     assert point.sum() == 1

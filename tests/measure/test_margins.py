@@ -13,7 +13,11 @@ Z = np.arange(SIDE)[:, None, None]
 
 def field(seed=0, *, shape=(SIDE,) * 3, sigma=2.0, fraction=0.4):
     """A Gaussian field cut at a level: material without margins."""
-    noise = np.random.default_rng(seed).normal(size=tuple(side + 32 for side in shape)).astype(np.float32)
+    noise = (
+        np.random.default_rng(seed)
+        .normal(size=tuple(side + 32 for side in shape))
+        .astype(np.float32)
+    )
     lifted = noise if noise.ndim == 3 else noise[None]
     smooth = gaussian(lifted, np.array([sigma if noise.ndim == 3 else 0.0, sigma, sigma]))
     smooth = smooth if noise.ndim == 3 else smooth[0]
@@ -93,18 +97,28 @@ def test_a_round_field_of_view():
     found = find_margins(image(values))
     assert found.round_axis == "z" and found.size[0] == SIDE
     kept = crop_margins(image(values))
-    assert not find_margins(kept) and kept.shape[1] == kept.shape[2] == pytest.approx(SIDE / np.sqrt(2), abs=4)
+    assert not find_margins(kept) and kept.shape[1] == kept.shape[2] == pytest.approx(
+        SIDE / np.sqrt(2), abs=4
+    )
     padded = find_margins(image(np.pad(values, 5)))
     assert padded.round_axis == "z" and padded.corner[0] == 5 and min(padded.corner[1:]) >= 5 + 9
-    assert find_margins(tb.Image(np.where(np.hypot(y, x) > SIDE / 2, 0, grey(field())), "grey")).round_axis == "z"
+    assert (
+        find_margins(
+            tb.Image(np.where(np.hypot(y, x) > SIDE / 2, 0, grey(field())), "grey")
+        ).round_axis
+        == "z"
+    )
 
 
 def test_grey_frames_and_noise():
     values = grey(field())
     assert not find_margins(tb.Image(values, "grey"))
     values[:, -2:] = 0
-    values[:3] = (60 + np.random.default_rng(0).normal(0, 5, values[:3].shape)).astype(np.uint8)  # air
-    found = {(face.axis, face.end): face.planes for face in find_margins(tb.Image(values, "grey")).faces}
+    # air
+    values[:3] = (60 + np.random.default_rng(0).normal(0, 5, values[:3].shape)).astype(np.uint8)
+    found = {
+        (face.axis, face.end): face.planes for face in find_margins(tb.Image(values, "grey")).faces
+    }
     assert found == {("z", "first"): 3, ("y", "last"): 2}
 
 
@@ -112,10 +126,16 @@ def test_a_bar_below_a_micrograph():
     picture = grey(field(shape=(140, 160)))
     bar = np.zeros((20, 160), np.uint8)
     bar[5:15, 10:60:3] = 255
-    for kind, values in (("grey", np.r_[picture, bar]), ("colour", np.repeat(np.r_[picture, bar][..., None], 3, -1))):
+    for kind, values in (
+        ("grey", np.r_[picture, bar]),
+        ("colour", np.repeat(np.r_[picture, bar][..., None], 3, -1)),
+    ):
         (face,) = find_margins(tb.Image(values, kind)).faces
         assert (face.axis, face.end, face.planes, face.blank) == ("y", "last", 20, False)
-        assert str(find_margins(tb.Image(values, kind))) == "the last 20 lines along y are unlike all others"
+        assert (
+            str(find_margins(tb.Image(values, kind)))
+            == "the last 20 lines along y are unlike all others"
+        )
         assert crop_margins(tb.Image(values, kind)).shape == (140, 160)
 
 
@@ -169,10 +189,30 @@ def test_bone_scans_have_six_blank_planes(data, name):
 @pytest.mark.parametrize(
     "file",
     [
-        *("berea_sandstone_a.tif", "nmc_electrode_a.tif", "cement_air_voids.tif", "electrode_3phase_a.tif"),
-        *("battery_cathode_lowres.tif", "fibre_composite_weave.tif", "polymer_fibres.tif", "soil_sand_a.tif"),
-        *("trabecular_bone_grey_lhdl.tif", "tex_brick.png", "tex_gravel.png", "bread_baguette2.png"),
-        *("micrograph_sandstone.png", "micrograph_composite.png", "sofc_anode_2d.png", "sandstone_grey_slice.png"),
+        *(
+            "berea_sandstone_a.tif",
+            "nmc_electrode_a.tif",
+            "cement_air_voids.tif",
+            "electrode_3phase_a.tif",
+        ),
+        *(
+            "battery_cathode_lowres.tif",
+            "fibre_composite_weave.tif",
+            "polymer_fibres.tif",
+            "soil_sand_a.tif",
+        ),
+        *(
+            "trabecular_bone_grey_lhdl.tif",
+            "tex_brick.png",
+            "tex_gravel.png",
+            "bread_baguette2.png",
+        ),
+        *(
+            "micrograph_sandstone.png",
+            "micrograph_composite.png",
+            "sofc_anode_2d.png",
+            "sandstone_grey_slice.png",
+        ),
     ],
 )
 def test_these_scans_have_none(data, file):

@@ -1,4 +1,6 @@
-"""Bone morphometry: layers, rods and lattices whose figures are known; masks, spacing, what does not exist."""
+"""Bone morphometry: layers, rods and lattices whose figures are known; masks, spacing, what does
+not exist.
+"""
 
 import numpy as np
 import pytest
@@ -39,7 +41,8 @@ def test_rods_are_as_far_apart_as_the_sphere_between_their_axes():
     rods = np.broadcast_to((y % 16 - 8) ** 2 + (x % 16 - 8) ** 2 < 4.3**2, (6, 32, 32))
     figures = morphometry(rods, periodic=True)
     assert figures["Tb.Th"] == pytest.approx(8.6, abs=0.7)
-    # The sphere that touches four axes at the corners of a square fills all but its corners' slivers.
+    # The sphere that touches four axes at the corners of a square fills all but its corners'
+    # slivers.
     assert 0.8 * 16 * 2**0.5 < 1 / figures["Tb.N"] < 16 * 2**0.5 + 1
     assert figures["Conn.D"] == pytest.approx(1 / rods.size)
 
@@ -50,7 +53,9 @@ def test_connectivity_of_a_lattice(connectivity):
     solid = lattice()
     volume, cells = solid.size, 27
     expected = (1 + 2 * cells) / volume
-    assert connectivity_density(solid, connectivity=connectivity, periodic=True) == pytest.approx(expected)
+    assert connectivity_density(solid, connectivity=connectivity, periodic=True) == pytest.approx(
+        expected
+    )
     shifted = np.roll(solid, (5, 3, 7), axis=(0, 1, 2))
     assert connectivity_density(shifted, periodic=True) == pytest.approx(expected)
     # Parts of the lattice that the faces cut count by halves, quarters and eighths.
@@ -72,7 +77,10 @@ def test_mask_of_a_box_is_a_crop_and_the_rim_is_no_surface():
     solid = lattice(count=2)
     mask = np.zeros(solid.shape, bool)
     mask[3:20, 2:21, 4:22] = True
-    masked, crop = morphometry(solid, mask=mask), morphometry(np.ascontiguousarray(solid[3:20, 2:21, 4:22]))
+    masked, crop = (
+        morphometry(solid, mask=mask),
+        morphometry(np.ascontiguousarray(solid[3:20, 2:21, 4:22])),
+    )
     assert masked == pytest.approx(crop)
     z, y, x = np.ogrid[-20:21, -20:21, -20:21]
     cylinder = np.broadcast_to(y**2 + x**2 < 15**2, (41, 41, 41))
@@ -80,12 +88,21 @@ def test_mask_of_a_box_is_a_crop_and_the_rim_is_no_surface():
     filled = plates & cylinder  # beyond the cylinder nothing is known
     figures = morphometry(filled, mask=cylinder)
     assert figures["BV/TV"] == pytest.approx(17 / 41, abs=1e-9)
-    assert figures["BS/BV"] == pytest.approx(2 / 4, rel=0.12) and figures["Tb.Th"] == pytest.approx(4, abs=0.51)
+    assert figures["BS/BV"] == pytest.approx(2 / 4, rel=0.12) and figures["Tb.Th"] == pytest.approx(
+        4, abs=0.51
+    )
 
 
 def test_what_does_not_exist_is_none():
     none = morphometry(np.zeros((4, 4, 4), np.uint8))
-    assert none == {"BV/TV": 0, "BS/BV": None, "Tb.Th": None, "Tb.Sp": None, "Tb.N": None, "Conn.D": None}
+    assert none == {
+        "BV/TV": 0,
+        "BS/BV": None,
+        "Tb.Th": None,
+        "Tb.Sp": None,
+        "Tb.N": None,
+        "Conn.D": None,
+    }
     full = morphometry(np.ones((4, 4, 4), np.uint8))
     assert full["BV/TV"] == 1 and full["BS/BV"] == 0 and full["Tb.Th"] is None
     for function in (morphometry, connectivity_density):
@@ -97,7 +114,10 @@ def test_real_bone_is_in_the_range_of_trabecular_bone(data):
     image = tb.read(data / "trabecular_bone_a.tif")
     crop = tb.Image(image.values[:70, :70, :70], "labels", spacing=image.spacing, unit=image.unit)
     figures = morphometry(crop)
-    # The mid-axes lie a thickness further apart than the surfaces; spurs of the axes bring them nearer again.
+    # The mid-axes lie a thickness further apart than the surfaces; spurs of the axes bring them
+    # nearer again.
     assert 0.8 < figures["Tb.N"] * (figures["Tb.Th"] + figures["Tb.Sp"]) < 1.3
     assert figures["Conn.D"] > 0
-    assert 0.05 < figures["BV/TV"] < 0.4 and figures["BV/TV"] == pytest.approx(1 - measure.porosity(crop))
+    assert 0.05 < figures["BV/TV"] < 0.4 and figures["BV/TV"] == pytest.approx(
+        1 - measure.porosity(crop)
+    )

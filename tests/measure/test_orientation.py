@@ -1,4 +1,6 @@
-"""Local orientation and fabric: stripes, fibres, layers, balls and ellipsoids that point a known way."""
+"""Local orientation and fabric: stripes, fibres, layers, balls and ellipsoids that point a known
+way.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trabecula as tb
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.orientation import orientation, structure_tensor
 
@@ -31,7 +33,9 @@ def fibres(direction, spacing=(1.0, 1.0, 1.0)):
 def ellipsoid(axes, spacing=(1.0, 1.0, 1.0)):
     sides = [int(np.ceil(1.3 * axis / edge)) for axis, edge in zip(axes, spacing, strict=True)]
     grid = np.ogrid[tuple(slice(-side, side + 1) for side in sides)]
-    inside = sum((at * edge / axis) ** 2 for at, edge, axis in zip(grid, spacing, axes, strict=True)) < 1
+    inside = (
+        sum((at * edge / axis) ** 2 for at, edge, axis in zip(grid, spacing, axes, strict=True)) < 1
+    )
     return tb.Image(inside, "labels", spacing=spacing)
 
 
@@ -42,7 +46,9 @@ def test_stripes_peak_at_their_angle(degrees, spacing):
     peak = np.argmax(result.shares)
     assert peak * 5 == degrees
     assert result.shares[peak] > 0.8 and result.coherence > 0.95
-    assert np.allclose(result.directions[peak], [np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))])
+    assert np.allclose(
+        result.directions[peak], [np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))]
+    )
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 1, 0), (1, 1, 1), (1, 2, -3), (1, -3, 0.5)])
@@ -51,7 +57,8 @@ def test_fibres_peak_at_their_axis(direction, spacing):
     result = orientation(fibres(direction, spacing))
     unit = np.array(direction) / np.linalg.norm(direction)
     mean = np.einsum("rs,rsi,rsj->ij", result.shares, result.directions, result.directions)
-    assert abs(np.linalg.eigh(mean)[1][:, -1] @ unit) > np.cos(np.deg2rad(15))  # bins are 20 degrees wide
+    # bins are 20 degrees wide
+    assert abs(np.linalg.eigh(mean)[1][:, -1] @ unit) > np.cos(np.deg2rad(15))
     assert result.coherence > 0.6
 
 
@@ -88,18 +95,23 @@ def test_closed_form_agrees_with_numpy():
 
 def test_structure_tensor_of_a_slope():
     at = np.indices((24, 48)) * np.array([2.0, 0.5])[:, None, None]
-    tensor = structure_tensor(tb.Image(3 * at[0] - 5 * at[1], "grey", spacing=(2.0, 0.5)), sigma=0.5, window=0.5)
+    tensor = structure_tensor(
+        tb.Image(3 * at[0] - 5 * at[1], "grey", spacing=(2.0, 0.5)), sigma=0.5, window=0.5
+    )
     middle = tensor[:, :, 11:13, 22:26]
     assert np.allclose(middle, np.array([[9, -15], [-15, 25]])[:, :, None, None], rtol=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("axes", "spacing"), [((30, 20, 10), (1, 1, 1)), ((12, 24, 36), (1.5, 1, 1)), ((24, 12, 12), (1, 1, 1))]
+    ("axes", "spacing"),
+    [((30, 20, 10), (1, 1, 1)), ((12, 24, 36), (1.5, 1, 1)), ((24, 12, 12), (1, 1, 1))],
 )
 def test_ellipsoid_has_intercepts_as_its_axes(axes, spacing):
     result = fabric(ellipsoid(axes, spacing))
     longest = sorted(axes, reverse=True)
-    assert np.allclose(result.lengths / result.lengths[0], np.array(longest) / longest[0], rtol=0.05)
+    assert np.allclose(
+        result.lengths / result.lengths[0], np.array(longest) / longest[0], rtol=0.05
+    )
     assert result.anisotropy == pytest.approx(1 - (min(axes) / max(axes)) ** 2, abs=0.02)
     assert abs(result.directions[0][np.argmax(axes)]) > 0.999
 
@@ -108,7 +120,8 @@ def test_intercept_length_of_a_ball():
     radius = 20.0
     image = ellipsoid((radius,) * 3)
     result = fabric(image)
-    # Margins of two voxels are left out of the volume; a line of length L meets n = S / (2 V) L faces.
+    # Margins of two voxels are left out of the volume; a line of length L meets n = S / (2 V) L
+    # faces.
     volume = np.prod([side - 4 for side in image.shape])
     assert result.lengths.mean() == pytest.approx(2 * volume / (4 * np.pi * radius**2), rel=0.02)
     assert result.anisotropy < 0.01
@@ -127,7 +140,9 @@ def test_disc_and_ellipse_in_two_dimensions():
     y, x = np.ogrid[-45:46, -45:46]
     assert anisotropy(y**2 + x**2 < 30**2) < 0.01
     result = fabric((y / 36) ** 2 + (x / 18) ** 2 < 1)
-    assert result.anisotropy == pytest.approx(0.75, abs=0.02) and abs(result.directions[0][0]) > 0.999
+    assert (
+        result.anisotropy == pytest.approx(0.75, abs=0.02) and abs(result.directions[0][0]) > 0.999
+    )
 
 
 @settings(max_examples=15)
@@ -137,8 +152,12 @@ def test_fabric_turns_with_the_volume_and_is_that_of_both_sides(inside, order):
         return
     result, turned = fabric(inside), fabric(inside.transpose(order))
     assert 0 <= result.anisotropy <= 1
-    assert np.allclose(turned.tensor, result.tensor[np.ix_(order, order)], atol=0.05 * np.abs(result.tensor).max())
-    assert np.allclose(fabric(inside, phase="void").tensor, result.tensor, atol=1e-4 * np.abs(result.tensor).max())
+    assert np.allclose(
+        turned.tensor, result.tensor[np.ix_(order, order)], atol=0.05 * np.abs(result.tensor).max()
+    )
+    assert np.allclose(
+        fabric(inside, phase="void").tensor, result.tensor, atol=1e-4 * np.abs(result.tensor).max()
+    )
 
 
 def test_threads_do_not_matter():

@@ -1,4 +1,6 @@
-"""Permeability: slits, ducts, grains of known drag, a direct solve of the whole saddle point, invariances."""
+"""Permeability: slits, ducts, grains of known drag, a direct solve of the whole saddle point,
+invariances.
+"""
 
 import math
 
@@ -25,7 +27,9 @@ def ball(sides, fraction):
 
 
 def direct(values, edges):
-    """The same scheme, written down face by face, by a sparse direct solve of velocity and pressure at once."""
+    """The same scheme, written down face by face, by a sparse direct solve of velocity and pressure
+    at once.
+    """
     void = {tuple(c) for c in np.argwhere(values == 0)}
     shape, volume = values.shape, math.prod(edges)
 
@@ -67,7 +71,9 @@ def direct(values, edges):
         if d == 0 and c[0] == 0:
             right[i] = area
     solution = spsolve(matrix.tocsr(), right)
-    inflow = sum(solution[i] * volume / edges[0] for (d, c), i in index.items() if d == 0 and c[0] == 0)
+    inflow = sum(
+        solution[i] * volume / edges[0] for (d, c), i in index.items() if d == 0 and c[0] == 0
+    )
     return inflow * (shape[0] * edges[0]) ** 2 / (values.size * volume)
 
 
@@ -76,17 +82,24 @@ def test_slit_is_the_parabola_of_its_voxels(width):
     slit = np.pad(np.zeros((5, width), np.uint8), ((0, 0), (1, 2)), constant_values=1)
     expected = width**2 / 12 * width / (width + 3) * (1 + 2 / width**2)
     assert permeability(slit, axis=0, tolerance=1e-8).value == pytest.approx(expected, rel=1e-6)
-    thick = np.repeat(slit[:, None], 3, axis=1)  # side faces are mirrors, so the third direction adds no drag
+    # side faces are mirrors, so the third direction adds no drag
+    thick = np.repeat(slit[:, None], 3, axis=1)
     image = tb.Image(thick, "labels", spacing=(3.0, 1.0, 0.5))
-    assert permeability(image, axis=0, tolerance=1e-8).value == pytest.approx(expected / 4, rel=1e-6)
+    assert permeability(image, axis=0, tolerance=1e-8).value == pytest.approx(
+        expected / 4, rel=1e-6
+    )
 
 
-@pytest.mark.parametrize(("sides", "error"), [((8, 8), 0.065), ((16, 16), 0.016), ((32, 32), 0.004), ((8, 16), 0.04)])
+@pytest.mark.parametrize(
+    ("sides", "error"), [((8, 8), 0.065), ((16, 16), 0.016), ((32, 32), 0.004), ((8, 16), 0.04)]
+)
 def test_square_duct(sides, error):
     # White 2006, "Viscous fluid flow", equation 3-48; non-cubic voxels fill the same square.
     series = sum(math.tanh(n * math.pi / 2) / n**5 for n in range(1, 99, 2))
     exact = (1 - 192 / math.pi**5 * series) / 12
-    image = tb.Image(np.zeros((4, *sides), np.uint8), "labels", spacing=(0.1, 1 / sides[0], 1 / sides[1]))
+    image = tb.Image(
+        np.zeros((4, *sides), np.uint8), "labels", spacing=(0.1, 1 / sides[0], 1 / sides[1])
+    )
     values = np.pad(image.values, ((0, 0), (1, 1), (1, 1)), constant_values=1)
     walled = tb.Image(values, "labels", spacing=image.spacing)
     area = (1 + 2 / sides[0]) * (1 + 2 / sides[1])
@@ -103,14 +116,18 @@ def test_square_duct(sides, error):
     ],
 )
 def test_simple_cubic_spheres(sides, fraction, drag, error):
-    # Zick and Homsy 1982, doi:10.1017/S0022112082000627, table 2: force = 6 pi viscosity radius drag velocity.
+    # Zick and Homsy 1982, doi:10.1017/S0022112082000627, table 2: force = 6 pi viscosity radius
+    # drag velocity.
     values, radius = ball(sides, fraction)
     found = permeability(tb.Image(values, "labels", spacing=[1 / n for n in sides]), axis=0)
-    assert found.converged and 1 / (6 * np.pi * radius * found.value) == pytest.approx(drag, rel=error)
+    assert found.converged and 1 / (6 * np.pi * radius * found.value) == pytest.approx(
+        drag, rel=error
+    )
 
 
 def test_square_array_of_cylinders_in_2d():
-    # Sangani and Acrivos 1982, doi:10.1016/0301-9322(82)90029-5: force on a length, over viscosity and velocity.
+    # Sangani and Acrivos 1982, doi:10.1016/0301-9322(82)90029-5: force on a length, over viscosity
+    # and velocity.
     at = ((np.arange(48) + 0.5) / 48 - 0.5) ** 2
     disc = (at[:, None] + at < 0.2 / np.pi).astype(np.uint8)
     for axis in (0, 1):
@@ -211,7 +228,11 @@ def test_a_solve_cut_short_says_so(monkeypatch):
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"axis": -4}, "axis -4"), ({"axis": 0, "tolerance": 1.0}, "tolerance"), ({"axis": 0, "phase": 7}, "phase 7")],
+    [
+        ({"axis": -4}, "axis -4"),
+        ({"axis": 0, "tolerance": 1.0}, "tolerance"),
+        ({"axis": 0, "phase": 7}, "phase 7"),
+    ],
 )
 def test_bad_options_are_named(options, words):
     with pytest.raises(tb.errors.InputError, match=words):

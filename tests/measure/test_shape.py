@@ -1,4 +1,6 @@
-"""Amount, Minkowski functionals, components, thickness: bodies whose values are known, oracles, invariances."""
+"""Amount, Minkowski functionals, components, thickness: bodies whose values are known, oracles,
+invariances.
+"""
 
 import numpy as np
 import pytest
@@ -17,15 +19,21 @@ ball = (z**2 + y**2 + x**2 < 20.3**2).astype(np.uint8)
 
 
 def cells(inside):
-    """Cells of the closed complex of voxels: those that lie in a voxel, found one by one, as doubled coordinates."""
+    """Cells of the closed complex of voxels: those that lie in a voxel, found one by one, as
+    doubled coordinates.
+    """
     found = set()
     for voxel in np.argwhere(inside):
-        found |= {tuple(2 * voxel + step) for step in np.array(list(np.ndindex((3,) * inside.ndim))) - 1}
+        found |= {
+            tuple(2 * voxel + step) for step in np.array(list(np.ndindex((3,) * inside.ndim))) - 1
+        }
     return found
 
 
 def test_porosity_and_fractions():
-    image = tb.Image(np.repeat([0, 1, 2], [50, 30, 20]).reshape(10, 10), "labels", phases=("void", "a", "b"))
+    image = tb.Image(
+        np.repeat([0, 1, 2], [50, 30, 20]).reshape(10, 10), "labels", phases=("void", "a", "b")
+    )
     assert measure.porosity(image) == 0.5 and measure.porosity(image, phase="b") == 0.2
     assert measure.volume_fractions(image) == {"void": 0.5, "a": 0.3, "b": 0.2}
 
@@ -42,18 +50,26 @@ def test_solid_means_all_but_void_and_void_is_a_name():
 @pytest.mark.parametrize("stretch", [(1, 1, 1), (2, 1, 0.7)])
 def test_ball_has_its_surface_curvature_and_euler_number(stretch):
     radius = 17.0
-    body = ((z * stretch[0]) ** 2 + (y * stretch[1]) ** 2 + (x * stretch[2]) ** 2 < radius**2).astype(np.uint8)
+    body = (
+        (z * stretch[0]) ** 2 + (y * stretch[1]) ** 2 + (x * stretch[2]) ** 2 < radius**2
+    ).astype(np.uint8)
     image = tb.Image(body, "labels", spacing=stretch, unit="um")
     volume = 52**3 * np.prod(stretch)
     result = measure.minkowski(image)
     assert result.surface * volume == pytest.approx(4 * np.pi * radius**2, rel=0.03)
     assert result.mean_curvature * volume == pytest.approx(4 * np.pi * radius, rel=0.04)
     assert result.euler_density * volume == pytest.approx(1)
-    assert measure.specific_surface(image) == result.surface and measure.mean_curvature(image) == result.mean_curvature
+    assert (
+        measure.specific_surface(image) == result.surface
+        and measure.mean_curvature(image) == result.mean_curvature
+    )
 
 
 def test_plane_at_45_degrees_and_along_an_axis():
-    flat, tilted = np.zeros((30, 30, 30), np.uint8), (np.indices((30, 30, 30))[:2].sum(axis=0) < 29).astype(np.uint8)
+    flat, tilted = (
+        np.zeros((30, 30, 30), np.uint8),
+        (np.indices((30, 30, 30))[:2].sum(axis=0) < 29).astype(np.uint8),
+    )
     flat[15:] = 1
     assert measure.specific_surface(flat) == pytest.approx(1 / 29, rel=0.09)
     assert measure.specific_surface(tilted) == pytest.approx(np.sqrt(2) / 29, rel=0.09)
@@ -85,11 +101,14 @@ def test_wide_euler_number_counts_cells(inside):
 
 @given(volumes | pictures)
 def test_narrow_euler_number_is_the_dual_of_the_wide_one(inside):
-    # The open cells of the outside and the closed cells of the inside fill an open box, whose signed count of cells
+    # The open cells of the outside and the closed cells of the inside fill an open box, whose
+    # signed count of cells
     # is (-1)^d.
     narrow, wide, sign = (6, 26, 1) if inside.ndim == 3 else (4, 8, -1)
     outside = np.pad(~inside, 1, constant_values=True)
-    assert measure.euler(outside, connectivity=narrow) == 1 + sign * measure.euler(inside, connectivity=wide)
+    assert measure.euler(outside, connectivity=narrow) == 1 + sign * measure.euler(
+        inside, connectivity=wide
+    )
 
 
 @given(volumes, st.permutations([0, 1, 2]))
@@ -106,14 +125,20 @@ def test_bodies_apart_add_up_and_axes_do_not_matter(inside, order):
 
 @given(volumes | pictures, st.sampled_from([0, 1, 2]))
 def test_components_equal_scipy_in_every_connectivity(inside, rank):
-    connectivity, order = [(6, 1), (18, 2), (26, 3)][rank] if inside.ndim == 3 else [(4, 1), (8, 2), (8, 2)][rank]
+    connectivity, order = (
+        [(6, 1), (18, 2), (26, 3)][rank] if inside.ndim == 3 else [(4, 1), (8, 2), (8, 2)][rank]
+    )
     labels, sizes = measure.label_components(inside, connectivity=connectivity)
     expected, count = ndimage.label(inside, ndimage.generate_binary_structure(inside.ndim, order))
-    assert len(sizes) == count and np.array_equal(sizes, np.bincount(expected.ravel(), minlength=1)[1:])
+    assert len(sizes) == count and np.array_equal(
+        sizes, np.bincount(expected.ravel(), minlength=1)[1:]
+    )
     # The same partition, and each component numbered by its first voxel.
     first = [np.flatnonzero(labels.ravel() == k + 1)[0] for k in range(count)]
     assert first == sorted(first)
-    assert len(np.unique(np.stack([labels.ravel(), expected.ravel()]), axis=1).T) == count + (not inside.all())
+    assert len(np.unique(np.stack([labels.ravel(), expected.ravel()]), axis=1).T) == count + (
+        not inside.all()
+    )
 
 
 def test_counts_of_loose_parts_and_percolation():
@@ -121,12 +146,20 @@ def test_counts_of_loose_parts_and_percolation():
     solid[:, 2, 2] = 1
     solid[0, 5, :2] = 1
     solid[4, 4, 4] = 1
-    assert measure.components(solid) == 3 and measure.floating(solid) == 2 and measure.floating_voxels(solid) == 3
+    assert (
+        measure.components(solid) == 3
+        and measure.floating(solid) == 2
+        and measure.floating_voxels(solid) == 3
+    )
     assert measure.largest_fraction(solid) == pytest.approx(6 / 9)
     assert measure.percolates(solid) == {"z": True, "y": False, "x": False}
     assert measure.components(solid, phase="void") == 1
     empty = np.zeros((4, 4), np.uint8)
-    assert measure.components(empty) == 0 and measure.floating(empty) == 0 and measure.largest_fraction(empty) == 0
+    assert (
+        measure.components(empty) == 0
+        and measure.floating(empty) == 0
+        and measure.largest_fraction(empty) == 0
+    )
     with pytest.raises(tb.errors.InputError, match="6, 18, 26"):
         measure.components(solid, connectivity=8)
 
@@ -147,8 +180,12 @@ def test_thickness_of_a_ball_a_cylinder_and_both_together():
     rod = np.broadcast_to(np.hypot(y, x) < 8, (53, 53, 53))
     assert measure.thickness(rod) == pytest.approx(16, abs=0.7)
     both = measure.local_thickness(np.concatenate([rod, np.zeros_like(rod[:2]), ball == 1]))
-    assert both[26, 26, 26] == pytest.approx(16, abs=0.7) and both[-27, 26, 26] == pytest.approx(40.6, abs=0.7)
-    squeezed = tb.Image((np.hypot(np.hypot(2 * z, y), 0.7 * x) < 16).astype(np.uint8), "labels", spacing=(2, 1, 0.7))
+    assert both[26, 26, 26] == pytest.approx(16, abs=0.7) and both[-27, 26, 26] == pytest.approx(
+        40.6, abs=0.7
+    )
+    squeezed = tb.Image(
+        (np.hypot(np.hypot(2 * z, y), 0.7 * x) < 16).astype(np.uint8), "labels", spacing=(2, 1, 0.7)
+    )
     assert measure.thickness(squeezed) == pytest.approx(32, abs=1)
 
 
@@ -174,8 +211,13 @@ def test_local_thickness_equals_the_largest_sphere_of_all(inside, first):
 
 def largest_spheres(inside, region, spacing, periodic):
     """Local thickness by trying every sphere on every voxel, its images on a torus included."""
-    margin = [(4 * side, 4 * side) if wrap else (0, 0) for side, wrap in zip(inside.shape, periodic, strict=True)]
-    middle = tuple(slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True))
+    margin = [
+        (4 * side, 4 * side) if wrap else (0, 0)
+        for side, wrap in zip(inside.shape, periodic, strict=True)
+    ]
+    middle = tuple(
+        slice(before, before + side) for (before, _), side in zip(margin, inside.shape, strict=True)
+    )
     free = np.pad(inside | ~region, margin, mode="wrap")
     radius = np.where(inside, ndimage.distance_transform_edt(free, sampling=spacing)[middle], 0)
     radius = np.pad(radius, margin, mode="wrap")
@@ -197,21 +239,34 @@ def largest_spheres(inside, region, spacing, periodic):
     st.tuples(*[st.booleans()] * 3),
     st.sampled_from([1.0, 1.7]),
 )
-def test_local_thickness_with_a_mask_and_periodic_faces_tries_every_sphere(solid, mask, wraps, first):
-    mask = mask[tuple(map(slice, solid.shape))] if solid.ndim == 3 else mask[0][tuple(map(slice, solid.shape))]
+def test_local_thickness_with_a_mask_and_periodic_faces_tries_every_sphere(
+    solid, mask, wraps, first
+):
+    mask = (
+        mask[tuple(map(slice, solid.shape))]
+        if solid.ndim == 3
+        else mask[0][tuple(map(slice, solid.shape))]
+    )
     inside, periodic = solid & mask, wraps[: solid.ndim]
     if not mask.any() or (inside == mask).all():
         return
     spacing = (first,) + (1.0,) * (solid.ndim - 1)
     image = tb.Image(solid, "labels", spacing=spacing)
     result = measure.local_thickness(image, mask=mask, periodic=periodic)
-    np.testing.assert_allclose(result, largest_spheres(inside, mask, spacing, periodic), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(
+        result, largest_spheres(inside, mask, spacing, periodic), rtol=1e-5, atol=1e-5
+    )
     mean = float(result[inside].mean()) if inside.any() else 0.0
     assert measure.thickness(image, mask=mask, periodic=periodic) == pytest.approx(mean, rel=1e-5)
 
 
 def test_thickness_on_a_torus_does_not_depend_on_the_origin_nor_on_threads():
-    solid = ndimage.gaussian_filter(np.random.default_rng(1).standard_normal((70, 24, 70)), 2, mode="wrap") > 0
+    solid = (
+        ndimage.gaussian_filter(
+            np.random.default_rng(1).standard_normal((70, 24, 70)), 2, mode="wrap"
+        )
+        > 0
+    )
     with tb.threads(1):
         one = measure.local_thickness(solid, periodic=True)
     moved = measure.local_thickness(np.roll(solid, (9, -5, 33), axis=(0, 1, 2)), periodic=True)
@@ -219,7 +274,8 @@ def test_thickness_on_a_torus_does_not_depend_on_the_origin_nor_on_threads():
     with tb.threads(3):
         assert np.array_equal(one, measure.local_thickness(solid, periodic=True))
         assert np.array_equal(
-            measure.local_thickness(solid[:, :, 3:]), measure.local_thickness(solid[::-1, :, 3:])[::-1]
+            measure.local_thickness(solid[:, :, 3:]),
+            measure.local_thickness(solid[::-1, :, 3:])[::-1],
         )
 
 
@@ -228,7 +284,11 @@ def test_a_mask_bounds_no_sphere_and_a_full_one_is_refused():
     slabs[5:11] = 1
     mask = np.zeros(slabs.shape, bool)
     mask[:, 4:8, 4:8] = True
-    assert measure.thickness(slabs, mask=mask) == measure.thickness(slabs) == pytest.approx(6, abs=0.51)
+    assert (
+        measure.thickness(slabs, mask=mask)
+        == measure.thickness(slabs)
+        == pytest.approx(6, abs=0.51)
+    )
     assert measure.pore_size(slabs, periodic=True) == pytest.approx(14, abs=0.51)
     with pytest.raises(tb.errors.InputError, match="mask"):
         measure.local_thickness(slabs, mask=slabs == 1)
@@ -248,7 +308,9 @@ def test_thickness_of_a_picture_with_wide_or_narrow_pixels():
     disc = (np.hypot(*np.ogrid[-20:21, -20:21]) < 12).astype(np.uint8)
     plain = measure.thickness(disc)
     for edge in (1e-20, 19.5, 1e20):
-        assert measure.thickness(tb.Image(disc, "labels", spacing=edge)) == pytest.approx(edge * plain, rel=1e-5)
+        assert measure.thickness(tb.Image(disc, "labels", spacing=edge)) == pytest.approx(
+            edge * plain, rel=1e-5
+        )
 
 
 def test_chords_of_layers_and_of_a_ball():

@@ -21,7 +21,9 @@ volumes = arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=1, max_side
 
 
 def truly_simple(cube: np.ndarray) -> bool:
-    """By definition, 26 neighbours inside and 6 outside: one piece of each around the centre, and neither empty."""
+    """By definition, 26 neighbours inside and 6 outside: one piece of each around the centre, and
+    neither empty.
+    """
     inside, outside = cube.copy(), ~cube & EDGES
     inside[1, 1, 1] = outside[1, 1, 1] = False
     pieces = ndimage.label(outside, FACES)[0]
@@ -54,7 +56,8 @@ def test_thinning_keeps_the_topology_of_any_volume(solid):
     assert euler(lines, connectivity=wide) == euler(solid, connectivity=wide)
     assert components(lines, connectivity=wide) == components(solid, connectivity=wide)
     outside = [np.pad(~values, 1, constant_values=True) for values in (lines, solid)]
-    assert components(outside[0]) == components(outside[1])  # with the two above: as many tunnels too
+    # with the two above: as many tunnels too
+    assert components(outside[0]) == components(outside[1])
     assert np.array_equal(thin(lines), lines)
 
 
@@ -81,10 +84,12 @@ def ball(radius, hole=0.0):
     return (far <= radius**2) & (far >= hole**2)
 
 
-@pytest.mark.parametrize("radius", [2, 3, 5, 7, 7.5, 8, 9])  # those of whole numbers have a single voxel at every pole
+# those of whole numbers have a single voxel at every pole
+@pytest.mark.parametrize("radius", [2, 3, 5, 7, 7.5, 8, 9])
 def test_a_ball_is_a_point(radius):
     middle = np.argwhere(thin(ball(radius))) - 12
-    assert np.abs(middle).max() <= 1 and np.abs(middle).sum() <= 2  # of what is two wide, two may stay
+    # of what is two wide, two may stay
+    assert np.abs(middle).max() <= 1 and np.abs(middle).sum() <= 2
 
 
 def test_a_shell_stays_a_shell():
@@ -99,7 +104,8 @@ def test_a_ring_is_a_cycle_of_its_length():
     graph = skeleton_graph(ring)
     assert (graph.branches, graph.ends, graph.loops, len(graph.joints)) == (1, 0, 1, 0)
     assert graph.kind.tolist() == [3] and graph.span.tolist() == [0]
-    assert graph.length[0] == pytest.approx(2 * np.pi * 18, rel=0.08)  # steps of 1, sqrt 2 and sqrt 3 only
+    # steps of 1, sqrt 2 and sqrt 3 only
+    assert graph.length[0] == pytest.approx(2 * np.pi * 18, rel=0.08)
     assert np.array_equal(graph.path(0)[0], graph.path(0)[-1]) and np.all(graph.path(0)[:, 0] == 4)
 
 
@@ -128,9 +134,14 @@ def test_lengths_are_in_the_unit_of_the_image():
     cross[4, 7, :] = cross[4, :, 10] = cross[:, 7, 10] = 1
     graph = skeleton_graph(tb.Image(cross, "labels", spacing=(3.0, 2.0, 0.5), unit="um"))
     assert (graph.ends, len(graph.joints), graph.loops) == (6, 1, 0) and graph.unit == "um"
-    # The joint is the crossing and its six neighbours, each with four or more: a step before the middle.
+    # The joint is the crossing and its six neighbours, each with four or more: a step before the
+    # middle.
     assert sorted(graph.length) == sorted([3 * 3.0] * 2 + [6 * 2.0] * 2 + [9 * 0.5] * 2)
-    assert graph.joints.tolist() == [[4, 7, 10]] and np.all(graph.kind == 1) and np.all(graph.start == -1)
+    assert (
+        graph.joints.tolist() == [[4, 7, 10]]
+        and np.all(graph.kind == 1)
+        and np.all(graph.start == -1)
+    )
 
 
 @given(volumes)
@@ -151,9 +162,15 @@ def test_every_voxel_is_in_one_branch_or_joint(solid):
         inner = inner[:-1] if graph.kind[branch] == 3 else inner
         seen[tuple(inner.T)] += 1
         assert np.all(np.abs(np.diff(path, axis=0)).max(axis=1) == 1)
-        assert joints[tuple(path[0])] - 1 == graph.start[branch] and joints[tuple(path[-1])] - 1 == graph.stop[branch]
+        assert (
+            joints[tuple(path[0])] - 1 == graph.start[branch]
+            and joints[tuple(path[-1])] - 1 == graph.stop[branch]
+        )
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        assert graph.length[branch] == pytest.approx(steps.sum()) and graph.length[branch] >= graph.span[branch] - 1e-9
+        assert (
+            graph.length[branch] == pytest.approx(steps.sum())
+            and graph.length[branch] >= graph.span[branch] - 1e-9
+        )
     assert np.array_equal(seen, lines & (near <= 2))
 
 
@@ -161,7 +178,9 @@ def test_phases_and_refusals():
     values = np.zeros((5, 9, 9), np.uint8)
     values[2, 2, 2:7], values[2, 6, 2:7] = 1, 2
     image = tb.Image(values, "labels", phases=("void", "a", "b"))
-    assert skeleton_graph(image).branches == 2 and np.array_equal(thin(image, phase="a"), values == 1)
+    assert skeleton_graph(image).branches == 2 and np.array_equal(
+        thin(image, phase="a"), values == 1
+    )
     empty = skeleton_graph(np.zeros((4, 4), np.uint8))
     assert (empty.branches, empty.ends, empty.loops, empty.joints.shape) == (0, 0, 0, (0, 2))
     with pytest.raises(tb.errors.InputError, match="labels are needed"):

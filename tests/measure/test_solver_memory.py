@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.measure import physics
+from trabecula.measure import effective_properties
 from trabecula.measure.mechanics import homogenise
 from trabecula.measure.transport import section
 from trabecula.measure.transport.conduction import CONDUCTION_BYTES
@@ -78,22 +78,31 @@ def test_halving_is_part_of_the_forecast(name, monkeypatch):
 def test_as_many_solves_at_once_as_fit(monkeypatch):
     image = tb.Image(medium(30), "labels")
     one = section.needed(image.values == 0, FLOW_BYTES)
-    monkeypatch.setattr(physics, "available_memory", lambda: 3 * one + 10)
-    assert physics._fitting(image, None, False) == 3
-    assert physics._fitting(image, 15, False) > 20
+    monkeypatch.setattr(effective_properties, "available_memory", lambda: 3 * one + 10)
+    assert effective_properties._fitting(image, None, False) == 3
+    assert effective_properties._fitting(image, 15, False) > 20
     # The solid counts too where most of the image is solid.
     solid = tb.Image(np.ones((30, 30, 30), np.uint8), "labels")
-    monkeypatch.setattr(physics, "available_memory", lambda: 2 * section.needed(solid.values == 1, CONDUCTION_BYTES))
-    assert physics._fitting(solid, None, False) == 2
+    monkeypatch.setattr(
+        effective_properties,
+        "available_memory",
+        lambda: 2 * section.needed(solid.values == 1, CONDUCTION_BYTES),
+    )
+    assert effective_properties._fitting(solid, None, False) == 2
 
 
 @pytest.mark.skipif(
-    not Path("/proc/self/clear_refs").exists() or "NUMBA_DISABLE_JIT" in os.environ, reason="Linux, compiled kernels"
+    not Path("/proc/self/clear_refs").exists() or "NUMBA_DISABLE_JIT" in os.environ,
+    reason="Linux, compiled kernels",
 )
 @pytest.mark.parametrize("name", ["flow", "conduction", "stiffness"])
 def test_forecasts_are_near_the_peak_and_above_it(name, tmp_path):
     """Resident memory: what kernels allocate is not seen by tracemalloc."""
-    thresholds = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536", "TRABECULA_THREADS": "1"}
+    thresholds = {
+        "MALLOC_MMAP_THRESHOLD_": "65536",
+        "MALLOC_TRIM_THRESHOLD_": "65536",
+        "TRABECULA_THREADS": "1",
+    }
     done = subprocess.run(
         [sys.executable, "-c", PEAK, name, str(tmp_path / "image.npy")],
         env={**os.environ, **thresholds},

@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import trabecula as tb
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.measure.mechanics import stiffness
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
 from trabecula.measure.mechanics.parts import load_bearing
@@ -31,7 +31,9 @@ def blobs(shape, seed, share):
     wave = np.fft.rfftn(np.random.default_rng(seed).normal(size=shape))
     k = sum(
         np.square(f)
-        for f in np.meshgrid(*[np.fft.fftfreq(n) for n in shape[:2]], np.fft.rfftfreq(shape[2]), indexing="ij")
+        for f in np.meshgrid(
+            *[np.fft.fftfreq(n) for n in shape[:2]], np.fft.rfftfreq(shape[2]), indexing="ij"
+        )
     )
     field = np.fft.irfftn(wave * np.exp(-60 * k), shape, axes=(0, 1, 2))
     return (field < np.quantile(field, share)).astype(np.uint8)
@@ -42,10 +44,17 @@ def direct(values, materials, edges):
     shape = np.array(values.shape)
     strain, volume = mean_strain(edges).reshape(6, 24), np.prod(edges)
     rows, columns, entries = [], [], []
-    load, whole, used = np.zeros((3 * values.size, 6)), np.zeros((6, 6)), np.zeros(3 * values.size, bool)
+    load, whole, used = (
+        np.zeros((3 * values.size, 6)),
+        np.zeros((6, 6)),
+        np.zeros(3 * values.size, bool),
+    )
     for at in np.argwhere(values >= 0):
         material = isotropic(*materials[values[tuple(at)]])
-        nodes = [np.ravel_multi_index((at + corner) % shape, shape) for corner in product((0, 1), repeat=3)]
+        nodes = [
+            np.ravel_multi_index((at + corner) % shape, shape)
+            for corner in product((0, 1), repeat=3)
+        ]
         index = np.concatenate([3 * n + np.arange(3) for n in nodes])
         block = brick_stiffness(material, edges).transpose(0, 2, 1, 3).reshape(24, 24)
         rows.append(np.repeat(index, 24))
@@ -55,9 +64,11 @@ def direct(values, materials, edges):
         whole += volume * material
         used[index] = True
     total = sparse.csr_matrix(
-        (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), shape=(3 * values.size,) * 2
+        (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(3 * values.size,) * 2,
     )
-    # A little stiffness to the ground takes the null space away, and changes nothing that carries load.
+    # A little stiffness to the ground takes the null space away, and changes nothing that carries
+    # load.
     free = np.flatnonzero(used)
     matrix = total[free][:, free] + 1e-9 * sparse.eye(len(free))
     relaxed = spsolve(matrix.tocsc(), load[free])
@@ -66,7 +77,9 @@ def direct(values, materials, edges):
 
 @pytest.mark.parametrize("spacing", [(1, 1, 1), (0.5, 1, 3)])
 def test_homogeneous_solid_is_its_material(spacing):
-    result = stiffness(tb.Image(np.ones((3, 5, 4), np.uint8), "labels", spacing=spacing), moduli=(7.0, 0.25))
+    result = stiffness(
+        tb.Image(np.ones((3, 5, 4), np.uint8), "labels", spacing=spacing), moduli=(7.0, 0.25)
+    )
     assert np.allclose(result.matrix, isotropic(7.0, 0.25), atol=1e-12)
     assert result.moduli == pytest.approx(dict.fromkeys("zyx", 7.0), rel=1e-6)
     assert result.shear == pytest.approx(dict.fromkeys(("yz", "xz", "xy"), 2.8), rel=1e-6)
@@ -122,14 +135,16 @@ def test_islands_do_not_change_the_rest():
 
 def test_what_bears_load_wraps_around():
     values = np.zeros((4, 6, 6), bool)
-    values[:2, 1, 1] = values[2:, 1, 2] = True  # meets itself only where the two halves touch: they do not
+    # meets itself only where the two halves touch: they do not
+    values[:2, 1, 1] = values[2:, 1, 2] = True
     assert not load_bearing(values).any()
     values[1, 1, 2] = True  # joined inside, but not across the face
     assert not load_bearing(values).any()
     values[0, 1, 2] = True
     assert load_bearing(values).sum() == 6
     ring = np.zeros((1, 6, 6), bool)
-    ring[0, [0, 0, 5, 5], [0, 5, 0, 5]] = True  # four corners meet across the faces; a thin box wraps by itself
+    # four corners meet across the faces; a thin box wraps by itself
+    ring[0, [0, 0, 5, 5], [0, 5, 0, 5]] = True
     assert np.array_equal(load_bearing(ring), ring)
     assert not load_bearing(np.concatenate([ring, np.zeros_like(ring)])).any()
 
@@ -149,13 +164,16 @@ def test_equals_elimination_with_void(values, edges):
 @given(small)
 def test_equals_elimination_with_two_solids(values):
     result = stiffness(two_phase(values), moduli=BOTH, tolerance=1e-7)
-    assert np.allclose(result.matrix, direct(values.astype(int), [SOFT, HARD], (1.0, 1.0, 1.0)), atol=1e-5)
+    assert np.allclose(
+        result.matrix, direct(values.astype(int), [SOFT, HARD], (1.0, 1.0, 1.0)), atol=1e-5
+    )
 
 
 @settings(max_examples=15)
 @given(small, st.permutations([0, 1, 2]))
 def test_matrix_turns_with_the_volume(values, order):
-    pairs = [{2}, {1}, {0}, {0, 1}, {0, 2}, {1, 2}]  # axes of the array that xx, yy, zz, yz, xz, xy are about
+    # axes of the array that xx, yy, zz, yz, xz, xy are about
+    pairs = [{2}, {1}, {0}, {0, 1}, {0, 2}, {1, 2}]
     row = [pairs.index({order[axis] for axis in pair}) for pair in pairs]
     matrix = stiffness(two_phase(values), moduli=BOTH, tolerance=1e-6).matrix
     turned = stiffness(two_phase(values.transpose(order)), moduli=BOTH, tolerance=1e-6).matrix
@@ -173,13 +191,18 @@ def test_symmetric_and_between_reuss_and_voigt(values, with_void):
     assert np.linalg.eigvalsh(result.matrix)[0] > -1e-7
     assert np.linalg.eigvalsh(voigt - result.matrix)[0] > -1e-6
     if not with_void:
-        reuss = np.linalg.inv(phi * np.linalg.inv(isotropic(*HARD)) + (1 - phi) * np.linalg.inv(isotropic(*SOFT)))
+        reuss = np.linalg.inv(
+            phi * np.linalg.inv(isotropic(*HARD)) + (1 - phi) * np.linalg.inv(isotropic(*SOFT))
+        )
         assert np.linalg.eigvalsh(result.matrix - reuss)[0] > -1e-6
 
 
 @pytest.mark.parametrize("share", [0.35, 0.6])
 def test_isotropic_media_stay_below_hashin_and_shtrikman(share):
-    matrix = np.mean([stiffness(blobs((20, 20, 20), seed, share), moduli=SOFT).matrix for seed in range(3)], axis=0)
+    matrix = np.mean(
+        [stiffness(blobs((20, 20, 20), seed, share), moduli=SOFT).matrix for seed in range(3)],
+        axis=0,
+    )
     bulk, shear = matrix[:3, :3].mean(), (np.trace(matrix[:3, :3]) - matrix[:3, :3].mean() * 3) / 4
     shear = (2 * shear + 3 * matrix[range(3, 6), range(3, 6)].mean()) / 5
     k, g = 1 / (3 * (1 - 2 * 0.3)), 1 / 2.6
@@ -203,13 +226,16 @@ def test_scan_balances_whatever_the_threads(data):
 
 
 def test_halving_thin_struts_softens_them():
-    values = np.zeros((8, 8, 8), np.uint8)  # a zigzag of struts one voxel thick bends, which one brick cannot show
+    # a zigzag of struts one voxel thick bends, which one brick cannot show
+    values = np.zeros((8, 8, 8), np.uint8)
     values[:4, 0, 0] = values[4:, 4, 0] = 1
     values[3, :5, 0] = values[7, :5, 0] = 1
     thin = stiffness(values, halving=True)
     thick = stiffness(values.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2))
     assert thin.halving < -0.2
-    assert thin.halving == pytest.approx(np.trace(thick.matrix) / np.trace(thin.matrix) - 1, rel=1e-3)
+    assert thin.halving == pytest.approx(
+        np.trace(thick.matrix) / np.trace(thin.matrix) - 1, rel=1e-3
+    )
 
 
 def test_box_is_the_centre():

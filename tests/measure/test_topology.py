@@ -28,7 +28,10 @@ def rolled(inside, shift):
 def test_18_neighbours_cut_what_meets_in_a_vertex_only(inside):
     # Count the vertices at which exactly two voxels, opposite each other, meet.
     padded = np.pad(inside, 1).astype(int)
-    corners = [padded[i : i - 1 or None, j : j - 1 or None, k : k - 1 or None] for i, j, k in np.ndindex(2, 2, 2)]
+    corners = [
+        padded[i : i - 1 or None, j : j - 1 or None, k : k - 1 or None]
+        for i, j, k in np.ndindex(2, 2, 2)
+    ]
     two = sum(corners) == 2
     opposite = sum((corners[i] & corners[7 - i]) for i in range(4)) == 1
     expected = measure.euler(inside, connectivity=26) + np.count_nonzero(two & opposite)
@@ -50,17 +53,22 @@ def test_euler_of_balls_hollow_balls_and_tori(connectivity):
     five = np.concatenate([ball] * 5)
     for body, number in [(ball, 1), (hollow, 2), (torus, 0), (five, 5)]:
         assert measure.euler(body, connectivity=connectivity) == number
-        assert measure.euler(rolled(body, (21, 3, -17)), connectivity=connectivity, periodic=True) == number
+        assert (
+            measure.euler(rolled(body, (21, 3, -17)), connectivity=connectivity, periodic=True)
+            == number
+        )
 
 
 def test_euler_of_periodic_slabs_rods_and_squares():
     slab, rod = np.zeros((8, 9, 10), bool), np.zeros((8, 9, 10), bool)
     slab[2:5] = True
     rod[2:5, 3:6] = True
-    # A slab closed in both its directions is a thick torus, a rod closed in its own a ring: both have none.
+    # A slab closed in both its directions is a thick torus, a rod closed in its own a ring: both
+    # have none.
     assert measure.euler(slab, periodic=True) == 0 and measure.euler(slab) == 1
     assert (
-        measure.euler(rod, periodic=(False, False, True)) == 0 and measure.euler(rod, periodic=(True, True, False)) == 1
+        measure.euler(rod, periodic=(False, False, True)) == 0
+        and measure.euler(rod, periodic=(True, True, False)) == 1
     )
     assert measure.euler(slab[0] | True, periodic=True) == 0
 
@@ -69,8 +77,12 @@ def test_periodic_layers_and_their_densities():
     layers = np.zeros((20, 6, 6), np.uint8)
     layers[np.arange(20) % 10 < 3] = 1
     result = measure.minkowski(layers, periodic=True)
-    assert result.volume == pytest.approx(0.3) and result.mean_curvature == pytest.approx(0, abs=1e-12)
-    assert result.surface == pytest.approx(4 / 20, rel=0.09) and result.euler_density == pytest.approx(0, abs=1e-12)
+    assert result.volume == pytest.approx(0.3) and result.mean_curvature == pytest.approx(
+        0, abs=1e-12
+    )
+    assert result.surface == pytest.approx(
+        4 / 20, rel=0.09
+    ) and result.euler_density == pytest.approx(0, abs=1e-12)
     assert measure.specific_surface(layers, periodic=True) == result.surface
     assert measure.chord_length(layers, axis=0, periodic=True) == pytest.approx(3)
     # Over the 19 cubes that do not wrap, half of the outermost layers is missing.
@@ -84,7 +96,9 @@ def test_periodic_figures_do_not_depend_on_the_origin(inside, shift):
         assert measure.euler(moved, connectivity=connectivity, periodic=True) == measure.euler(
             inside, connectivity=connectivity, periodic=True
         )
-        a, b = (component_sizes(v, connectivity=connectivity, periodic=True) for v in (inside, moved))
+        a, b = (
+            component_sizes(v, connectivity=connectivity, periodic=True) for v in (inside, moved)
+        )
         assert a.tolist() == b.tolist()
     assert measure.specific_surface(moved, periodic=True) == pytest.approx(
         measure.specific_surface(inside, periodic=True), abs=1e-12
@@ -105,8 +119,12 @@ def test_minkowski_does_not_change_with_flips_and_axes(inside, order, axis):
 
 @given(volumes)
 def test_periodic_euler_numbers_of_the_two_sides_are_dual(inside):
-    # On a torus, whose own Euler number is 0, open cells of one side and closed cells of the other cancel.
-    narrow, wide = (measure.euler(side, connectivity=c, periodic=True) for side, c in ((~inside, 6), (inside, 26)))
+    # On a torus, whose own Euler number is 0, open cells of one side and closed cells of the other
+    # cancel.
+    narrow, wide = (
+        measure.euler(side, connectivity=c, periodic=True)
+        for side, c in ((~inside, 6), (inside, 26))
+    )
     assert narrow == wide
 
 
@@ -123,7 +141,9 @@ def test_masked_densities_count_the_cubes_inside_the_mask(inside, mask):
     cubes = windows(inside, (2, 2, 2))[whole]
     single = [measure.minkowski(cube) for cube in cubes]
     for name in ("volume", "surface", "mean_curvature", "euler_density"):
-        assert getattr(result, name) == pytest.approx(np.mean([getattr(one, name) for one in single]), abs=1e-9)
+        assert getattr(result, name) == pytest.approx(
+            np.mean([getattr(one, name) for one in single]), abs=1e-9
+        )
 
 
 def test_a_box_as_mask_is_a_crop():
@@ -140,14 +160,18 @@ def test_a_box_as_mask_is_a_crop():
     assert measure.percolates(solid, mask=mask, connectivity=6) == measure.percolates(crop)
     assert component_sizes(solid, mask=mask).tolist() == component_sizes(crop).tolist()
     for axis in range(3):
-        assert percolating_fraction(solid, axis=axis, mask=mask) == percolating_fraction(crop, axis=axis)
+        assert percolating_fraction(solid, axis=axis, mask=mask) == percolating_fraction(
+            crop, axis=axis
+        )
 
 
 def periodic_oracle(inside, order, closed):
-    """Components by SciPy, on the image three times along every periodic axis: pieces that are copies of each other are
-    one."""
+    """Components by SciPy, on the image three times along every periodic axis: pieces that are
+    copies of each other are one."""
     tiled = np.pad(
-        inside, [(side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, closed, strict=True)], "wrap"
+        inside,
+        [(side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, closed, strict=True)],
+        "wrap",
     )
     found, _ = ndimage.label(tiled, ndimage.generate_binary_structure(inside.ndim, order))
     links = {}
@@ -158,9 +182,15 @@ def periodic_oracle(inside, order, closed):
         return k
 
     for place in np.argwhere(tiled):
-        home = tuple(p % side + side * wrap for p, side, wrap in zip(place, inside.shape, closed, strict=True))
+        home = tuple(
+            p % side + side * wrap
+            for p, side, wrap in zip(place, inside.shape, closed, strict=True)
+        )
         links[root(found[tuple(place)])] = root(found[home])
-    middle = tuple(slice(s, 2 * s) if wrap else slice(None) for s, wrap in zip(inside.shape, closed, strict=True))
+    middle = tuple(
+        slice(s, 2 * s) if wrap else slice(None)
+        for s, wrap in zip(inside.shape, closed, strict=True)
+    )
     return np.vectorize(root, otypes=[int])(found[middle]) * inside
 
 
@@ -168,7 +198,9 @@ def periodic_oracle(inside, order, closed):
 @given(volumes | pictures, wraps, st.sampled_from([0, 1, 2]))
 def test_periodic_components_equal_tiled_scipy(inside, closed, rank):
     closed = closed[: inside.ndim]
-    connectivity, order = [(6, 1), (18, 2), (26, 3)][rank] if inside.ndim == 3 else [(4, 1), (8, 2), (8, 2)][rank]
+    connectivity, order = (
+        [(6, 1), (18, 2), (26, 3)][rank] if inside.ndim == 3 else [(4, 1), (8, 2), (8, 2)][rank]
+    )
     labels, sizes = measure.label_components(inside, connectivity=connectivity, periodic=closed)
     expected = periodic_oracle(inside, order, closed)
     pairs = np.unique(np.stack([labels[inside], expected[inside]]), axis=1)
@@ -187,7 +219,10 @@ def test_sizes_their_distribution_and_what_floats():
     sizes, share = size_distribution(solid)
     assert sizes.tolist() == [1, 10, 24] and share.tolist() == [0.5, 0.75, 1]
     assert measure.floating(solid) == 3 and measure.floating_voxels(solid) == 12
-    assert measure.floating(solid, smaller_than=10) == 2 and measure.floating_voxels(solid, smaller_than=11) == 12
+    assert (
+        measure.floating(solid, smaller_than=10) == 2
+        and measure.floating_voxels(solid, smaller_than=11) == 12
+    )
     assert measure.floating(solid, smaller_than=100) == 4
     assert measure.largest_fraction(solid) == pytest.approx(24 / 36)
     with pytest.raises(tb.errors.InputError, match="smaller_than"):
@@ -214,7 +249,11 @@ def test_component_distance_of_known_sets():
 def test_component_distance_equals_scipy_and_is_symmetric(a, b, relative_to):
     def places(inside):
         sizes = measure.label_components(inside)[1]
-        return sizes / (inside.size if relative_to == "image" else inside.sum()) if len(sizes) else [0.0]
+        return (
+            sizes / (inside.size if relative_to == "image" else inside.sum())
+            if len(sizes)
+            else [0.0]
+        )
 
     distance = component_distance(a, b, relative_to=relative_to)
     assert distance == pytest.approx(stats.wasserstein_distance(places(a), places(b)), abs=1e-12)
@@ -233,7 +272,11 @@ def test_percolating_fraction_and_ways_through_periodic_sides():
     broken = np.zeros((8, 8, 8), np.uint8)
     broken[:4, 0, 3] = broken[3:, 7, 3] = 1
     assert not measure.percolates(broken)["z"] and percolating_fraction(broken, axis=0) == 0
-    assert measure.percolates(broken, periodic=(False, True, False)) == {"z": True, "y": False, "x": False}
+    assert measure.percolates(broken, periodic=(False, True, False)) == {
+        "z": True,
+        "y": False,
+        "x": False,
+    }
     assert percolating_fraction(broken, axis=0, periodic=True) == 1
     # Along its own axis a periodic image has end faces all the same.
     assert not measure.percolates(np.eye(2, 6, dtype=np.uint8), periodic=True)["x"]
@@ -248,7 +291,9 @@ def test_a_mask_joins_nothing_and_has_end_faces_of_its_own():
     assert measure.components(1 - solid, phase="void", mask=mask) == 2
 
 
-@pytest.mark.parametrize("mask", [np.ones((3, 3), int), np.ones((4, 3), bool), np.zeros((3, 3), bool)])
+@pytest.mark.parametrize(
+    "mask", [np.ones((3, 3), int), np.ones((4, 3), bool), np.zeros((3, 3), bool)]
+)
 def test_bad_masks_are_refused(mask):
     with pytest.raises(tb.errors.InputError, match="mask"):
         measure.porosity(np.eye(3, dtype=np.uint8), mask=mask)

@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.measure import triple_phase_active_share, triple_phase_line_density, triple_phase_lines
+from trabecula.measure import (
+    triple_phase_active_share,
+    triple_phase_line_density,
+    triple_phase_lines,
+)
 from trabecula.measure.triple_kernels import REACH
 
 NAMES = ("void", "a", "b")
@@ -66,7 +70,9 @@ def test_a_straight_line_along_an_axis_is_exact(axis):
     values = np.moveaxis(quarters, 1, axis)
     spacing = tuple(edges[other] for other in range(3))
     image = tb.Image(values, "labels", spacing=spacing)
-    area = np.prod([(values.shape[other] - 1) * spacing[other] for other in range(3) if other != axis])
+    area = np.prod(
+        [(values.shape[other] - 1) * spacing[other] for other in range(3) if other != axis]
+    )
     assert triple_phase_line_density(image) == pytest.approx(1 / area, rel=1e-12)
     assert triple_phase_active_share(image, axis=axis) == 1.0
 
@@ -104,7 +110,7 @@ def test_chords_are_those_of_chains_followed_edge_by_edge(seed, shape, phases):
 
 
 def test_every_thread_count_gives_the_same_density():
-    from trabecula.engine.tiles import threads
+    from trabecula.engine.parallel import threads
 
     values = np.random.default_rng(1).integers(0, 3, (40, 20, 20))
     with threads(1):
@@ -146,9 +152,9 @@ def test_where_four_phases_meet_lie_two_lines():
     found = triple_phase_lines(image)
     assert next(iter(found)) == ("void", "a", "b") and len(found) == 10
     for names, line in found.items():
-        assert line.density == pytest.approx(0.0 if "d" in names else 0.5 / 25) and (line.active is None) == (
-            "d" in names
-        )
+        assert line.density == pytest.approx(0.0 if "d" in names else 0.5 / 25) and (
+            line.active is None
+        ) == ("d" in names)
     assert triple_phase_line_density(image) == pytest.approx(2 / 25)
     assert triple_phase_line_density(image, phases=("c", 0, "a")) == pytest.approx(0.5 / 25)
     assert triple_phase_active_share(image, phases=("c", "void", "d")) is None

@@ -39,15 +39,23 @@ def test_what_trimesh_reads_is_what_was_written(blob, tmp_path, suffix, factor):
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"), [("mm", 1.0), ("um", 1e-3), ("nm", 1e-6), ("m", 1e3), ("voxel", 1.0), ("cm", 10.0)]
+    ("unit", "factor"),
+    [("mm", 1.0), ("um", 1e-3), ("nm", 1e-6), ("m", 1e3), ("voxel", 1.0), ("cm", 10.0)],
 )
 def test_stl_is_in_millimetres_and_says_so(tmp_path, unit, factor):
     mesh = tb.mesh(tb.Image(np.ones((2, 3, 4), bool), "labels", spacing=2.0, unit=unit), smooth=0)
     raw = write_mesh(mesh, tmp_path / "box.stl").read_bytes()
     assert raw[:5] != b"solid" and len(raw) == 84 + 50 * len(mesh.faces)
-    assert f"unit={'voxel' if unit == 'voxel' else 'mm'}, recipe={recipe_digest(mesh.recipe)}".encode() in raw[:80]
-    records = np.frombuffer(raw[84:], np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]))
-    np.testing.assert_allclose(records["c"].max(axis=(0, 1)), np.array([8, 6, 4]) * factor, rtol=1e-6)
+    assert (
+        f"unit={'voxel' if unit == 'voxel' else 'mm'}, recipe={recipe_digest(mesh.recipe)}".encode()
+        in raw[:80]
+    )
+    records = np.frombuffer(
+        raw[84:], np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    )
+    np.testing.assert_allclose(
+        records["c"].max(axis=(0, 1)), np.array([8, 6, 4]) * factor, rtol=1e-6
+    )
     np.testing.assert_allclose(np.linalg.norm(records["n"], axis=1), 1, rtol=1e-5)
 
 
@@ -70,9 +78,13 @@ def test_3mf_declares_its_unit_and_holds_the_mesh(blob, tmp_path, unit, name, fa
         model = ET.fromstring(package.read(relation.get("Target").lstrip("/")))
     assert model.get("unit") == name
     metadata = {entry.get("name"): entry.text for entry in model.iter(f"{CORE}metadata")}
-    assert json.loads(metadata["tb:recipe"]) == mesh.recipe.to_json() and metadata["tb:unit"] == unit
+    assert (
+        json.loads(metadata["tb:recipe"]) == mesh.recipe.to_json() and metadata["tb:unit"] == unit
+    )
     vertices = [[float(v.get(axis)) for axis in "xyz"] for v in model.iter(f"{CORE}vertex")]
-    faces = [[int(t.get(corner)) for corner in ("v1", "v2", "v3")] for t in model.iter(f"{CORE}triangle")]
+    faces = [
+        [int(t.get(corner)) for corner in ("v1", "v2", "v3")] for t in model.iter(f"{CORE}triangle")
+    ]
     np.testing.assert_allclose(vertices, mesh.vertices * factor, rtol=1e-6)
     np.testing.assert_array_equal(faces, mesh.faces)
 
@@ -83,10 +95,16 @@ def test_ply_and_obj_carry_unit_and_recipe(blob, tmp_path):
         ("ply", "comment unit ", "comment trabecula recipe "),
         ("obj", "# unit ", "# recipe "),
     ):
-        lines = write_mesh(mesh, tmp_path / f"part.{suffix}").read_bytes().decode("latin-1").splitlines()
+        lines = (
+            write_mesh(mesh, tmp_path / f"part.{suffix}")
+            .read_bytes()
+            .decode("latin-1")
+            .splitlines()
+        )
         assert f"{unit}um" in lines
         assert (
-            json.loads(next(line for line in lines if line.startswith(recipe))[len(recipe) :]) == mesh.recipe.to_json()
+            json.loads(next(line for line in lines if line.startswith(recipe))[len(recipe) :])
+            == mesh.recipe.to_json()
         )
 
 
@@ -105,10 +123,14 @@ def test_the_same_mesh_gives_the_same_bytes(blob, tmp_path, suffix):
 
 def test_many_rows_are_written_in_pieces(tmp_path, monkeypatch, blob):
     mesh = tb.mesh(blob)
-    whole = [write_mesh(mesh, tmp_path / f"whole{suffix}").read_bytes() for suffix in (".obj", ".stl")]
+    whole = [
+        write_mesh(mesh, tmp_path / f"whole{suffix}").read_bytes() for suffix in (".obj", ".stl")
+    ]
     monkeypatch.setattr("trabecula.mesh.text._PIECE", 7)
     monkeypatch.setattr("trabecula.mesh.stl._PIECE", 7)
-    assert [write_mesh(mesh, tmp_path / f"pieces{suffix}").read_bytes() for suffix in (".obj", ".stl")] == whole
+    assert [
+        write_mesh(mesh, tmp_path / f"pieces{suffix}").read_bytes() for suffix in (".obj", ".stl")
+    ] == whole
 
 
 def test_an_unknown_suffix_suggests_the_nearest(blob, tmp_path):

@@ -1,4 +1,6 @@
-"""Reading surfaces: what was written comes back, what other programs write is understood, damage is told."""
+"""Reading surfaces: what was written comes back, what other programs write is understood, damage is
+told.
+"""
 
 import zipfile
 
@@ -29,7 +31,9 @@ def corners(mesh):
 def test_what_was_written_comes_back(blob, tmp_path, suffix):
     again = read_mesh(write_mesh(blob, tmp_path / f"part{suffix}"))
     factor, unit = (1e-3, "mm") if suffix == ".stl" else (1.0, "um")
-    np.testing.assert_allclose(corners(again), corners(blob) * factor, rtol=1e-6, atol=1e-4 * factor)
+    np.testing.assert_allclose(
+        corners(again), corners(blob) * factor, rtol=1e-6, atol=1e-4 * factor
+    )
     assert again.unit == unit and check(again).watertight
     assert len(again.vertices) == len(blob.vertices) and len(again.faces) == len(blob.faces)
     assert again.recipe.steps[0]["source"].endswith(suffix)
@@ -83,9 +87,13 @@ def ply(points, faces, form, *, kind="float"):
         return head + "\n".join(lines).encode() + b"\n"
     code = {"float": "f4", "double": "f8", "int": "i4"}[kind]
     body = b"".join(np.array(point, order + code).tobytes() + b"\x07" for point in points)
-    body += np.array(4, order + "i4").tobytes() + b"\x02" + np.array([90, -90], order + "i2").tobytes()
+    body += (
+        np.array(4, order + "i4").tobytes() + b"\x02" + np.array([90, -90], order + "i2").tobytes()
+    )
     body += np.array(5, order + "i4").tobytes() + b"\x00"
-    body += b"".join(bytes([len(face)]) + np.array(face, order + "u4").tobytes() + b"\x01" for face in faces)
+    body += b"".join(
+        bytes([len(face)]) + np.array(face, order + "u4").tobytes() + b"\x01" for face in faces
+    )
     return head + body
 
 
@@ -96,14 +104,22 @@ def test_ply_with_polygons_and_what_else_there_may_be(tmp_path, form, kind):
     mixed = [faces[0][:3], [faces[0][0], *faces[0][2:]], *faces[1:]]  # one side as two triangles
     for number, sides in enumerate((faces, mixed)):
         path = tmp_path / f"{number}.ply"
-        path.write_bytes(ply(points.astype(int) if kind == "int" else points, sides, form, kind=kind))
+        path.write_bytes(
+            ply(points.astype(int) if kind == "int" else points, sides, form, kind=kind)
+        )
         found = check(read_mesh(path))
         assert found.watertight and found.volume == pytest.approx(1) and found.faces == 12
 
 
 def test_obj_with_textures_polygons_and_numbers_from_behind(tmp_path):
     points, faces = quads()
-    lines = ["mtllib cube.mtl", "o cube", *(f"v {x} {y} {z} 1.0" for x, y, z in points), "vt 0 0", "vn 0 0 1"]
+    lines = [
+        "mtllib cube.mtl",
+        "o cube",
+        *(f"v {x} {y} {z} 1.0" for x, y, z in points),
+        "vt 0 0",
+        "vn 0 0 1",
+    ]
     lines += ["f " + " ".join(f"{k + 1}/1/1" for k in face) for face in faces[:3]]
     lines += ["f " + " ".join(f"{k - 8}//1" for k in face) for face in faces[3:]]
     (tmp_path / "cube.obj").write_text("\n".join(lines), encoding="ascii")
@@ -133,9 +149,13 @@ def package(path, text):
 
 
 def tetrahedron(number):
-    points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    points = "".join(
+        f'<vertex x="{x}" y="{y}" z="{z}"/>'
+        for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
+    )
     faces = "".join(
-        f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
+        f'<triangle v1="{a}" v2="{b}" v3="{c}"/>'
+        for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
     )
     return f'<object id="{number}"><mesh><vertices>{points}</vertices><triangles>{faces}</triangles></mesh></object>'
 
@@ -151,7 +171,9 @@ def test_3mf_builds_its_components_at_their_places(tmp_path):
     assert mesh.unit == "cm" and found.watertight and found.components == 2
     assert found.volume == pytest.approx((8 + 1) / 6)  # the mirrored one is turned right side out
     assert found.bounds == ((-1, 0, 5), (12, 2, 7))
-    foot = read_mesh(package(tmp_path / "foot.3mf", model("foot", '<item objectid="1"/>', tetrahedron(1))))
+    foot = read_mesh(
+        package(tmp_path / "foot.3mf", model("foot", '<item objectid="1"/>', tetrahedron(1)))
+    )
     assert foot.unit == "inch" and foot.vertices.max() == 12
 
 
@@ -171,10 +193,13 @@ def test_damage_is_told_in_one_line(blob, tmp_path, suffix):
         ("short", whole[: len(whole) * 2 // 3 - 5]),
     ):
         (tmp_path / f"{name}{suffix}").write_bytes(content)
-        if (name, suffix) == ("short", ".obj"):  # the format has no count that could be missed: it has holes
+        # the format has no count that could be missed: it has holes
+        if (name, suffix) == ("short", ".obj"):
             assert check(read_mesh(tmp_path / "short.obj")).open_edges > 0
             continue
-        with pytest.raises((FileError, InputError), match=r"cannot read|no triangles|faces name vertices"):
+        with pytest.raises(
+            (FileError, InputError), match=r"cannot read|no triangles|faces name vertices"
+        ):
             read_mesh(tmp_path / f"{name}{suffix}")
     with pytest.raises(FileError, match="there is no file"):
         read_mesh(tmp_path / f"missing{suffix}")

@@ -7,7 +7,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.progress import listen
-from trabecula.engine.slabs import slabs_of
+from trabecula.engine.lazy_volume import slabs_of
 from trabecula.mesh.sizes import extent_of, size_notes, size_text
 
 BLOCK = np.ones((4, 6, 8), np.uint8)
@@ -30,7 +30,9 @@ def test_a_unit_that_is_not_known_is_said(tmp_path, name):
         "(--spacing, --unit)"
     ]
     assert extent == pytest.approx((4, 6, 8))
-    said, extent, unit = exported(BLOCK, tmp_path / name, spacing=(0.3, 0.2, 0.1), unit="mm", scale=10)
+    said, extent, unit = exported(
+        BLOCK, tmp_path / name, spacing=(0.3, 0.2, 0.1), unit="mm", scale=10
+    )
     assert not said and extent == pytest.approx((12, 12, 8), rel=1e-6) and unit == "mm"
 
 
@@ -50,13 +52,21 @@ def test_a_3mf_carries_the_word(tmp_path):
     [
         (25, "um", None),
         (0.5, "mm", None),
-        (30, "nm", "the part is 0.00012 x 0.00018 x 0.00024 mm (z, y, x), less than 0.1 mm: is nm its unit?"),
+        (
+            30,
+            "nm",
+            "the part is 0.00012 x 0.00018 x 0.00024 mm (z, y, x), less than 0.1 mm: is nm its unit?",
+        ),
         (0.3, "m", "the part is 1200 x 1800 x 2400 mm (z, y, x), more than 2 m: is m its unit?"),
     ],
 )
 def test_sizes_that_are_hardly_meant_are_said(tmp_path, spacing, unit, says):
     said, _, _ = exported(tb.Image(BLOCK, "labels", spacing, unit), tmp_path / "x.stl")
-    assert (not said) if says is None else (len(said) == 1 and says in said[0] and "--scale" in said[0])
+    assert (
+        (not said)
+        if says is None
+        else (len(said) == 1 and says in said[0] and "--scale" in said[0])
+    )
 
 
 def test_slabs_have_lengths_too(tmp_path):
@@ -103,4 +113,6 @@ def test_an_extent_is_that_of_the_faces():
 
     assert extent_of(Mesh(vertices, faces)) == (3.0, 2.0, 1.0)
     assert extent_of(Mesh(vertices, faces[:0])) == (0.0, 0.0, 0.0)
-    assert size_text((1, 2, 3), "inch") == "25.4 x 50.8 x 76.2 mm (z, y, x)" and not list(size_notes((1, 2, 3), "inch"))
+    assert size_text((1, 2, 3), "inch") == "25.4 x 50.8 x 76.2 mm (z, y, x)" and not list(
+        size_notes((1, 2, 3), "inch")
+    )

@@ -36,7 +36,9 @@ def test_smoothing_brings_the_normals_to_those_of_the_ball():
         surface = oracle(tb.mesh(ball(15.2, 34), smooth=rounds))
         radial = surface.triangles_center - 17
         radial /= np.linalg.norm(radial, axis=1)[:, None]
-        return np.degrees(np.arccos(np.clip(np.sum(radial * surface.face_normals, axis=1), -1, 1))).mean()
+        return np.degrees(
+            np.arccos(np.clip(np.sum(radial * surface.face_normals, axis=1), -1, 1))
+        ).mean()
 
     assert deviation(0) > 15
     assert deviation(None) < 8
@@ -54,7 +56,8 @@ def test_a_full_block_is_a_closed_box_with_flat_faces():
     found = check(tb.mesh(np.ones((9, 12, 15), bool)))
     assert found.watertight and found.components == 1
     assert found.bounds == ((0, 0, 0), (15, 12, 9))  # x, y, z
-    assert found.volume == pytest.approx(9 * 12 * 15, rel=0.03)  # edges are bevelled by half a voxel
+    # edges are bevelled by half a voxel
+    assert found.volume == pytest.approx(9 * 12 * 15, rel=0.03)
     mesh = tb.mesh(np.ones((9, 12, 15), bool))
     normals = oracle(mesh).face_normals
     flat = np.abs(normals).max(axis=1) > 1 - 1e-6
@@ -67,18 +70,28 @@ def test_axes_are_x_y_z_in_the_images_unit():
     mesh = tb.mesh(tb.Image(values, "labels", spacing=(5.0, 2.0, 0.5), unit="um"), smooth=0)
     found = check(mesh)
     assert mesh.unit == found.unit == "um"
-    np.testing.assert_allclose(found.bounds, [(3 * 0.5, 2 * 2.0, 1 * 5.0), (9 * 0.5, 6 * 2.0, 3 * 5.0)])
+    np.testing.assert_allclose(
+        found.bounds, [(3 * 0.5, 2 * 2.0, 1 * 5.0), (9 * 0.5, 6 * 2.0, 3 * 5.0)]
+    )
 
 
 def test_spacing_only_stretches():
     solid = ball(6.2, 16)
-    plain, stretched = tb.mesh(solid), tb.mesh(tb.Image(solid, "labels", spacing=(3.0, 2.0, 0.5), unit="mm"))
-    np.testing.assert_allclose(stretched.vertices, plain.vertices * np.float32([0.5, 2.0, 3.0]), rtol=1e-6)
+    plain, stretched = (
+        tb.mesh(solid),
+        tb.mesh(tb.Image(solid, "labels", spacing=(3.0, 2.0, 0.5), unit="mm")),
+    )
+    np.testing.assert_allclose(
+        stretched.vertices, plain.vertices * np.float32([0.5, 2.0, 3.0]), rtol=1e-6
+    )
     np.testing.assert_array_equal(stretched.faces, plain.faces)
 
 
 @settings(max_examples=60, deadline=None)
-@given(arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=7)), st.sampled_from([0, 3]))
+@given(
+    arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=7)),
+    st.sampled_from([0, 3]),
+)
 def test_any_volume_gives_a_closed_surface(solid, rounds):
     if not solid.any():
         return
@@ -98,9 +111,12 @@ def test_noise_is_closed_and_its_parts_are_the_6_connected_ones(share):
     assert surface.is_watertight and surface.is_winding_consistent and surface.volume > 0
     # Every part has one outside; a cavity (void, joined over edges: 18-connected) adds an inside.
     parts = ndimage.label(solid)[1]
-    voids = ndimage.label(np.pad(~solid, 1, constant_values=True), ndimage.generate_binary_structure(3, 2))[1]
+    voids = ndimage.label(
+        np.pad(~solid, 1, constant_values=True), ndimage.generate_binary_structure(3, 2)
+    )[1]
     assert check(mesh).components == parts + voids - 1
-    np.testing.assert_array_equal(np.bincount(mesh.faces.ravel()) > 2, True)  # no vertex without a ring of faces
+    # no vertex without a ring of faces
+    np.testing.assert_array_equal(np.bincount(mesh.faces.ravel()) > 2, True)
 
 
 def test_a_real_scan_is_closed(data):
@@ -124,7 +140,9 @@ def test_the_recipe_grows_by_one_step():
     mesh = tb.mesh(np.ones((3, 3, 3), bool), smooth=2)
     step = mesh.recipe.to_json()[-1]
     assert (step["verb"], step["smooth"]) == ("mesh", 2)
-    assert step["sha256"] == tb.mesh(np.ones((3, 3, 3), bool), smooth=2).recipe.to_json()[-1]["sha256"]
+    assert (
+        step["sha256"] == tb.mesh(np.ones((3, 3, 3), bool), smooth=2).recipe.to_json()[-1]["sha256"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -163,9 +181,13 @@ def test_check_finds_holes_flips_and_flat_faces():
     assert check(Mesh(mesh.vertices, doubled)).crowded_edges == 3
     flat = np.concatenate([mesh.faces, [[0, 0, 1]]])
     assert check(Mesh(mesh.vertices, flat)).degenerate_faces == 1
-    assert not any(check(Mesh(mesh.vertices, f)).watertight for f in (mesh.faces[1:], flipped, doubled, flat))
+    assert not any(
+        check(Mesh(mesh.vertices, f)).watertight for f in (mesh.faces[1:], flipped, doubled, flat)
+    )
     surface = oracle(mesh)
-    assert check(mesh).volume == pytest.approx(surface.volume) and check(mesh).area == pytest.approx(surface.area)
+    assert check(mesh).volume == pytest.approx(surface.volume) and check(
+        mesh
+    ).area == pytest.approx(surface.area)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.engine.slabs import slabs_of
+from trabecula.engine.lazy_volume import slabs_of
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.slabs import count_layers, export_slabs
@@ -21,7 +21,9 @@ def foam(shape, seed, share=0.5):
     noise = np.random.default_rng(seed).random(shape)
     for axis in range(3):
         noise = noise + np.roll(noise, 1, axis)
-    return tb.Image(noise >= np.quantile(noise, 1 - share), "labels", spacing=(2.0, 1.0, 1.5), unit="um")
+    return tb.Image(
+        noise >= np.quantile(noise, 1 - share), "labels", spacing=(2.0, 1.0, 1.5), unit="um"
+    )
 
 
 def both_files(folder, image, **how):
@@ -39,7 +41,9 @@ def both_files(folder, image, **how):
     depth=st.integers(1, 12),
     rounds=st.integers(0, 4),
 )
-def test_slabs_give_the_file_of_the_whole_byte_for_byte(tmp_path_factory, shape, seed, share, depth, rounds):
+def test_slabs_give_the_file_of_the_whole_byte_for_byte(
+    tmp_path_factory, shape, seed, share, depth, rounds
+):
     image = foam(shape, seed, share)
     whole, slabs = both_files(tmp_path_factory.getbasetemp(), image, depth=depth, smooth=rounds)
     assert slabs == whole

@@ -5,7 +5,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from trabecula.mesh.table import _FACES, EDGES, _edges_around, _segments, case_table, loops, share_face
+from trabecula.mesh.table import (
+    _FACES,
+    EDGES,
+    _edges_around,
+    _segments,
+    case_table,
+    loops,
+    share_face,
+)
 
 MIDDLES = np.array([[(a >> k & 1) + (b >> k & 1) for k in range(3)] for a, b, _ in EDGES]) / 2
 
@@ -21,7 +29,9 @@ def test_every_cut_edge_is_in_exactly_one_loop(config):
 
 
 def test_both_cubes_at_a_face_draw_the_same_segments_in_opposite_directions():
-    """All 2**4 states of a face, for the three axes: the face of one cube against the same face of its neighbour."""
+    """All 2**4 states of a face, for the three axes: the face of one cube against the same face of
+    its neighbour.
+    """
     for axis in range(3):
         upper, lower = _FACES[2 * axis + 1], _FACES[2 * axis]
         assert [c ^ 1 << axis for c in sorted(upper)] == sorted(lower)
@@ -29,8 +39,13 @@ def test_both_cubes_at_a_face_draw_the_same_segments_in_opposite_directions():
             here = sum((state >> k & 1) << c for k, c in enumerate(upper))
             there = sum((state >> k & 1) << (c ^ 1 << axis) for k, c in enumerate(upper))
             shift = np.eye(3)[axis]
-            across = {tuple(MIDDLES[e] - shift): tuple(MIDDLES[f] - shift) for e, f in _segments(here, upper).items()}
-            back = {tuple(MIDDLES[f]): tuple(MIDDLES[e]) for e, f in _segments(there, lower).items()}
+            across = {
+                tuple(MIDDLES[e] - shift): tuple(MIDDLES[f] - shift)
+                for e, f in _segments(here, upper).items()
+            }
+            back = {
+                tuple(MIDDLES[f]): tuple(MIDDLES[e]) for e, f in _segments(there, lower).items()
+            }
             assert across == back
 
 
@@ -38,7 +53,9 @@ def test_no_diagonal_of_a_loop_lies_in_a_face_of_the_cube():
     counts, triangles = case_table()
     for config in range(256):
         faces = triangles[config, : 3 * counts[config]].reshape(-1, 3)
-        sides = Counter(frozenset(pair) for face in faces for pair in zip(face, np.roll(face, -1), strict=True))
+        sides = Counter(
+            frozenset(pair) for face in faces for pair in zip(face, np.roll(face, -1), strict=True)
+        )
         for pair, uses in sides.items():
             assert uses == 1 or not share_face(*pair)
 
@@ -51,9 +68,12 @@ def test_triangles_face_away_from_the_solid_corners_they_cut_off():
             a, b, c = MIDDLES[face]
             normal = np.cross(b - a, c - a)
             assert np.linalg.norm(normal) > 0.1
-            # Summed over the three cut edges, the way from the solid to the void end follows the normal.
+            # Summed over the three cut edges, the way from the solid to the void end follows the
+            # normal.
             ways = [
-                (corner(EDGES[e][1]) - corner(EDGES[e][0])) * (1 if config >> EDGES[e][0] & 1 else -1) for e in face
+                (corner(EDGES[e][1]) - corner(EDGES[e][0]))
+                * (1 if config >> EDGES[e][0] & 1 else -1)
+                for e in face
             ]
             assert normal @ sum(ways) > 0
 

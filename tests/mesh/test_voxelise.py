@@ -18,7 +18,9 @@ def of(surface, **fields):
 
 
 def turned(surface, seed=0):
-    surface.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3)))
+    surface.apply_transform(
+        trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
+    )
     return surface
 
 
@@ -48,7 +50,8 @@ def test_a_ball_is_the_voxels_nearer_than_its_radius():
     ball = of(trimesh.creation.icosphere(5, radius=10.0))
     found = voxelise(ball, spacing=(2, 1, 1), shape=(12, 24, 24)).values
     z, y, x = np.meshgrid(
-        *((np.arange(n) + 0.5 - n / 2) * edge for n, edge in ((12, 2), (24, 1), (24, 1))), indexing="ij"
+        *((np.arange(n) + 0.5 - n / 2) * edge for n, edge in ((12, 2), (24, 1), (24, 1))),
+        indexing="ij",
     )
     radius = np.sqrt(z**2 + y**2 + x**2)
     assert np.array_equal(found[radius < 9.98], np.ones((radius < 9.98).sum()))
@@ -61,15 +64,24 @@ def test_voxels_come_back_from_their_own_surface(spacing):
     image = tb.Image(solid, "labels", spacing=spacing, unit="um")
     surface = tb.mesh(image, smooth=0)
     again = voxelise(surface, spacing=spacing, shape=solid.shape, origin=(0, 0, 0))
-    assert np.array_equal(again.values, solid) and again.spacing == image.spacing and again.unit == "um"
+    assert (
+        np.array_equal(again.values, solid)
+        and again.spacing == image.spacing
+        and again.unit == "um"
+    )
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 0.25])
 def test_rays_along_edges_and_through_vertices(shift):
-    """An octahedron and a box whose vertices and edges lie in the very lines that voxels are judged on."""
+    """An octahedron and a box whose vertices and edges lie in the very lines that voxels are judged
+    on.
+    """
     axes = np.vstack([np.eye(3), -np.eye(3)])
     faces = [
-        [a, b, c] if np.linalg.det(axes[[a, b, c]]) > 0 else [a, c, b] for a in (0, 3) for b in (1, 4) for c in (2, 5)
+        [a, b, c] if np.linalg.det(axes[[a, b, c]]) > 0 else [a, c, b]
+        for a in (0, 3)
+        for b in (1, 4)
+        for c in (2, 5)
     ]
     octahedron = Mesh(axes * 4.0 + 5.0 + shift, np.array(faces))
     found = voxelise(octahedron, spacing=1, shape=(11, 11, 11), origin=(0, 0, 0)).values
@@ -82,8 +94,8 @@ def test_rays_along_edges_and_through_vertices(shift):
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.booleans())
 def test_no_ray_leaks_however_vertices_lie(seed, count, whole):
-    """Tetrahedra with vertices on the grid of rays, thin ones and flat ones: in the last voxels nothing is left over, and a
-    second opinion on every voxel that is not on the surface agrees."""
+    """Tetrahedra with vertices on the grid of rays, thin ones and flat ones: in the last voxels
+    nothing is left over, and a second opinion on every voxel that is not on the surface agrees."""
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 17, (count, 4, 3)) / 2 if whole else rng.random((count, 4, 3)) * 8
     faces = (TETRAHEDRON[None] + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
@@ -112,7 +124,11 @@ def test_no_ray_leaks_however_vertices_lie(seed, count, whole):
 
 def test_parts_that_overlap_are_joined_and_cavities_stay_empty():
     outer, inner = trimesh.creation.icosphere(3, radius=10), trimesh.creation.icosphere(3, radius=5)
-    both = of(trimesh.util.concatenate([outer, trimesh.creation.icosphere(3, radius=10).apply_translation((6, 0, 0))]))
+    both = of(
+        trimesh.util.concatenate(
+            [outer, trimesh.creation.icosphere(3, radius=10).apply_translation((6, 0, 0))]
+        )
+    )
     wide = voxelise(both, spacing=0.5)
     union = (2 * 4 / 3 * np.pi * 1000) - np.pi / 12 * (4 * 10 + 6) * (2 * 10 - 6) ** 2
     assert volume(wide) == pytest.approx(union, rel=0.01)
@@ -129,7 +145,9 @@ def test_the_form_lies_in_the_middle_with_the_margin_asked_for():
     assert voxelise(box, spacing=1).values.all() and voxelise(box, spacing=1).shape == (8, 6, 4)
     wide = voxelise(box, spacing=(2, 1, 0.5), margin=3)
     assert (
-        wide.shape == (4 + 6, 6 + 6, 8 + 6) and wide.values[3:-3, 3:-3, 3:-3].all() and wide.values.sum() == 4 * 6 * 8
+        wide.shape == (4 + 6, 6 + 6, 8 + 6)
+        and wide.values[3:-3, 3:-3, 3:-3].all()
+        and wide.values.sum() == 4 * 6 * 8
     )
     placed = voxelise(box, spacing=1, shape=(10, 10, 10))
     assert placed.values[1:9, 2:8, 3:7].all() and placed.values.sum() == 192
@@ -137,19 +155,30 @@ def test_the_form_lies_in_the_middle_with_the_margin_asked_for():
 
 def test_scaling_to_a_box_keeps_proportions():
     box = of(trimesh.creation.box((2, 3, 4)))
-    image = voxelise(fitted(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10))
+    image = voxelise(
+        fitted(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10)
+    )
     extents = np.ptp(np.nonzero(image.values), axis=1) + 1
     assert extents.tolist() == [40, 30, 10] and image.values.sum() == 40 * 30 * 10
     double = scaled(box, 2, unit="mm")
     assert double.unit == "mm" and volume(voxelise(double, spacing=0.5)) == 8 * 24
-    assert [step["verb"] for step in voxelise(double, spacing=0.5).recipe.steps[0]["mesh"]] == ["scale"]
+    assert [step["verb"] for step in voxelise(double, spacing=0.5).recipe.steps[0]["mesh"]] == [
+        "scale"
+    ]
 
 
 def test_split_vertices_are_welded():
-    """At the seams of a texture, and in any soup of triangles, vertices lie in one place without being one."""
+    """At the seams of a texture, and in any soup of triangles, vertices lie in one place without
+    being one.
+    """
     ball = trimesh.creation.icosphere(3)
-    soup = Mesh(np.asarray(ball.triangles, float).reshape(-1, 3), np.arange(3 * len(ball.faces)).reshape(-1, 3))
-    assert np.array_equal(voxelise(soup, spacing=0.1).values, voxelise(of(ball), spacing=0.1).values)
+    soup = Mesh(
+        np.asarray(ball.triangles, float).reshape(-1, 3),
+        np.arange(3 * len(ball.faces)).reshape(-1, 3),
+    )
+    assert np.array_equal(
+        voxelise(soup, spacing=0.1).values, voxelise(of(ball), spacing=0.1).values
+    )
 
 
 def test_threads_do_not_matter():
@@ -177,9 +206,17 @@ def twisted(surface):
             {},
             r"not watertight.*4 edges of one face only \(holes\) of 17; fill the holes",
         ),
-        (twisted(trimesh.creation.icosphere(2)), {}, "3 edges whose two faces disagree on which side is outside"),
+        (
+            twisted(trimesh.creation.icosphere(2)),
+            {},
+            "3 edges whose two faces disagree on which side is outside",
+        ),
         (of(trimesh.creation.box()), {"spacing": 3}, "no voxel lies inside|needs"),
-        (of(trimesh.creation.box((9, 9, 9))), {"shape": 8}, r"needs 9 x 9 x 9 voxels, the shape is \(8, 8, 8\)"),
+        (
+            of(trimesh.creation.box((9, 9, 9))),
+            {"shape": 8},
+            r"needs 9 x 9 x 9 voxels, the shape is \(8, 8, 8\)",
+        ),
         (of(trimesh.creation.box()), {"shape": 8, "margin": 2}, "a shape or a margin, not both"),
         (of(trimesh.creation.box()), {"margin": -1}, "margin=-1 is outside"),
         (of(trimesh.creation.box()), {"spacing": 0}, "must be positive"),
@@ -216,7 +253,9 @@ def winding_number(mesh, points):
 def test_real_meshes_agree_with_a_second_opinion(data, name):
     mesh = fitted(read_mesh(data / name), shape=64, spacing=1)
     image = voxelise(mesh, spacing=1, shape=64)
-    assert image.values.sum() == pytest.approx(trimesh.Trimesh(mesh.vertices, mesh.faces).volume, rel=2e-3)
+    assert image.values.sum() == pytest.approx(
+        trimesh.Trimesh(mesh.vertices, mesh.faces).volume, rel=2e-3
+    )
     low = np.array(image.recipe.steps[0]["origin"])
     picked = np.random.default_rng(0).integers(0, 64, (400, 3))
     number = winding_number(mesh, (picked + 0.5 + low)[:, ::-1])

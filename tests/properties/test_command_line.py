@@ -1,4 +1,6 @@
-"""Whatever is typed, and whatever is in a file: a result, or one line and exit status 2. Never a traceback."""
+"""Whatever is typed, and whatever is in a file: a result, or one line and exit status 2. Never a
+traceback.
+"""
 
 import json
 import math
@@ -18,7 +20,9 @@ from trabecula.cli.main import VERBS
 few = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # What a shell can pass: no NUL, and bytes that are no UTF-8 as surrogates.
-words = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12) | st.sampled_from(
+words = st.text(
+    st.characters(exclude_characters="\0", codec="utf-8"), max_size=12
+) | st.sampled_from(
     [
         "-",
         "--",
@@ -86,7 +90,12 @@ def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, thre
 
 
 @few
-@given(numbers, st.lists(numbers, min_size=1, max_size=3), st.lists(numbers, min_size=1, max_size=3), words)
+@given(
+    numbers,
+    st.lists(numbers, min_size=1, max_size=3),
+    st.lists(numbers, min_size=1, max_size=3),
+    words,
+)
 def test_any_values_of_the_options_of_reading(folder, threshold, spacing, crop, text):
     told("plan", "scan.npy", "--shape", 12, *SMALL, "--kind", "grey", "--threshold", threshold)
     for option in (
@@ -100,7 +109,9 @@ def test_any_values_of_the_options_of_reading(folder, threshold, spacing, crop, 
 
 
 volumes = arrays.arrays(
-    np.uint8, arrays.array_shapes(min_dims=2, max_dims=3, min_side=1, max_side=9), elements=st.integers(0, 2)
+    np.uint8,
+    arrays.array_shapes(min_dims=2, max_dims=3, min_side=1, max_side=9),
+    elements=st.integers(0, 2),
 )
 
 
@@ -133,7 +144,9 @@ def test_any_small_volume_is_measured_and_judged_without_nan(folder, values, oth
 
 plain_json = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=4,
 )
 
@@ -150,7 +163,9 @@ def test_any_change_of_a_recipe_is_told(folder, data):
         while True:
             if not place:
                 break
-            name = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
+            name = data.draw(
+                st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place)))
+            )
             if isinstance(place[name], (dict, list)) and data.draw(st.booleans()):
                 place = place[name]
             elif data.draw(st.booleans()):

@@ -1,4 +1,6 @@
-"""What holds for every image: cropping, segmenting and numbering levels do not depend on scale, order or axes."""
+"""What holds for every image: cropping, segmenting and numbering levels do not depend on scale,
+order or axes.
+"""
 
 import numpy as np
 from hypothesis import assume, given
@@ -18,7 +20,12 @@ def segmented(values, threshold="otsu"):
     return tb.segment(tb.Image(values, "grey"), threshold).values
 
 
-@given(greys, st.sampled_from([0.25, 2.0, 1024.0]), st.integers(-100, 100), st.sampled_from(["otsu", "dual"]))
+@given(
+    greys,
+    st.sampled_from([0.25, 2.0, 1024.0]),
+    st.integers(-100, 100),
+    st.sampled_from(["otsu", "dual"]),
+)
 def test_brightness_and_contrast_do_not_matter(values, contrast, brightness, way):
     """Otsu's optimum may be one of several equals, so only images with a clear one are compared."""
     levels = np.unique(values)
@@ -28,7 +35,9 @@ def test_brightness_and_contrast_do_not_matter(values, contrast, brightness, way
     if way == "dual":
         threshold = tb.segment(tb.Image(values, "grey"), way).recipe.steps[-1]["threshold"]
         moved = [level * contrast + brightness for level in threshold]
-        np.testing.assert_array_equal(segmented(values * contrast + brightness, moved), segmented(values, threshold))
+        np.testing.assert_array_equal(
+            segmented(values * contrast + brightness, moved), segmented(values, threshold)
+        )
     else:
         np.testing.assert_array_equal(segmented(values * contrast + brightness), segmented(values))
 
@@ -39,7 +48,11 @@ def _scores(values):
     found = []
     for level in levels[:-1]:
         share = (values <= level).mean()
-        found.append(share * (1 - share) * (values[values <= level].mean() - values[values > level].mean()) ** 2)
+        found.append(
+            share
+            * (1 - share)
+            * (values[values <= level].mean() - values[values > level].mean()) ** 2
+        )
     return sorted(found, reverse=True)
 
 
@@ -48,20 +61,28 @@ def test_axes_do_not_matter(values, data):
     axes = data.draw(st.permutations(range(values.ndim)))
     pair = sorted(data.draw(st.tuples(st.integers(-50, 49), st.integers(-50, 49))))
     assume(pair[0] < values.max() and (values > pair[1]).any() and not (values > pair[0]).all())
-    np.testing.assert_array_equal(segmented(values.transpose(axes), pair), segmented(values, pair).transpose(axes))
+    np.testing.assert_array_equal(
+        segmented(values.transpose(axes), pair), segmented(values, pair).transpose(axes)
+    )
 
 
 @given(greys, st.data())
 def test_a_crop_of_a_crop_is_a_crop(values, data):
     outer = [data.draw(st.integers(1, side)) for side in values.shape]
-    first = [data.draw(st.integers(0, side - size)) for side, size in zip(values.shape, outer, strict=True)]
+    first = [
+        data.draw(st.integers(0, side - size))
+        for side, size in zip(values.shape, outer, strict=True)
+    ]
     inner = [data.draw(st.integers(1, size)) for size in outer]
     then = [data.draw(st.integers(0, size - part)) for size, part in zip(outer, inner, strict=True)]
     image = tb.Image(values, "grey", spacing=[2.0] * values.ndim)
     twice = tb.crop(tb.crop(image, outer, corner=first), inner, corner=then)
     once = tb.crop(image, inner, corner=np.add(first, then))
     np.testing.assert_array_equal(twice.values, once.values)
-    assert [step["verb"] for step in twice.recipe.steps] == ["crop", "crop"] and twice.spacing == image.spacing
+    assert [step["verb"] for step in twice.recipe.steps] == [
+        "crop",
+        "crop",
+    ] and twice.spacing == image.spacing
 
 
 @given(greys)
@@ -71,7 +92,9 @@ def test_a_threshold_given_before_or_after_a_crop_is_the_same(values):
     cropped = tb.crop(image, size)
     level = float(np.median(cropped.values))
     assume((cropped.values > level).any())
-    np.testing.assert_array_equal(tb.segment(cropped, level).values, tb.crop(tb.segment(image, level), size).values)
+    np.testing.assert_array_equal(
+        tb.segment(cropped, level).values, tb.crop(tb.segment(image, level), size).values
+    )
 
 
 @given(arrays.arrays(np.uint8, (3, 4, 5), elements=st.integers(0, 4)), st.permutations(range(5)))
@@ -80,5 +103,7 @@ def test_numbering_keeps_which_voxels_are_alike(values, order):
     rising = np.array([3, 7, 20, 100, 255], np.uint8)
     np.testing.assert_array_equal(tb.labels(rising[values]).values, tb.labels(values).values)
     renamed = tb.labels(np.array(order, np.uint8)[values]).values
-    pairs = set(zip(renamed.ravel().tolist(), tb.labels(values).values.ravel().tolist(), strict=True))
+    pairs = set(
+        zip(renamed.ravel().tolist(), tb.labels(values).values.ravel().tolist(), strict=True)
+    )
     assert len(pairs) == len(np.unique(values))

@@ -1,10 +1,14 @@
-"""A local emulation of an object store: the same protocol as the real one, over a socket of this machine."""
+"""A local emulation of an object store: the same protocol as the real one, over a socket of this
+machine.
+"""
 
 import pytest
 
 fsspec = pytest.importorskip("fsspec", reason="addresses need the extra remote")
 pytest.importorskip("s3fs", reason="s3:// needs the extra remote")
-moto = pytest.importorskip("moto.server", reason="the emulation of an object store is in requirements/remote.txt")
+moto = pytest.importorskip(
+    "moto.server", reason="the emulation of an object store is in requirements/remote.txt"
+)
 
 
 class Service:
@@ -16,7 +20,9 @@ class Service:
 
     def start(self):
         """Listen, again at the same port."""
-        self._server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=self.port, verbose=False)
+        self._server = moto.ThreadedMotoServer(
+            ip_address="127.0.0.1", port=self.port, verbose=False
+        )
         self._server.start()
         self.port = self._server.get_host_and_port()[1]
 

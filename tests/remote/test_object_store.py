@@ -1,4 +1,6 @@
-"""Volumes made into an object store: block by block, gone on with, refused while they are not complete, read by every verb."""
+"""Volumes made into an object store: block by block, gone on with, refused while they are not
+complete, read by every verb.
+"""
 
 import json
 import os
@@ -16,7 +18,7 @@ import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula.core.recipe import digest
 from trabecula.engine import blocks
-from trabecula.engine.levels import halved
+from trabecula.engine.multiscale import halved
 from trabecula.errors import FileError, InputError
 from trabecula.finish.slabs import finish_slabs
 
@@ -83,20 +85,32 @@ def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, 
     done = trabecula("generate", "--resume", interrupted)
     assert f"going on from {interrupted}" in done.err and "70x30x40 labels" in done.out
     assert done.sha256 == sha256_of(whole)
-    assert len([task for task in tasks if task.level == 0]) == BLOCKS - 2, "a finished block was made again"
+    assert len([task for task in tasks if task.level == 0]) == BLOCKS - 2, (
+        "a finished block was made again"
+    )
     image = tb.read(interrupted)
     assert digest(image.values) == done.sha256
     assert image.recipe.to_json() == tb.read(whole).recipe.to_json()
     assert np.array_equal(tb.read(interrupted, level=1).values, halved(image.values, labels=True))
     assert objects() == {
-        f"foam.zarr/{path.relative_to(whole).as_posix()}" for path in whole.rglob("*") if path.is_file()
+        f"foam.zarr/{path.relative_to(whole).as_posix()}"
+        for path in whole.rglob("*")
+        if path.is_file()
     }
     assert list(Path.cwd().iterdir()) == []
 
 
 def test_until_it_is_complete_every_reader_refuses(interrupted):
-    goes_on = f"the run that makes it did not finish; trabecula generate --resume {interrupted} goes on"
-    for verb in (("measure",), ("render", "--out", "x.png"), ("export", "--out", "x.npy"), ("rerun",), ("check",)):
+    goes_on = (
+        f"the run that makes it did not finish; trabecula generate --resume {interrupted} goes on"
+    )
+    for verb in (
+        ("measure",),
+        ("render", "--out", "x.png"),
+        ("export", "--out", "x.npy"),
+        ("rerun",),
+        ("check",),
+    ):
         assert goes_on in refused(verb[0], interrupted, *verb[1:])
     assert goes_on in refused("verify", "sample:foam", interrupted)
     for read in (tb.read, tb.open_slabs):
@@ -114,7 +128,10 @@ def test_the_same_command_goes_on_too_and_another_seed_is_refused(interrupted, w
     assert len(tasks) == OBJECTS - 2
     again = trabecula("generate", "--resume", interrupted, "--json")
     assert f"{interrupted} is finished" in again.err
-    assert json.loads(again.out)["sha256"] == sha256_of(whole) and json.loads(again.out)["out"] == interrupted
+    assert (
+        json.loads(again.out)["sha256"] == sha256_of(whole)
+        and json.loads(again.out)["out"] == interrupted
+    )
 
 
 def test_what_fits_into_memory_is_made_in_blocks_all_the_same(bucket, whole, tasks):
@@ -124,7 +141,9 @@ def test_what_fits_into_memory_is_made_in_blocks_all_the_same(bucket, whole, tas
 
 def test_every_verb_reads_it(finished, whole):
     names = {"here": str(whole), "there": finished}
-    found = {name: trabecula("measure", path, "--quick", "--json").out for name, path in names.items()}
+    found = {
+        name: trabecula("measure", path, "--quick", "--json").out for name, path in names.items()
+    }
     assert found["here"] == found["there"]
     for name, path in names.items():
         trabecula("export", path, "--out", f"{name}.stl")
@@ -148,7 +167,9 @@ def test_a_volume_that_is_made_as_a_whole(bucket, monkeypatch):
     Path("disk").mkdir()
     with monkeypatch.context() as patch:
         patch.setattr(blocks, "digest_of", lambda *words: (_ for _ in ()).throw(KeyboardInterrupt))
-        cut_off = attempt(*asked, "--out", f"{bucket}/rock.zarr", "--chunks", 32, "--scratch", "disk")
+        cut_off = attempt(
+            *asked, "--out", f"{bucket}/rock.zarr", "--chunks", 32, "--scratch", "disk"
+        )
     assert cut_off.status == 130 and list(Path("disk").rglob("*"))
     assert "did not finish" in refused("measure", f"{bucket}/rock.zarr")
     there = trabecula("generate", "--resume", f"{bucket}/rock.zarr", "--scratch", "disk")
@@ -171,27 +192,46 @@ def test_what_is_finished_slab_by_slab(finished, bucket):
 
 def test_an_exemplar_at_an_address(bucket):
     tb.write(tb.crop(tb.sample("bone"), 24), f"{bucket}/scan.zarr")
-    asked = ("--method", "noise", "--set", "reach=4", "--set", "corrections=2", "--shape", 40, "--seed", 1)
+    asked = (
+        "--method",
+        "noise",
+        "--set",
+        "reach=4",
+        "--set",
+        "corrections=2",
+        "--shape",
+        40,
+        "--seed",
+        1,
+    )
     made = trabecula("generate", f"{bucket}/scan.zarr", *asked, "--out", "rock.npy")
     assert trabecula("rerun", "rock.npy").sha256 == made.sha256
 
 
 def test_a_volume_made_at_once_appears_whole_and_is_not_replaced(bucket, objects):
-    block = tb.Image(np.random.default_rng(0).integers(0, 3, (40, 30, 300), dtype=np.uint8), "labels", 0.02, "mm")
+    block = tb.Image(
+        np.random.default_rng(0).integers(0, 3, (40, 30, 300), dtype=np.uint8), "labels", 0.02, "mm"
+    )
     place = tb.write(block, f"{bucket}/deep/block.zarr")
     again = tb.read(place)
     assert np.array_equal(again.values, block.values)
     assert (again.spacing, again.unit, again.phases) == (block.spacing, block.unit, block.phases)
     assert np.array_equal(tb.read(place, level=1).values, halved(block.values, labels=True))
     before = objects()
-    with pytest.raises(FileError, match="something is there, and an object store cannot replace it"):
+    with pytest.raises(
+        FileError, match="something is there, and an object store cannot replace it"
+    ):
         tb.write(block, place)
-    assert "something is there" in refused("export", f"{bucket}/deep/block.zarr", "--out", f"{bucket}/deep/block.zarr")
+    assert "something is there" in refused(
+        "export", f"{bucket}/deep/block.zarr", "--out", f"{bucket}/deep/block.zarr"
+    )
     assert "something is there" in refused("generate", *ASKED, "--out", f"{bucket}/deep/block.zarr")
     assert objects() == before and np.array_equal(tb.read(place).values, block.values)
 
 
-def test_an_upload_that_was_killed_leaves_nothing_that_passes_for_a_block(bucket, whole, tasks, monkeypatch):
+def test_an_upload_that_was_killed_leaves_nothing_that_passes_for_a_block(
+    bucket, whole, tasks, monkeypatch
+):
     foam = f"{bucket}/foam.zarr"
     fs = fsspec.filesystem("s3")
     fs.pipe_file(f"{foam}/0/zarr.json", b"{}")
@@ -283,7 +323,9 @@ def refused_after_a_start(*words):
     return left.lines[-1].removeprefix("trabecula: ")
 
 
-@pytest.mark.parametrize("verb", [("generate", *ASKED, "--out"), ("measure",), ("generate", "--resume")])
+@pytest.mark.parametrize(
+    "verb", [("generate", *ASKED, "--out"), ("measure",), ("generate", "--resume")]
+)
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -301,16 +343,22 @@ def test_no_keys_and_no_network(bucket, monkeypatch, verb, change, message):
     line = refused(*verb, f"{bucket}/foam.zarr")
     monkeypatch.undo()
     forget_connections()
-    assert re.match(rf"cannot reach {bucket}/foam\.zarr: .*{message}.*check the address, the network", line), line
+    assert re.match(
+        rf"cannot reach {bucket}/foam\.zarr: .*{message}.*check the address, the network", line
+    ), line
     assert "AWS_ENDPOINT_URL" in line
 
 
 def test_no_such_bucket(bucket):
     for verb in (("generate", *ASKED, "--out"), ("export", "sample:bone", "--out")):
         line = refused(*verb, "s3://no-such-bucket-here/foam.zarr")
-        assert line.startswith("cannot reach s3://no-such-bucket-here/foam.zarr: The specified bucket does not exist; ")
+        assert line.startswith(
+            "cannot reach s3://no-such-bucket-here/foam.zarr: The specified bucket does not exist; "
+        )
     for verb in (("measure",), ("generate", "--resume")):
-        assert "s3://no-such-bucket-here/foam.zarr" in refused(*verb, "s3://no-such-bucket-here/foam.zarr")
+        assert "s3://no-such-bucket-here/foam.zarr" in refused(
+            *verb, "s3://no-such-bucket-here/foam.zarr"
+        )
 
 
 def test_no_right_to_write(bucket, monkeypatch):
@@ -326,8 +374,12 @@ def test_no_right_to_write(bucket, monkeypatch):
 
 @pytest.mark.parametrize("name", ["foam.npy", "foam.tif", "foam", "foam.stl"])
 def test_only_stores_go_to_an_address(bucket, name, objects):
-    assert "only a .zarr is written to an address" in refused("generate", *ASKED, "--out", f"{bucket}/{name}")
-    assert "only a .zarr is written to an address" in refused("export", "sample:bone", "--out", f"{bucket}/{name}")
+    assert "only a .zarr is written to an address" in refused(
+        "generate", *ASKED, "--out", f"{bucket}/{name}"
+    )
+    assert "only a .zarr is written to an address" in refused(
+        "export", "sample:bone", "--out", f"{bucket}/{name}"
+    )
     with pytest.raises(InputError, match=r"only a \.zarr"):
         tb.write(np.eye(5, dtype=np.uint8), f"{bucket}/{name}")
     assert objects() == set()

@@ -1,4 +1,6 @@
-"""The certificate: what must pass, what must fail, what cannot be compared, and the words scripts rely on."""
+"""The certificate: what must pass, what must fail, what cannot be compared, and the words scripts
+rely on.
+"""
 
 import json
 import re
@@ -9,8 +11,15 @@ import pytest
 import trabecula as tb
 from trabecula.measure import covariance_form, describe, floating, two_point
 from trabecula.report import verify
-from trabecula.report.band import LEAST_PART, Sizes, distance_limit, expected_value, parts, value_band
-from trabecula.report.words import sentences
+from trabecula.report.band import (
+    LEAST_PART,
+    Sizes,
+    distance_limit,
+    expected_value,
+    parts,
+    value_band,
+)
+from trabecula.report.summary_text import sentences
 
 DISTANCES = ("porosity_error", "two_point_distance", "two_point_relative", "two_point_covariance")
 
@@ -30,33 +39,59 @@ def exemplar() -> tb.Image:
 
 
 def like(exemplar: tb.Image, values: np.ndarray) -> tb.Image:
-    return tb.Image(values, "labels", spacing=exemplar.spacing, unit=exemplar.unit, phases=exemplar.phases)
+    return tb.Image(
+        values, "labels", spacing=exemplar.spacing, unit=exemplar.unit, phases=exemplar.phases
+    )
 
 
 def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     certificate = verify(exemplar, exemplar)
-    distances = {name: metric.value for name, metric in certificate.metrics.items() if metric.exemplar == 0.0}
-    assert set(distances) >= {*DISTANCES, "two_point_covariance_x", "lineal_path_distance", "component_distance"}
-    assert all(distances[name] == 0 for name in (*DISTANCES, "lineal_path_distance", "component_distance"))
+    distances = {
+        name: metric.value for name, metric in certificate.metrics.items() if metric.exemplar == 0.0
+    }
+    assert set(distances) >= {
+        *DISTANCES,
+        "two_point_covariance_x",
+        "lineal_path_distance",
+        "component_distance",
+    }
+    assert all(
+        distances[name] == 0 for name in (*DISTANCES, "lineal_path_distance", "component_distance")
+    )
     assert certificate.failed == ("coherence",) and certificate.metrics["coherence"].value == 1.0
     assert any("COPIED" in text for text in sentences(certificate))
     quick = verify(exemplar, exemplar, level="quick")
-    assert quick.failed == () and quick.verdict == "not decided", "a copy passes every figure of that level"
+    assert quick.failed == () and quick.verdict == "not decided", (
+        "a copy passes every figure of that level"
+    )
     assert any("quick" in reason for reason in quick.undecided)
 
 
 def test_another_sample_passes_what_shuffled_voxels_fail(exemplar):
     other = verify(exemplar, like(exemplar, field(1)))
     shuffled = verify(
-        exemplar, like(exemplar, np.random.default_rng(2).permutation(exemplar.values.ravel()).reshape(64, 64, 64))
+        exemplar,
+        like(
+            exemplar,
+            np.random.default_rng(2).permutation(exemplar.values.ravel()).reshape(64, 64, 64),
+        ),
     )
     assert other.failed == () and shuffled.passed is False
-    # Both volumes are thresholded Gaussian fields, and so is the baseline: no figure can tell them apart.
-    assert other.passed is None and any("cannot tell this material from noise" in reason for reason in other.undecided)
+    # Both volumes are thresholded Gaussian fields, and so is the baseline: no figure can tell them
+    # apart.
+    assert other.passed is None and any(
+        "cannot tell this material from noise" in reason for reason in other.undecided
+    )
     assert 'class="verdict pass"' not in other.to_html() and "NOT DECIDED" in other.to_html()
     assert shuffled.metrics["porosity_error"].passed and shuffled.metrics["porosity"].passed
     # Not among them two_point_relative: the parts differ in porosity, which makes its band wide.
-    for name in ("two_point_covariance", "specific_surface", "thickness", "floating", "lineal_path_distance"):
+    for name in (
+        "two_point_covariance",
+        "specific_surface",
+        "thickness",
+        "floating",
+        "lineal_path_distance",
+    ):
         assert shuffled.metrics[name].passed is False, name
 
 
@@ -83,7 +118,12 @@ def test_anisotropy_that_a_radial_mean_cannot_see_fails_along_an_axis():
     stretched = np.repeat(field(4, (32, 96, 96)), 3, axis=0)
     certificate = verify(stretched, np.moveaxis(stretched, 0, 2).copy(), r_max=15, level="quick")
     assert certificate.metrics["two_point_covariance"].value < 1e-6
-    wrong = {"two_point_covariance", "lineal_path_distance", "lineal_path_distance_void", "chord_length"}
+    wrong = {
+        "two_point_covariance",
+        "lineal_path_distance",
+        "lineal_path_distance_void",
+        "chord_length",
+    }
     assert {f"{name}_{axis}" for name in wrong for axis in "zx"} <= set(certificate.failed)
     assert certificate.metrics["two_point_covariance_y"].passed
 
@@ -108,7 +148,9 @@ def test_the_baseline_stands_beside_and_fails_where_noise_must(bone):
 
 @pytest.mark.parametrize("side", [48, 96, 120, 240])
 def test_another_sample_lies_in_the_band_ninety_nine_times_in_a_hundred(side):
-    """Of white noise: parts of 48^3 in an exemplar of 96^3, and another sample of the material that is judged."""
+    """Of white noise: parts of 48^3 in an exemplar of 96^3, and another sample of the material that
+    is judged.
+    """
     rng = np.random.default_rng(side)
     sizes = Sizes(48.0**3, 96.0**3, float(side**3))
     inside = close = 0
@@ -118,13 +160,16 @@ def test_another_sample_lies_in_the_band_ninety_nine_times_in_a_hundred(side):
         low, high = value_band(known, own, sizes)
         inside += low <= further <= high
         close += abs(further - own) <= distance_limit(abs(known - own), sizes)
-    # The t distribution is exact for the first; distances of one number have heavier tails than normal ones.
+    # The t distribution is exact for the first; distances of one number have heavier tails than
+    # normal ones.
     assert 980 <= inside <= 999 and close >= 965
     assert value_band([-1e-12, 0.0, 0.3, 0.1], 0.1, sizes)[0] == 0.0
 
 
 def test_long_waves_widen_the_band():
-    """Means that fall as V to the power -0.5: parts of the exemplar share its own deviation, and show less than their spread."""
+    """Means that fall as V to the power -0.5: parts of the exemplar share its own deviation, and
+    show less than their spread.
+    """
     rng = np.random.default_rng(5)
     inside = {0.5: 0, 1.0: 0}
     for _ in range(1000):
@@ -141,7 +186,9 @@ def test_long_waves_widen_the_band():
 def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():
     """A figure a + b / side: of parts of 20, an exemplar of 40 and images of any side."""
     for side in (20, 30, 40, 80, 1000):
-        expected = expected_value([5 + 3 / 20] * 8, 5 + 3 / 40, Sizes(20.0**3, 40.0**3, float(side**3)))
+        expected = expected_value(
+            [5 + 3 / 20] * 8, 5 + 3 / 40, Sizes(20.0**3, 40.0**3, float(side**3))
+        )
         assert expected == pytest.approx(5 + 3 / side)
 
 
@@ -167,9 +214,15 @@ def test_bands_hold_the_exemplar_and_know_its_parts(exemplar):
 
 def test_counts_are_scaled_to_the_volume(exemplar):
     double = like(exemplar, np.concatenate([exemplar.values, field(5)]))
-    single, twice = (verify(exemplar, image, level="quick").metrics["floating"] for image in (exemplar, double))
-    assert single.exemplar == floating(exemplar) and twice.exemplar == pytest.approx(2 * floating(exemplar))
-    assert single.real_band[1] < twice.real_band[1] < 2 * single.real_band[1], "a larger image scatters less"
+    single, twice = (
+        verify(exemplar, image, level="quick").metrics["floating"] for image in (exemplar, double)
+    )
+    assert single.exemplar == floating(exemplar) and twice.exemplar == pytest.approx(
+        2 * floating(exemplar)
+    )
+    assert single.real_band[1] < twice.real_band[1] < 2 * single.real_band[1], (
+        "a larger image scatters less"
+    )
 
 
 def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
@@ -180,7 +233,8 @@ def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
     assert certificate.metrics["floating"].value == 0 and certificate.metrics["floating"].passed
     assert certificate.metrics["largest_fraction"].passed
     assert any("floating parts" in note for note in certificate.notes)
-    # One piece is far from many specks by the distance of sizes, and no fault: it is shown without a verdict.
+    # One piece is far from many specks by the distance of sizes, and no fault: it is shown without
+    # a verdict.
     far = certificate.metrics["component_distance"]
     assert far.value > far.real_band[1] and far.passed is None
 
@@ -188,11 +242,18 @@ def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
 def test_a_small_exemplar_judges_nothing_and_says_so():
     small = field(6, (2 * LEAST_PART - 1,) * 3)
     certificate = verify(small, field(7, (40, 40, 40)))
-    assert certificate.passed is None and all(metric.real_band is None for metric in certificate.metrics.values())
-    assert any("too small" in reason for reason in certificate.undecided) and certificate.verdict == "not decided"
+    assert certificate.passed is None and all(
+        metric.real_band is None for metric in certificate.metrics.values()
+    )
+    assert (
+        any("too small" in reason for reason in certificate.undecided)
+        and certificate.verdict == "not decided"
+    )
     assert certificate.metrics["porosity_error"].value < 0.01
     long = verify(field(6, (64, 30, 30)), field(7, (40, 40, 40)))
-    assert long.metrics["porosity"].real_band is None and any("2 parts" in reason for reason in long.undecided)
+    assert long.metrics["porosity"].real_band is None and any(
+        "2 parts" in reason for reason in long.undecided
+    )
 
 
 def test_a_bare_margin_is_noted(exemplar):
@@ -206,10 +267,15 @@ def test_several_images_two_dimensions_and_three_phases():
     flat, other = field(8, (96, 96)), field(9, (96, 96))
     certificates = verify(flat, flat, other, names=["itself", "other"])
     assert [certificate.name for certificate in certificates] == ["itself", "other"]
-    assert certificates[0].failed == ("coherence",) and set(certificates[0].metrics["percolates"].value) == {"y", "x"}
+    assert certificates[0].failed == ("coherence",) and set(
+        certificates[0].metrics["percolates"].value
+    ) == {"y", "x"}
     three = tb.Image(field(8) + field(9), "labels", phases=("void", "active", "binder"))
     metrics = verify(three, three).metrics
-    assert metrics["fraction_binder"].value == np.mean(three.values == 2) and metrics["fraction_binder"].passed
+    assert (
+        metrics["fraction_binder"].value == np.mean(three.values == 2)
+        and metrics["fraction_binder"].passed
+    )
 
 
 def test_an_image_of_one_phase_fails_and_stays_json(exemplar):
@@ -222,8 +288,19 @@ def test_an_image_of_one_phase_fails_and_stays_json(exemplar):
 
 def test_the_words_of_the_json(exemplar):
     result = json.loads(json.dumps(verify(exemplar, exemplar).to_json(), allow_nan=False))
-    assert set(result) == {"metrics", "verdict", "passed", "undecided", "groups", "baseline", "level", "notes"}
-    assert all(set(metric) == {"value", "real_band", "pass"} for metric in result["metrics"].values())
+    assert set(result) == {
+        "metrics",
+        "verdict",
+        "passed",
+        "undecided",
+        "groups",
+        "baseline",
+        "level",
+        "notes",
+    }
+    assert all(
+        set(metric) == {"value", "real_band", "pass"} for metric in result["metrics"].values()
+    )
     assert set(result["metrics"]) >= {
         *DISTANCES,
         "porosity",
@@ -238,7 +315,9 @@ def test_the_words_of_the_json(exemplar):
 def test_what_does_not_correspond_is_refused(exemplar):
     cases = {
         "2-D": field(1, (64, 64)),
-        "phases do not": tb.Image(field(1), "labels", spacing=10.0, unit="um", phases=("void", "bone")),
+        "phases do not": tb.Image(
+            field(1), "labels", spacing=10.0, unit="um", phases=("void", "bone")
+        ),
         "voxels do not": tb.Image(field(1), "labels", spacing=10.0, unit="nm"),
         "spacing": tb.Image(field(1), "labels", spacing=(10.0, 10.0, 11.0), unit="um"),
         "segment the one": tb.Image(field(1), "grey", spacing=10.0, unit="um"),
@@ -261,12 +340,22 @@ def test_what_does_not_correspond_is_refused(exemplar):
 def test_the_full_level_adds_physics_with_its_own_bands():
     solid = field(12, (48, 48, 48), share=0.4)
     certificate = verify(solid, field(13, (48, 48, 48), share=0.4), level="full", box=16)
-    names = {"diffusivity", "diffusivity_z", "conductivity", "permeability", "permeability_x", "stiffness"}
+    names = {
+        "diffusivity",
+        "diffusivity_z",
+        "conductivity",
+        "permeability",
+        "permeability_x",
+        "stiffness",
+    }
     assert names <= set(certificate.metrics)
     assert all(certificate.metrics[name].real_band is not None for name in names)
     assert 0 < certificate.metrics["diffusivity"].value < 0.6
     assert certificate.groups["physics"] is True
-    assert all(certificate.metrics[name].real_band[1] <= 1 for name in ("diffusivity", "conductivity", "stiffness"))
+    assert all(
+        certificate.metrics[name].real_band[1] <= 1
+        for name in ("diffusivity", "conductivity", "stiffness")
+    )
     assert any("boxes" in note for note in certificate.notes)
     json.dumps(certificate.to_json(), allow_nan=False)
     assert "converged" in certificate.to_html()
@@ -284,7 +373,10 @@ def test_realisations_are_compared_with_each_other(exemplar):
     others = [like(exemplar, field(3)), like(exemplar, field(4))]
     (said, _), (other, _) = ([c.notes for c in verify(exemplar, *pair)] for pair in (twins, others))
     assert any("differ in 0%" in note and "at most 100%" in note for note in said)
-    assert any(re.search(r"differ in (9\d|10\d)%", note) and re.search(r"at most \d%", note) for note in other)
+    assert any(
+        re.search(r"differ in (9\d|10\d)%", note) and re.search(r"at most \d%", note)
+        for note in other
+    )
 
 
 @pytest.mark.parametrize("kind", ["grey", "colour"])

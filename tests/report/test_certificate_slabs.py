@@ -5,7 +5,7 @@ import pytest
 
 import trabecula as tb
 from commands import trabecula
-from trabecula.engine.slabs import slabs_of
+from trabecula.engine.lazy_volume import slabs_of
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,9 @@ def test_figures_and_verdicts_are_those_of_the_whole(pair):
     slabs = tb.verify(exemplar, slabs_of(image))
     assert slabs.to_json()["metrics"] == whole.to_json()["metrics"]
     assert slabs.about["image"] == whole.about["image"] and slabs.about["level"] == "quick"
-    assert any("slab by slab" in note and "thickness" in note and "copying" in note for note in slabs.notes)
+    assert any(
+        "slab by slab" in note and "thickness" in note and "copying" in note for note in slabs.notes
+    )
 
 
 def test_images_and_slabs_side_by_side_are_judged_alike(pair):
@@ -48,10 +50,13 @@ def test_slabs_are_checked_as_images_are(pair):
 def test_a_file_that_does_not_fit_is_judged_in_slabs_as_the_exemplar_says(pair, tmp_path):
     exemplar, image = pair
     scan = tb.write(exemplar, tmp_path / "scan.zarr")
-    foam = tb.write(tb.Image(image.values, "labels"), tmp_path / "foam.zarr")  # which states no spacing
+    # which states no spacing
+    foam = tb.write(tb.Image(image.values, "labels"), tmp_path / "foam.zarr")
     report = tmp_path / "page.html"
     whole = trabecula("verify", scan, foam, "--quick").out
     slabs = trabecula("verify", scan, foam, "--quick", "--memory", 0.002, "--report", report)
     table = [line for line in slabs.out.splitlines() if "slab by slab" not in line]
-    assert [line for line in whole.splitlines() if line.strip()] == [line for line in table if line.strip()]
+    assert [line for line in whole.splitlines() if line.strip()] == [
+        line for line in table if line.strip()
+    ]
     assert any("slab by slab" in line for line in slabs.lines) and "foam.zarr" in report.read_text()

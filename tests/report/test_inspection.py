@@ -1,4 +1,6 @@
-"""What `inspect` says of scans whose truth is known: fields, ramps, lattices, spheres, noise, pictures."""
+"""What `inspect` says of scans whose truth is known: fields, ramps, lattices, spheres, noise,
+pictures.
+"""
 
 import json
 
@@ -6,7 +8,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.engine.slabs import slabs_of
+from trabecula.engine.lazy_volume import slabs_of
 from trabecula.errors import InputError
 from trabecula.report.inspection import inspect
 from trabecula.report.recommend import recommend
@@ -40,12 +42,17 @@ def balls(seed=0, *, radius=6, count=140):
 def lattice(period=16, width=5):
     struts = [(axis % period < width) for axis in (Z, Y, X)]
     return tb.Image(
-        ((struts[0] & struts[1]) | (struts[1] & struts[2]) | (struts[0] & struts[2])).astype(np.uint8), "labels"
+        ((struts[0] & struts[1]) | (struts[1] & struts[2]) | (struts[0] & struts[2])).astype(
+            np.uint8
+        ),
+        "labels",
     )
 
 
 def ramp(low=0.2, high=0.6, seed=0):
-    noise = np.random.default_rng(seed).random((SIDE // 3,) * 3).repeat(3, 0).repeat(3, 1).repeat(3, 2)
+    noise = (
+        np.random.default_rng(seed).random((SIDE // 3,) * 3).repeat(3, 0).repeat(3, 1).repeat(3, 2)
+    )
     return tb.Image((noise < low + (high - low) * Z / (SIDE - 1)).astype(np.uint8), "labels")
 
 
@@ -71,7 +78,9 @@ def test_the_correlation_length_is_that_of_measure():
 def test_a_ramp_is_found_along_its_axis_alone():
     trends = {trend.name: trend for trend in inspect(ramp()).stationarity.trends}
     assert [name for name, trend in trends.items() if trend.found] == ["z"]
-    assert trends["z"].start == pytest.approx(0.2, abs=0.04) and trends["z"].end == pytest.approx(0.6, abs=0.04)
+    assert trends["z"].start == pytest.approx(0.2, abs=0.04) and trends["z"].end == pytest.approx(
+        0.6, abs=0.04
+    )
     assert "same all over   no: solid 0." in str(inspect(ramp()))
     assert any("trend itself" in text for text in inspect(ramp()).decidable.limits)
     turned = tb.Image(ramp().values.transpose(1, 2, 0).copy(), "labels")
@@ -89,16 +98,25 @@ def test_a_hollow_is_found_from_centre_to_rim():
 
 def test_shading_of_a_grey_scan_is_in_its_own_values():
     values = np.random.default_rng(0).normal(1000, 50, (64, 64, 64)) + 3 * np.arange(64)
-    (found,) = [trend for trend in inspect(tb.Image(values, "grey")).stationarity.trends if trend.found]
-    assert found.name == "x" and found.start == pytest.approx(1000, abs=25) and found.end == pytest.approx(1190, abs=25)
+    (found,) = [
+        trend for trend in inspect(tb.Image(values, "grey")).stationarity.trends if trend.found
+    ]
+    assert (
+        found.name == "x"
+        and found.start == pytest.approx(1000, abs=25)
+        and found.end == pytest.approx(1190, abs=25)
+    )
 
 
 def test_a_lattice_is_regular_and_gets_moved_pieces():
     found = inspect(lattice())
-    assert found.structure.period is not None and all(step % 16 == 0 for step in found.structure.period)
+    assert found.structure.period is not None and all(
+        step % 16 == 0 for step in found.structure.period
+    )
     assert (found.recommendation.method, found.recommendation.preset) == ("texture", "best")
     assert "regular" in found.recommendation.reason
-    assert tb.method("texture", preset="best").config.novelty == 0  # which is what the reason promises
+    # which is what the reason promises
+    assert tb.method("texture", preset="best").config.novelty == 0
 
 
 def test_noise_in_a_lattice_hides_nothing():
@@ -111,7 +129,11 @@ def test_noise_in_a_lattice_hides_nothing():
 @pytest.mark.parametrize("name", ["bone", "foam"])
 def test_samples_keep_the_default(name):
     found = inspect(tb.sample(name))
-    assert found.recommendation.to_json() == {**found.recommendation.to_json(), "method": "texture", "preset": None}
+    assert found.recommendation.to_json() == {
+        **found.recommendation.to_json(),
+        "method": "texture",
+        "preset": None,
+    }
     assert found.recommendation.settings == {} and not found.margins
     assert set(found.origin.values()) == {"the sample"}
 
@@ -146,19 +168,28 @@ def test_pictures():
     assert recommend(grey).method == "chen"
     assert recommend(tb.Image(np.repeat(grey.values[..., None], 3, -1), "colour")).method == "chen"
     found = inspect(labels)
-    assert any("no slice shows" in text for text in found.decidable.limits) and "in slices" in found.decidable.figures
+    assert (
+        any("no slice shows" in text for text in found.decidable.limits)
+        and "in slices" in found.decidable.figures
+    )
     assert "pixel" in str(found) and "voxel" not in str(found)
 
 
 def test_what_is_recommended_can_learn_from_it():
-    for image in (gaussian_field(0, shape=24), tb.Image(gaussian_field(0, shape=48).values[20], "labels")):
+    for image in (
+        gaussian_field(0, shape=24),
+        tb.Image(gaussian_field(0, shape=48).values[20], "labels"),
+    ):
         found = recommend(image)
         tb.method(found.method, preset=found.preset, **found.settings).fit(image)
 
 
 def test_too_small():
     found = inspect(gaussian_field(0, shape=20, length=2.0))
-    assert not found.decidable.anything and "20 x 20 x 20 is too small for parts of 24" in found.decidable.limits[0]
+    assert (
+        not found.decidable.anything
+        and "20 x 20 x 20 is too small for parts of 24" in found.decidable.limits[0]
+    )
     assert "decidable       nothing" in str(found)
     assert recommend(gaussian_field(0, shape=10, length=2.0)).method == "noise"
     tiny = inspect(np.eye(5, dtype=np.uint8))
@@ -178,10 +209,13 @@ def test_a_grey_scan_says_how_well_it_parts():
     clear = tb.Image((60 + 100 * solid + 10 * noise).clip(0, 255).astype(np.uint8), "grey")
     found = inspect(clear)
     assert found.grey.threshold == pytest.approx(110, abs=8) and found.grey.separability > 0.9
-    assert found.grey.bits == 8 and found.phases["solid"].fraction == pytest.approx(solid.mean(), abs=0.01)
+    assert found.grey.bits == 8 and found.phases["solid"].fraction == pytest.approx(
+        solid.mean(), abs=0.01
+    )
     assert found.recommendation.reason.startswith("segmented at ")
     drowned = tb.Image((128 + 30 * noise).clip(0, 255).astype(np.uint8), "grey")
-    assert inspect(drowned).grey.separability == pytest.approx(2 / np.pi, abs=0.02)  # of a normal distribution
+    # of a normal distribution
+    assert inspect(drowned).grey.separability == pytest.approx(2 / np.pi, abs=0.02)
     assert "parts badly" in str(inspect(drowned))
     burnt = tb.Image(np.where(solid > 0, 255, clear.values).astype(np.uint8), "grey")
     assert inspect(burnt).grey.saturated == pytest.approx(solid.mean(), abs=0.02)
@@ -191,7 +225,9 @@ def test_a_grey_scan_says_how_well_it_parts():
 def test_margins_are_left_out_of_the_figures():
     inside = gaussian_field(0).values
     found = inspect(tb.Image(np.pad(inside, 3), "labels"))
-    assert found.margins.size == (SIDE,) * 3 and found.phases["void"].fraction == (inside == 0).mean()
+    assert (
+        found.margins.size == (SIDE,) * 3 and found.phases["void"].fraction == (inside == 0).mean()
+    )
     assert found.fractions["void"] > found.phases["void"].fraction
     assert "--crop auto keeps 96 x 96 x 96" in str(found)
 
@@ -221,7 +257,10 @@ def test_the_table_is_short_and_the_json_plain(name):
 
 
 def test_one_value_alone():
-    for image in (tb.Image(np.zeros((40, 40, 40), np.uint8), "labels"), tb.Image(np.full((40, 40), 3.0), "grey")):
+    for image in (
+        tb.Image(np.zeros((40, 40, 40), np.uint8), "labels"),
+        tb.Image(np.full((40, 40), 3.0), "grey"),
+    ):
         assert inspect(image).structure.period is None
 
 
@@ -240,7 +279,9 @@ def test_where_each_field_comes_from(tmp_path):
         "spacing": "default: nothing states it",
         "unit": "default: nothing states it",
     }
-    given = inspect(tb.read(tmp_path / "bare.tif", spacing=5, unit="um", kind="labels", phases=("a", "b"))).origin
+    given = inspect(
+        tb.read(tmp_path / "bare.tif", spacing=5, unit="um", kind="labels", phases=("a", "b"))
+    ).origin
     assert set(given.values()) == {"given"}
     tifffile.imwrite(
         tmp_path / "imagej.tif",
@@ -250,7 +291,10 @@ def test_where_each_field_comes_from(tmp_path):
         metadata={"spacing": 0.5, "unit": "um", "axes": "ZYX"},
     )
     tags = inspect(tb.read(tmp_path / "imagej.tif")).origin
-    assert tags["spacing"] == tags["unit"] == "ImageJ metadata" and tags["kind"] != "stated in the file"
+    assert (
+        tags["spacing"] == tags["unit"] == "ImageJ metadata"
+        and tags["kind"] != "stated in the file"
+    )
     grey = tb.Image(values * 3.5, "grey", 2.0, "mm")
     assert inspect(tb.segment(grey)).origin["kind"].startswith("segmented at 1.75 (found: otsu)")
     assert inspect(grey).origin["spacing"] == "given with the array"
@@ -262,7 +306,9 @@ def test_slabs_are_inspected_in_their_middle(monkeypatch):
     monkeypatch.setattr(inspection, "SLAB_BOX", 48)
     found = inspect(slabs_of(gaussian_field(0)))
     assert found.shape == (48,) * 3 and found.whole == (SIDE,) * 3 and not found.margins
-    assert "the centre box of 96 x 96 x 96" in str(found) and "margins         not looked at" in str(found)
+    assert "the centre box of 96 x 96 x 96" in str(
+        found
+    ) and "margins         not looked at" in str(found)
 
 
 def test_an_array_whose_meaning_is_open_is_refused():

@@ -9,7 +9,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.report import page, verify
-from trabecula.report.figures import FIGURES, GROUPS, figure_of, in_order
+from trabecula.report.metrics import FIGURES, GROUPS, figure_of, in_order
 from trabecula.report.plot import curve_plot, place_plot, ticks
 
 PNG = base64.b64decode(
@@ -39,7 +39,9 @@ class Nesting(HTMLParser):
 @pytest.fixture(scope="module")
 def certificate():
     rng = np.random.default_rng(0)
-    exemplar, image = (tb.Image(rng.random((50, 50, 50)) < p, "labels", spacing=2.0, unit="um") for p in (0.5, 0.4))
+    exemplar, image = (
+        tb.Image(rng.random((50, 50, 50)) < p, "labels", spacing=2.0, unit="um") for p in (0.5, 0.4)
+    )
     return verify(exemplar, image, names=["<worse & worse>"])
 
 
@@ -121,13 +123,20 @@ def test_ticks_are_round_and_inside():
 
 
 def test_curves_keep_inside_their_frame():
-    svg = curve_plot({"a": [1.0, -0.5, 0.2], "b": [0.0, 2.0, 0.1]}, title="t", x_label="r", band=([0, 0, 0], [1, 3, 1]))
+    svg = curve_plot(
+        {"a": [1.0, -0.5, 0.2], "b": [0.0, 2.0, 0.1]},
+        title="t",
+        x_label="r",
+        band=([0, 0, 0], [1, 3, 1]),
+    )
     coordinates = [tuple(map(float, pair.split(","))) for pair in re.findall(r"[\d.]+,[\d.]+", svg)]
     assert len(coordinates) == 12
     assert all(48 <= x <= 368 and 26 <= y <= 212 for x, y in coordinates)
 
 
-@pytest.mark.parametrize(("value", "shape"), [(0.5, "circle"), (99.0, "polygon"), (-99.0, "polygon"), (None, None)])
+@pytest.mark.parametrize(
+    ("value", "shape"), [(0.5, "circle"), (99.0, "polygon"), (-99.0, "polygon"), (None, None)]
+)
 def test_place_is_a_dot_inside_and_an_arrow_beyond(value, shape):
     marks = re.findall(r'<(\w+) class="dot"', place_plot([value], (0.0, 1.0), 0.4))
     assert marks == ([shape] if shape else [])
@@ -139,7 +148,10 @@ def _file(folder):
 
 
 def test_figures_of_axes_and_phases_know_their_own():
-    assert figure_of("diffusivity_z").title.endswith("along z") and figure_of("diffusivity_z").group == "physics"
+    assert (
+        figure_of("diffusivity_z").title.endswith("along z")
+        and figure_of("diffusivity_z").group == "physics"
+    )
     assert figure_of("fraction_binder_2").title == "Fraction of binder_2"
     assert in_order(["coherence", "permeability_x", "porosity", "permeability"]) == [
         *("porosity", "permeability_x", "permeability", "coherence")

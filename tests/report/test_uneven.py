@@ -1,4 +1,6 @@
-"""Evenness in the certificate: what is hollow, graded or of two halves fails, what is another sample passes."""
+"""Evenness in the certificate: what is hollow, graded or of two halves fails, what is another
+sample passes.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ import pytest
 import trabecula as tb
 from trabecula.measure import signed_distance
 from trabecula.measure.evenness import depth_of
-from trabecula.measure.tallies.cells import cells_of
+from trabecula.measure.streaming.cells import cells_of
 from trabecula.report.evenness import (
     evenness_bands,
     evenness_numbers,
@@ -34,7 +36,11 @@ def shift_density(image: tb.Image, profile: np.ndarray, amount: float) -> tb.Ima
     field = signed_distance(image.values == image.values.max()) + amount * profile
     level = np.quantile(field, tb.measure.porosity(image))
     return tb.Image(
-        (field > level).astype(np.uint8), "labels", spacing=image.spacing, unit=image.unit, phases=image.phases
+        (field > level).astype(np.uint8),
+        "labels",
+        spacing=image.spacing,
+        unit=image.unit,
+        phases=image.phases,
     )
 
 
@@ -53,7 +59,8 @@ def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
     """What fails, by the functions that the certificate calls."""
     windows = shared_windows(exemplar, [image])
     found = [
-        measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each)) for each in (exemplar, image)
+        measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each))
+        for each in (exemplar, image)
     ]
     wrong = []
     for suffix in found[0]:
@@ -65,7 +72,10 @@ def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
 
 def test_other_samples_of_a_material_seldom_fail():
     """Forty figures of ten pairs: one in a hundred may leave its band."""
-    wrong = [failed_evenness(tb.Image(gaussian(n), "labels"), tb.Image(gaussian(n + 50), "labels")) for n in range(10)]
+    wrong = [
+        failed_evenness(tb.Image(gaussian(n), "labels"), tb.Image(gaussian(n + 50), "labels"))
+        for n in range(10)
+    ]
     assert sum(map(len, wrong)) <= 4
 
 
@@ -81,7 +91,9 @@ def test_an_uneven_sample_fails(name):
 def test_uneven_samples_of_the_package_fail(name):
     exemplar = tb.sample(name)
     for what, fake in fakes(exemplar, 1.5).items():
-        assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake)), what
+        assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake)), (
+            what
+        )
     assert failed_evenness(exemplar, exemplar) == []
 
 
@@ -89,7 +101,10 @@ def test_uneven_scans_fail(data):
     for name in ("trabecular_bone_a", "trabecular_bone_b", "berea_sandstone_a", "nmc_electrode_a"):
         scan = tb.crop(tb.read(data / f"{name}.tif"), 120)
         for what, fake in fakes(scan, 3.0).items():
-            assert any(figure.startswith("fraction") for figure in failed_evenness(scan, fake)), (name, what)
+            assert any(figure.startswith("fraction") for figure in failed_evenness(scan, fake)), (
+                name,
+                what,
+            )
 
 
 def test_the_certificate_says_it_at_every_level_and_for_every_kind():
@@ -111,8 +126,13 @@ def test_phases_are_judged_one_by_one():
     rng = np.random.default_rng(3)
     solid = rng.random((64, 64, 64)) < 0.5
     even = solid * np.where(rng.random(solid.shape) < 0.2, 2, 1)
-    sided = solid * np.where(rng.random(solid.shape) < np.where(np.arange(64) < 32, 0.4, 0.0)[:, None, None], 2, 1)
-    images = [tb.Image(each.astype(np.uint8), "labels", phases=("void", "active", "binder")) for each in (even, sided)]
+    sided = solid * np.where(
+        rng.random(solid.shape) < np.where(np.arange(64) < 32, 0.4, 0.0)[:, None, None], 2, 1
+    )
+    images = [
+        tb.Image(each.astype(np.uint8), "labels", phases=("void", "active", "binder"))
+        for each in (even, sided)
+    ]
     wrong = failed_evenness(*images)
     assert {"fraction_trend_z_binder", "fraction_trend_z_active"} <= set(wrong)
     assert "fraction_trend_z_void" not in wrong
@@ -143,6 +163,10 @@ def test_another_sample_of_a_material_that_is_no_noise_passes():
     assert found.verdict == "pass" and found.undecided == () and all(found.groups.values())
     assert any(metric.passed is False for metric in found.baseline.values())
     text = repr(found)
-    assert "PASS" in text and len(text.splitlines()) <= 60 and "2px solid #2b6b4f" in found._repr_html_()
+    assert (
+        "PASS" in text
+        and len(text.splitlines()) <= 60
+        and "2px solid #2b6b4f" in found._repr_html_()
+    )
     html = found.to_html()
     assert 'class="verdict pass"' in html and "Not examined: transport and stiffness" in html

@@ -9,9 +9,9 @@ from trabecula.errors import InputError, UnknownNameError
 from trabecula.measure import covariance_form, describe, largest_fraction, two_point
 from trabecula.report import verify
 from trabecula.report.band import LEAST_PART, parts
-from trabecula.report.faces import faces_of, slices_of
-from trabecula.report.figures import figure_of
-from trabecula.report.words import sentences
+from trabecula.report.metrics import figure_of
+from trabecula.report.planes import faces_of, slices_of
+from trabecula.report.summary_text import sentences
 
 
 def smooth(seed: int, shape, *, share: float = 0.35, widths=(3, 3, 3)) -> np.ndarray:
@@ -48,16 +48,25 @@ def test_the_same_material_fails_nowhere_and_no_picture_decides_what_lies_in_spa
     assert certificate.failed == () and certificate.verdict == "not decided"
     assert any("connections in space" in reason for reason in certificate.undecided)
     assert certificate.groups["connectivity"] is None and certificate.groups["two-point"] is True
-    assert certificate.metrics["two_point_covariance"].passed and certificate.metrics["coherence"].passed
+    assert (
+        certificate.metrics["two_point_covariance"].passed
+        and certificate.metrics["coherence"].passed
+    )
 
 
 def test_figures_are_means_over_slices_of_every_plane(picture, volume, certificate):
     slices = [each for plane in ("yx", "zx", "zy") for each in slices_of(volume, plane)]
     assert len(slices) == 24
     metrics = certificate.metrics
-    assert metrics["porosity"].value == pytest.approx(np.mean([tb.measure.porosity(each) for each in slices]))
-    assert metrics["porosity_zx"].value == pytest.approx(np.mean([tb.measure.porosity(each) for each in slices[8:16]]))
-    assert metrics["components"].value == pytest.approx(np.mean([tb.measure.components(each) for each in slices]))
+    assert metrics["porosity"].value == pytest.approx(
+        np.mean([tb.measure.porosity(each) for each in slices])
+    )
+    assert metrics["porosity_zx"].value == pytest.approx(
+        np.mean([tb.measure.porosity(each) for each in slices[8:16]])
+    )
+    assert metrics["components"].value == pytest.approx(
+        np.mean([tb.measure.components(each) for each in slices])
+    )
     reach = 20
     curve = np.mean([two_point(each, r_max=reach) for each in slices], axis=0)
     form, own = covariance_form(curve), covariance_form(two_point(picture, r_max=reach))
@@ -67,10 +76,19 @@ def test_figures_are_means_over_slices_of_every_plane(picture, volume, certifica
 
 def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
     numbers = describe(volume)
-    for name in ("components", "largest_fraction", "percolates", "euler_density", "thickness", "pore_size"):
+    for name in (
+        "components",
+        "largest_fraction",
+        "percolates",
+        "euler_density",
+        "thickness",
+        "pore_size",
+    ):
         metric = certificate.metrics[f"{name}_3d"]
         assert metric.value == numbers[name] and metric.passed is None and metric.real_band is None
-    assert certificate.metrics["largest_fraction_3d_void"].value == largest_fraction(volume, phase="void")
+    assert certificate.metrics["largest_fraction_3d_void"].value == largest_fraction(
+        volume, phase="void"
+    )
     assert figure_of("percolates_3d_void").title == "Percolates of void, in 3-D"
     assert figure_of("porosity_yx_zx").title == "Porosity in yx and zx"
     assert any("not judged" in note for note in certificate.notes)
@@ -124,14 +142,21 @@ def test_two_views_of_a_material_that_is_longer_along_an_axis():
     across = labels(smooth(8, (8, 128, 128))[4])
     right = verify([long, across], grown, level="quick")
     names = [f"two_point_covariance_{axis}" for axis in "yx"]
-    assert all(right.metrics[f"{name}_{planes}"].passed for name in names for planes in ("yx_zx", "zy"))
-    turned = verify([long, across], labels(grown.values.swapaxes(0, 2)), level="quick", views=["xy", "yz"])
+    assert all(
+        right.metrics[f"{name}_{planes}"].passed for name in names for planes in ("yx_zx", "zy")
+    )
+    turned = verify(
+        [long, across], labels(grown.values.swapaxes(0, 2)), level="quick", views=["xy", "yz"]
+    )
     assert "two_point_covariance_x_xy" in turned.metrics and "porosity_yz" in turned.metrics
     wrong = verify([long, across], labels(grown.values.swapaxes(0, 2)), level="quick")
     assert any(wrong.metrics[f"{name}_yx_zx"].passed is False for name in names)
     assert set(wrong.about["planes"]) == {"yx_zx", "zy"}
     alone = verify(across, grown, level="quick").metrics
-    assert any(alone[name].passed is False for name in names) and alone["two_point_covariance_zy"].passed
+    assert (
+        any(alone[name].passed is False for name in names)
+        and alone["two_point_covariance_zy"].passed
+    )
 
 
 def test_broken_is_said_of_slices_too(picture):
@@ -149,7 +174,9 @@ def test_a_turned_picture_is_the_picture_turned():
     for name in ("two_point_covariance", "lineal_path_distance"):
         assert plain.metrics[name].value == pytest.approx(turned.metrics[name].value)
         rows, columns = (plain.metrics[f"{name}_{axis}"].value for axis in "yx")
-        assert [turned.metrics[f"{name}_{axis}"].value for axis in "xy"] == pytest.approx([rows, columns])
+        assert [turned.metrics[f"{name}_{axis}"].value for axis in "xy"] == pytest.approx(
+            [rows, columns]
+        )
 
 
 def test_a_stack_of_the_picture_is_a_copy(picture):
@@ -167,7 +194,10 @@ def test_grey_and_colour_by_their_texture():
     assert not any(name.endswith("_3d") for name in good.metrics)
     cloud = sum(smooth(n, (4, 96, 96), widths=(4, 4, 4))[2] * np.uint8(40) for n in range(5))
     bars = sum(rods(n, 48) * np.uint8(40) for n in range(5))
-    assert verify(tb.Image(cloud, "grey"), tb.Image(bars, "grey")).metrics["texture_preference"].passed is False
+    assert (
+        verify(tb.Image(cloud, "grey"), tb.Image(bars, "grey")).metrics["texture_preference"].passed
+        is False
+    )
     colour = tb.Image(np.stack([picture.values] * 3, -1), "colour")
     assert verify(colour, tb.Image(np.stack([noise] * 3, -1), "colour")).metrics["mean"].passed
 
@@ -181,16 +211,25 @@ def test_parts_are_as_large_as_slices():
     assert {part.shape for part in parts(picture, shape=(2, 2))} == {(LEAST_PART, LEAST_PART)}
     starts = {(0, 0), (35, 45), (70, 90)}
     assert all(
-        any(np.array_equal(tile.values, picture.values[y : y + 30, x : x + 40]) for tile in tiles) for y, x in starts
+        any(np.array_equal(tile.values, picture.values[y : y + 30, x : x + 40]) for tile in tiles)
+        for y, x in starts
     )
 
 
 def test_faces():
     picture = labels(np.eye(32, dtype=int))
-    assert [(face.planes, face.suffix) for face in faces_of([picture])] == [(("yx", "zx", "zy"), "")]
+    assert [(face.planes, face.suffix) for face in faces_of([picture])] == [
+        (("yx", "zx", "zy"), "")
+    ]
     two = faces_of([picture, picture])
-    assert [(face.planes, face.suffix) for face in two] == [(("yx", "zx"), "yx_zx"), (("zy",), "zy")]
-    assert [face.planes for face in faces_of([picture, picture], ["xz", "yx"])] == [("xz",), ("yx",)]
+    assert [(face.planes, face.suffix) for face in two] == [
+        (("yx", "zx"), "yx_zx"),
+        (("zy",), "zy"),
+    ]
+    assert [face.planes for face in faces_of([picture, picture], ["xz", "yx"])] == [
+        ("xz",),
+        ("yx",),
+    ]
 
 
 def test_what_does_not_go_together_is_refused(picture, volume):
@@ -228,5 +267,13 @@ def test_the_command_line_and_the_page(tmp_path, monkeypatch, picture, volume):
     words = ("--pictures", "picture.tif", "--views", "yx,zx", "--quick")
     assert "two_point_covariance_zx" in trabecula("verify", "picture.tif", "volume.npy", *words).out
     assert "one for each" in refused(
-        "verify", "picture.tif", "volume.npy", "--pictures", "picture.tif", "--views", "zx", "zy", "yx"
+        "verify",
+        "picture.tif",
+        "volume.npy",
+        "--pictures",
+        "picture.tif",
+        "--views",
+        "zx",
+        "zy",
+        "yx",
     )

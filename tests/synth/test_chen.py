@@ -20,13 +20,19 @@ def spots(side=48):
     y, x = np.indices((side, side)) % 12 - 5.5
     disc = (y**2 + x**2 < 14)[..., None]
     noise = np.random.default_rng(0).integers(-20, 21, (side, side, 1))
-    return tb.Image((np.where(disc, (200, 40, 30), (30, 40, 200)) + noise).astype(np.uint8), "colour")
+    return tb.Image(
+        (np.where(disc, (200, 40, 30), (30, 40, 200)) + noise).astype(np.uint8), "colour"
+    )
 
 
 @pytest.mark.parametrize("orientations", ["none", "all"])
 def test_no_colour_is_new(orientations):
     picture = spots()
-    made = tb.method("chen", orientations=orientations, **QUICK).fit(picture).generate((26, 24, 28), seed=1)
+    made = (
+        tb.method("chen", orientations=orientations, **QUICK)
+        .fit(picture)
+        .generate((26, 24, 28), seed=1)
+    )
     known = {tuple(colour) for colour in picture.values.reshape(-1, 3).tolist()}
     assert {tuple(colour) for colour in made.values.reshape(-1, 3).tolist()} <= known
     red = [np.mean(image.values[..., 0] > image.values[..., 2]) for image in (picture, made)]
@@ -41,7 +47,12 @@ def test_fixed_pixels_stay_and_outside_a_form_is_nothing():
     values = np.zeros((*shape, 3), np.uint8)
     values[12] = picture.values[:26, :26]
     fixed = tb.Image(values, "colour")
-    made = tb.method("chen", **QUICK).fit(picture).generate(shape, seed=1, mask=mask, fixed=fixed, known=known).values
+    made = (
+        tb.method("chen", **QUICK)
+        .fit(picture)
+        .generate(shape, seed=1, mask=mask, fixed=fixed, known=known)
+        .values
+    )
     assert np.array_equal(made[12], picture.values[:26, :26])
     assert not made[:4].any()
     red = made[..., 0] > made[..., 2]
@@ -49,9 +60,12 @@ def test_fixed_pixels_stay_and_outside_a_form_is_nothing():
 
 
 def test_the_penalties_spread_the_use_of_pixels():
-    """How many pixels of the picture are the source of any voxel: more with both histograms than with neither."""
+    """How many pixels of the picture are the source of any voxel: more with both histograms than
+    with neither.
+    """
     rng = np.random.default_rng(3)
-    picture = tb.Image(rng.permutation(90 * 90).reshape(90, 90).astype(np.uint16), "grey")  # every value once
+    # every value once
+    picture = tb.Image(rng.permutation(90 * 90).reshape(90, 90).astype(np.uint16), "grey")
     used = []
     for weight in (0.0, 5.0):
         method = tb.method("chen", index_penalty=weight, position_penalty=weight, **QUICK)
@@ -79,7 +93,8 @@ def test_the_excess_is_counted_in_multiples_of_even_use():
     frame = Frame.over(Region((12, 12, 12)), views, (Histogram.of(field),))
     sources = np.repeat(np.arange(288), 6).reshape(12, 12, 12)
     assert all((over == 1).all() for over in excess_of(sources, frame, 2.0))
-    sources = np.where(sources == 150, 151, sources)  # the second view's eighth pixel: used twice as often
+    # the second view's eighth pixel: used twice as often
+    sources = np.where(sources == 150, 151, sources)
     first, second = excess_of(sources, frame, 2.0)
     assert (first == 1).all()
     assert second.ravel()[7] == pytest.approx(3)
@@ -88,7 +103,8 @@ def test_the_excess_is_counted_in_multiples_of_even_use():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("index_penalty", -1), ("position_penalty", 11), ("discrete", "yes"), ("sweeps", 0)]
+    ("name", "value"),
+    [("index_penalty", -1), ("position_penalty", 11), ("discrete", "yes"), ("sweeps", 0)],
 )
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=name):

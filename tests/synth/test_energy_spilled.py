@@ -1,4 +1,6 @@
-"""Exact search, energies and graded targets when arrays lie in scratch files: the same numbers in slabs of any thickness."""
+"""Exact search, energies and graded targets when arrays lie in scratch files: the same numbers in
+slabs of any thickness.
+"""
 
 import math
 import pickle
@@ -9,20 +11,20 @@ import pytest
 
 import trabecula as tb
 from trabecula import fields
-from trabecula.engine import scratch
-from trabecula.engine.pickling import Places
-from trabecula.engine.tiles import threads
+from trabecula.engine import memmap
+from trabecula.engine.parallel import threads
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.synth.shared.box_sums import sums
 from trabecula.synth.shared.matching.grid import Grid, nearest_matches
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
-from trabecula.synth.shared.windows import sums
 from trabecula.synth.texture.energy import energy, mismatch, total
+from trabecula.synth.texture.graded import leaning_grid, settled
 from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
-from trabecula.synth.texture.grading import leaning_grid, settled
 from trabecula.synth.texture.method import Texture
 from trabecula.synth.texture.poisson import solve_votes
-from trabecula.synth.texture.shares import evened, shares_by_level, shares_of
+from trabecula.synth.texture.volume_fraction import evened, shares_by_level, shares_of
 
 CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 
@@ -30,11 +32,11 @@ CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 @pytest.fixture
 def spilled(tmp_path, monkeypatch):
     """Where even arrays of a page lie in files, and slabs are thin; in the end nothing is left."""
-    monkeypatch.setattr(scratch, "LEAST", 1)
+    monkeypatch.setattr(memmap, "LEAST", 1)
 
     @contextmanager
     def thin():
-        with scratch.spilled(tmp_path / "s", memory=1 << 14, thickest=5):
+        with memmap.spilled(tmp_path / "s", memory=1 << 14, thickest=5):
             yield
 
     yield thin
@@ -62,14 +64,23 @@ PLACE = {"shape": CORNERS, "stride": 1, "step": STEP, "width": WIDTH}
 def one_round(match, weight, wraps, mu):
     """What a round of energies computes: votes, their solution, and its energy."""
     example = exemplar(1)
-    shape = tuple(STEP * n if w else c for n, w, c in zip(match.shape, wraps, covered(match.shape), strict=True))
+    shape = tuple(
+        STEP * n if w else c
+        for n, w, c in zip(match.shape, wraps, covered(match.shape), strict=True)
+    )
     votes = no_votes(covered(match.shape), channels=2)
     add_votes(votes, example, match, weight, wraps=wraps, **PLACE)
     votes = fold_votes(votes, shape)
     solved = solve_votes(votes, mu=mu, unit=64)
-    grown = np.pad(solved, [(0, 0), *((0, c - s) for c, s in zip(covered(match.shape), shape, strict=True))], "wrap")
+    grown = np.pad(
+        solved,
+        [(0, 0), *((0, c - s) for c, s in zip(covered(match.shape), shape, strict=True))],
+        "wrap",
+    )
     squared, slopes = mismatch(grown, example, match, active=weight > 100, **PLACE)
-    found = energy(squared, slopes, weight, mu=mu, robustness=0.8, reference=50.0, floor=9.0, unit=1 / 64)
+    found = energy(
+        squared, slopes, weight, mu=mu, robustness=0.8, reference=50.0, floor=9.0, unit=1 / 64
+    )
     return [np.array(part) for part in (*vars(votes).values(), solved, squared, slopes)], found
 
 
@@ -91,8 +102,12 @@ def test_a_guess_is_taken_where_there_are_votes(spilled):
     guess = exemplar(4, covered(match.shape)).astype(np.float32)
     whole = solve_votes(votes, mu=3.0, unit=64, start=guess, tolerance=1e-5)
     with spilled():
-        assert np.array_equal(solve_votes(votes, mu=3.0, unit=64, start=guess, tolerance=1e-5), whole)
-    assert np.abs(whole.astype(int) - solve_votes(votes, mu=3.0, unit=64, tolerance=1e-5)).max() <= 1
+        assert np.array_equal(
+            solve_votes(votes, mu=3.0, unit=64, start=guess, tolerance=1e-5), whole
+        )
+    assert (
+        np.abs(whole.astype(int) - solve_votes(votes, mu=3.0, unit=64, tolerance=1e-5)).max() <= 1
+    )
 
 
 @pytest.mark.parametrize("shape", [(5, 4, 6), (5, 9, 6), (2, 9, 13), (5, 9, 13)])
@@ -116,7 +131,10 @@ def test_folding_adds_what_lies_beyond_to_where_it_repeats(spilled, shape):
 
 def test_sites_that_are_not_active_have_no_mismatch():
     match, _ = sites(6, (4, 5, 3))
-    state, active = exemplar(7, covered(match.shape)), np.random.default_rng(8).random(match.shape) < 0.5
+    state, active = (
+        exemplar(7, covered(match.shape)),
+        np.random.default_rng(8).random(match.shape) < 0.5,
+    )
     every = mismatch(state, exemplar(1), match, **PLACE)
     some = mismatch(state, exemplar(1), match, active=active, **PLACE)
     assert np.array_equal(some, every * active)
@@ -135,13 +153,19 @@ def test_the_unit_of_weights_scales_the_weighted_energy():
     rng = np.random.default_rng(9)
     squared, slopes, weights = rng.random((3, 4, 5, 6)) * 100
     settings = {"mu": 0.5, "robustness": 0.8, "reference": 7.0}
-    assert energy(squared, slopes, weights, unit=0.25, **settings) == energy(squared, slopes, weights / 4, **settings)
+    assert energy(squared, slopes, weights, unit=0.25, **settings) == energy(
+        squared, slopes, weights / 4, **settings
+    )
 
 
 def searched_grid(mask):
     """A grid of neighbourhoods whose exact search has ties, and sites that are not searched."""
-    field = np.clip(np.random.default_rng(10).normal(size=(1, 12, 13, 14)).cumsum(1) * 40, -127, 127).astype(np.int8)
-    among = Candidates.of(Stack.of([field, field[:, ::-1]]), width=4, step=2, variance=0.9, most=8, k=6)
+    field = np.clip(
+        np.random.default_rng(10).normal(size=(1, 12, 13, 14)).cumsum(1) * 40, -127, 127
+    ).astype(np.int8)
+    among = Candidates.of(
+        Stack.of([field, field[:, ::-1]]), width=4, step=2, variance=0.9, most=8, k=6
+    )
     free = np.random.default_rng(11).random((23, 12, 14)) < 0.01 if mask else None
     return Grid.over(Region((23, 12, 14), (False, True, False), free), among)
 
@@ -159,7 +183,9 @@ def test_exact_matches_are_those_of_the_whole_table(spilled, mask):
     chosen, apart = reranked(index, distance, shares, weight=0.5 * count, theta=1 / count)
     assert (chosen != index[:, 0]).any()
     with spilled(), threads(2):
-        match, found = (np.array(part) for part in nearest_matches(grid, old, features, index_penalty=0.5))
+        match, found = (
+            np.array(part) for part in nearest_matches(grid, old, features, index_penalty=0.5)
+        )
     assert np.array_equal(match[grid.active], chosen)
     assert np.array_equal(found[grid.active], apart)
     assert np.array_equal(match[~grid.active], old[~grid.active])
@@ -173,7 +199,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = Places().packed(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in (*bounds, *bounds):
             pickle.loads(packed)(start, stop)
 
@@ -184,7 +210,7 @@ def test_the_exact_search_can_be_done_by_others(tmp_path):
     old = np.full(grid.shape, grid.candidates.numbers[3], np.int32)
     features = grid.candidates.features[np.arange(old.size).reshape(old.shape)]
     whole = nearest_matches(grid, old, features, index_penalty=0.1)
-    with scratch.spilled(tmp_path, memory=1 << 14, thickest=3, hands=Others()):
+    with memmap.spilled(tmp_path, memory=1 << 14, thickest=3, hands=Others()):
         made = nearest_matches(grid, old, features, index_penalty=0.1)
         assert all(np.array_equal(a, b) for a, b in zip(whole, made, strict=True))
     assert (whole[0] != old).any()
@@ -213,25 +239,33 @@ def test_windows_are_the_same(spilled, width, wraps):
 def graded(mask, wraps):
     """What grading does to a grid and its field."""
     rng = np.random.default_rng(15)
-    stack = Stack.of([np.clip(rng.normal(size=(1, 11, 12, 13)).cumsum(2) * 30, -127, 127).astype(np.int8)])
+    stack = Stack.of(
+        [np.clip(rng.normal(size=(1, 11, 12, 13)).cumsum(2) * 30, -127, 127).astype(np.int8)]
+    )
     among = Candidates.of(stack, width=4, step=2, variance=0.9, most=6)
     shape = (21, 10, 12)
     free = rng.random(shape) < 0.7 if mask else None
     grid = Grid.over(Region(shape, wraps, free), among)
-    grid, leaning = leaning_grid(grid, np.linspace(0.2, 0.6, 21 * 120, dtype=np.float32).reshape(shape), 0)
+    grid, leaning = leaning_grid(
+        grid, np.linspace(0.2, 0.6, 21 * 120, dtype=np.float32).reshape(shape), 0
+    )
     votes = rng.integers(-9000, 9000, (1, *grid.region.shape)).astype(np.int16)
     leaned, last = leaning.leaned((votes >> 8).astype(np.int8)), settled(votes, leaning)
     parts = leaning.wanted, leaning.counted, grid.guide, leaned, last, grid.candidates.features
     return [np.array(part) for part in parts], (leaning.mean, leaning.width)
 
 
-@pytest.mark.parametrize(("mask", "wraps"), [(False, (False,) * 3), (True, (False,) * 3), (False, (True, True, False))])
+@pytest.mark.parametrize(
+    ("mask", "wraps"), [(False, (False,) * 3), (True, (False,) * 3), (False, (True, True, False))]
+)
 def test_grading_is_the_same(spilled, mask, wraps):
     whole, told = graded(mask, wraps)
     with spilled(), threads(2):
         parts, said = graded(mask, wraps)
     assert said == told
-    assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(whole, parts, strict=True))
+    assert all(
+        np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(whole, parts, strict=True)
+    )
 
 
 @pytest.mark.parametrize("mask", [False, True])
@@ -246,7 +280,9 @@ def test_shares_and_their_mean_are_the_same(spilled, name, mask):
         for present, empty, wanted in (((0, 1), 0, 1 - porosity), ((0, 1), 1, porosity)):
             assert np.array_equal(shares_of(request, present, empty), wanted)
         mean = evened(request).target["porosity"]
-    assert mean == pytest.approx(porosity[inside].mean(dtype=np.float64) if mask else porosity.mean(dtype=np.float64))
+    assert mean == pytest.approx(
+        porosity[inside].mean(dtype=np.float64) if mask else porosity.mean(dtype=np.float64)
+    )
     assert evened(request).target == {"porosity": mean}
 
 
@@ -264,10 +300,19 @@ def test_shares_of_levels_are_the_same(spilled):
 
 SETTINGS = {
     "energies": (
-        {"search": "exact", "gradient": 0.5, "adaptive": True, "histogram": False, "neighbourhood": (6, 4)},
+        {
+            "search": "exact",
+            "gradient": 0.5,
+            "adaptive": True,
+            "histogram": False,
+            "neighbourhood": (6, 4),
+        },
         {},
     ),
-    "a field of targets": ({}, {"target": {"volume_fraction": fields.ramp((28, 22, 24), start=0.12, end=0.3)}}),
+    "a field of targets": (
+        {},
+        {"target": {"volume_fraction": fields.ramp((28, 22, 24), start=0.12, end=0.3)}},
+    ),
 }
 
 
@@ -278,9 +323,9 @@ def test_the_voxels_are_the_same(bone, spilled, name, periodic):
     short = {"levels": 2, "rounds": (2,), "first_rounds": 2, "novelty": 0.0, "step": 2}
     model = Texture.configured(**short, **settings).fit(tb.crop(bone, 24))
     request = tb.Request((28, 22, 24), seed=1, periodic=periodic, **asked)
-    whole, told = model._generate(request)
+    whole, told = model.make(request)
     with spilled(), threads(2):
-        made, said = model._generate(request)
+        made, said = model.make(request)
         same = np.array_equal(made, whole)
         del made
     assert same

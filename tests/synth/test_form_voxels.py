@@ -1,4 +1,6 @@
-"""A form that states the size of its voxels: the result has it, or the request is refused, in Python and on the command line."""
+"""A form that states the size of its voxels: the result has it, or the request is refused, in
+Python and on the command line.
+"""
 
 import numpy as np
 import pytest
@@ -58,14 +60,20 @@ def test_an_exemplar_with_a_size_keeps_its_own(scan, exemplar, form):
 @pytest.mark.parametrize(
     ("exemplar", "form", "says"),
     [
-        ((40.0, "um"), (0.5, "mm"), "mask's voxels are 0.5 x 0.5 x 0.5 mm, the result's 40 x 40 x 40 um"),
+        (
+            (40.0, "um"),
+            (0.5, "mm"),
+            "mask's voxels are 0.5 x 0.5 x 0.5 mm, the result's 40 x 40 x 40 um",
+        ),
         ((40.0, "um"), (40.0, "mm"), "mask's voxels are 40 x 40 x 40 mm"),
         ((40.0, "um"), (0.02, "voxel"), r"read with one by tb.read_mesh\(..., unit=\)"),
         ((40.0, "um"), ((40, 40, 20), "um"), "the result's 40 x 40 x 40 um"),
         ((2.0, "voxel"), (0.5, "mm"), "the result's 2 x 2 x 2 voxel"),
     ],
 )
-def test_sizes_that_contradict_each_other_are_refused(scan, exemplar, form, says, tmp_path, monkeypatch):
+def test_sizes_that_contradict_each_other_are_refused(
+    scan, exemplar, form, says, tmp_path, monkeypatch
+):
     mask = tb.Image(ball(), "labels", *form)
     made = model(scan, *exemplar)
     for run in (made.generate, made.plan):
@@ -75,7 +83,9 @@ def test_sizes_that_contradict_each_other_are_refused(scan, exemplar, form, says
     tb.write(tb.Image(scan, "labels", *exemplar), "scan.zarr")
     tb.write(mask, "form.zarr")
     with pytest.raises(RequestError, match=says):
-        raise RequestError(refused("generate", "scan.zarr", "--mask", "form.zarr", *SMALL, "--out", "made.zarr"))
+        raise RequestError(
+            refused("generate", "scan.zarr", "--mask", "form.zarr", *SMALL, "--out", "made.zarr")
+        )
 
 
 def test_a_surface_keeps_its_size_in_python_as_on_the_command_line(scan, tmp_path, monkeypatch):
@@ -94,9 +104,20 @@ def test_a_surface_keeps_its_size_in_python_as_on_the_command_line(scan, tmp_pat
     tb.write(found, "made.zarr")
     tb.write(tb.Image(scan, "labels"), "plain.zarr")
     said = trabecula(
-        "generate", "plain.zarr", "--mask", "ball.stl", "--mask-scale", 50, *SMALL, "--out", "on.zarr"
+        "generate",
+        "plain.zarr",
+        "--mask",
+        "ball.stl",
+        "--mask-scale",
+        50,
+        *SMALL,
+        "--out",
+        "on.zarr",
     ).lines
-    assert any("ball.stl is in mm, the exemplar in voxel: one mm is taken for one unit" in line for line in said)
+    assert any(
+        "ball.stl is in mm, the exemplar in voxel: one mm is taken for one unit" in line
+        for line in said
+    )
 
 
 def test_the_size_is_written_and_made_again(scan, tmp_path):
@@ -116,12 +137,19 @@ def test_the_size_is_written_and_made_again(scan, tmp_path):
     image = tb.read(tmp_path / "x.zarr")
     assert (image.spacing, image.unit) == ((0.5,) * 3, "mm")
     again = tb.rerun(tmp_path / "x.zarr")
-    assert (again.spacing, again.unit) == ((0.5,) * 3, "mm") and output.sha256 == again.recipe.steps[-1]["sha256"]
+    assert (again.spacing, again.unit) == (
+        (0.5,) * 3,
+        "mm",
+    ) and output.sha256 == again.recipe.steps[-1]["sha256"]
 
 
 def test_a_method_without_an_exemplar_takes_the_forms_size():
     mask = tb.Image(ball(), "labels", 0.5, "mm")
-    alone = [name for name in tb.methods() if tb.method(name).spec.alone and "mask" in tb.method(name).spec.honours]
+    alone = [
+        name
+        for name in tb.methods()
+        if tb.method(name).capabilities.alone and "mask" in tb.method(name).capabilities.honours
+    ]
     assert alone == ["bubbles", "noise"]
     for name in alone:
         image = tb.method(name).fit().generate(None, mask=mask)
@@ -142,6 +170,9 @@ def test_bare_numbers_of_a_surface_are_said(scan, tmp_path, monkeypatch):
     tb.export(tb.Image(ball(), "labels"), "plain.obj")
     tb.write(tb.Image(scan, "labels", 1, "um"), "scan.zarr")
     words = ("generate", "scan.zarr", "--mask", "plain.obj", *SMALL, "--out", "x.zarr")
-    assert any("plain.obj states no unit: its lengths are taken for um" in line for line in trabecula(*words).lines)
+    assert any(
+        "plain.obj states no unit: its lengths are taken for um" in line
+        for line in trabecula(*words).lines
+    )
     for more in (("--mask-scale", 1), ("--shape", 14)):
         assert not any("states no unit" in line for line in trabecula(*words, *more).lines)

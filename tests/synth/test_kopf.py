@@ -28,13 +28,17 @@ def model(bone):
 
 
 def stripes(shape=(48, 48), period=12):
-    return (np.arange(shape[0])[:, None] // (period // 2) % 2 * np.ones(shape, int)).astype(np.uint8)
+    return (np.arange(shape[0])[:, None] // (period // 2) % 2 * np.ones(shape, int)).astype(
+        np.uint8
+    )
 
 
 def test_stripes_in_two_views_become_layers():
     """Rows of one phase seen across y and across x: planes of one phase across z."""
     material = (
-        tb.method("kopf", views=("zx", "zy"), corrections=0, **QUICK).fit(stripes()).generate((40, 24, 24), seed=2)
+        tb.method("kopf", views=("zx", "zy"), corrections=0, **QUICK)
+        .fit(stripes())
+        .generate((40, 24, 24), seed=2)
     )
     along = [np.mean(np.diff(material.values.astype(int), axis=axis) != 0) for axis in range(3)]
     assert max(along[1:]) < 0.4 * along[0]
@@ -45,7 +49,9 @@ def test_two_pictures_are_seen_in_their_own_views():
     y, x = np.indices((48, 48)) % 12 - 5.5
     discs = (y**2 + x**2 < 16).astype(np.uint8)
     rods = (np.abs(y) < 2).astype(np.uint8)
-    material = tb.method("kopf", corrections=0, **QUICK).fit([tb.Image(rods, "labels"), tb.Image(discs, "labels")])
+    material = tb.method("kopf", corrections=0, **QUICK).fit(
+        [tb.Image(rods, "labels"), tb.Image(discs, "labels")]
+    )
     made = material.generate(36, seed=1).values
     along = [np.mean(np.diff(made.astype(int), axis=axis) != 0) for axis in range(3)]
     assert along[2] < 0.4 * min(along[:2])
@@ -96,7 +102,9 @@ def test_a_periodic_tile_joins_its_other_end(model):
 
 
 def test_a_material_alike_in_all_directions_has_no_axes(bone, model):
-    """Steps in the two-point function: the three axes and the diagonals agree within what one realisation scatters."""
+    """Steps in the two-point function: the three axes and the diagonals agree within what one
+    realisation scatters.
+    """
     made = tb.method("kopf").fit(bone).generate(64, seed=0).values == 0
     phi = made.mean()
 
@@ -106,14 +114,19 @@ def test_a_material_alike_in_all_directions_has_no_axes(bone, model):
         return (np.mean(made[here] & made[there]) - phi**2) / (phi - phi**2)
 
     axes = [covariance(o) for o in ((5, 0, 0), (0, 5, 0), (0, 0, 5))]
-    oblique = [covariance(o) for o in ((3, 3, 3), (3, -3, 3), (3, 3, -3), (-3, 3, 3))]  # 5.2 voxels long
+    # 5.2 voxels long
+    oblique = [covariance(o) for o in ((3, 3, 3), (3, -3, 3), (3, 3, -3), (-3, 3, 3))]
     assert abs(np.mean(axes) - np.mean(oblique)) < 0.12
 
 
 def test_too_frequent_values_weigh_less():
-    """Half of the result lies in a bin that holds a quarter of the picture: its pixels weigh 1 / (1 + 1 / 4)."""
+    """Half of the result lies in a bin that holds a quarter of the picture: its pixels weigh 1 / (1
+    + 1 / 4).
+    """
     picture = np.repeat(np.array([-100, -40, 40, 100], np.int8), 64).reshape(1, 1, 16, 16)
-    candidates = Candidates.of(Stack.of([picture]), width=8, step=2, variance=0.9, most=8, flat=True)
+    candidates = Candidates.of(
+        Stack.of([picture]), width=8, step=2, variance=0.9, most=8, flat=True
+    )
     field = np.repeat(np.array([-100, -40, 40, 40], np.int8), 16**3 // 4).reshape(1, 16, 16, 16)
     frame = Frame.over(Region((16, 16, 16)), [(0, candidates)], (Histogram.of(picture),))
     excess = excess_of(field.astype(np.int16) * 256, frame, 1.0)
@@ -148,9 +161,13 @@ def test_a_picture_of_one_value_or_too_small_is_refused():
 
 
 def test_berea_from_one_slice(data):
-    """The covariance of the scan comes out of a slice about as well as the slice itself has it (0.13)."""
+    """The covariance of the scan comes out of a slice about as well as the slice itself has it
+    (0.13).
+    """
     scan = tb.labels(tb.read(data / "berea_sandstone_a.tif").values)
     material = tb.method("kopf").fit(tb.Image(scan.values[100], "labels")).generate(72, seed=1)
-    wanted, found = (covariance_form(two_point(image, r_max=24, phase=0)) for image in (scan, material))
+    wanted, found = (
+        covariance_form(two_point(image, r_max=24, phase=0)) for image in (scan, material)
+    )
     assert np.linalg.norm(found - wanted) < 0.3 * np.linalg.norm(wanted[1:])
     assert tb.measure.largest_fraction(material, phase=0) > 0.5

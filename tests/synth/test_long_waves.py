@@ -1,4 +1,6 @@
-"""Long waves: known spreads, waves that are put in and taken out, and results as even as their exemplar."""
+"""Long waves: known spreads, waves that are put in and taken out, and results as even as their
+exemplar.
+"""
 
 import pickle
 import tracemalloc
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.measure.evenness import evenness
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram
@@ -40,7 +42,9 @@ def window_means(field, width):
     """Means of the soft indicator over all windows of a field that wraps, shift by shift."""
     values = np.clip(field[0] / SOFTNESS + 0.5, 0, 1)
     for axis in range(3):
-        values = np.mean([np.roll(values, k, axis) for k in range(-(width // 2), width - width // 2)], axis=0)
+        values = np.mean(
+            [np.roll(values, k, axis) for k in range(-(width // 2), width - width // 2)], axis=0
+        )
     return values
 
 
@@ -73,15 +77,21 @@ def adjusted(field, target):
 
 
 def test_the_spread_of_noise_is_known():
-    """Independent voxels: p (1 - p) over the window's volume; and a window twice as wide has an eighth."""
-    noise = np.where(np.random.default_rng(0).random((1, 60, 60, 60)) < 0.3, FULL, -FULL).astype(np.int8)
+    """Independent voxels: p (1 - p) over the window's volume; and a window twice as wide has an
+    eighth.
+    """
+    noise = np.where(np.random.default_rng(0).random((1, 60, 60, 60)) < 0.3, FULL, -FULL).astype(
+        np.int8
+    )
     waves = long_waves_of([noise], 0, softness=1.0)
     assert waves.widths == (11, 21)
     assert waves.variances[0, 0] == pytest.approx(0.21 / 11**3, rel=0.25)
     wider = waves.extended(200)
     assert wider.widths == (11, 21, 43, 87)
     assert np.all(wider.variances[0, 1:] <= wider.variances[0, :-1] / 4)
-    assert np.allclose(wider.bands.sum(), wider.variances[0, 0], rtol=0.3), "bands add up to the smallest window's"
+    assert np.allclose(wider.bands.sum(), wider.variances[0, 0], rtol=0.3), (
+        "bands add up to the smallest window's"
+    )
 
 
 def test_a_long_wave_is_taken_out_and_the_rest_stays():
@@ -129,7 +139,7 @@ def test_threads_change_nothing():
 
 def test_scratch_files_change_nothing(tmp_path):
     whole = adjusted(HOLLOW, spread_of(EVEN))
-    with scratch.spilled(tmp_path, memory=1 << 16, thickest=5):
+    with memmap.spilled(tmp_path, memory=1 << 16, thickest=5):
         assert np.array_equal(adjusted(HOLLOW, spread_of(EVEN)), whole)
 
 
@@ -148,24 +158,33 @@ def test_memory_is_what_was_forecast():
 
 @pytest.mark.parametrize("period", [48, 24, 8])
 def test_a_convolution_without_long_waves(period):
-    """What is left of a wave: 1 less the squared mean of a box over it, sin(pi w / l) / (w sin(pi / l))."""
+    """What is left of a wave: 1 less the squared mean of a box over it, sin(pi w / l) / (w sin(pi /
+    l)).
+    """
     wave = np.sin(2 * np.pi * np.arange(SIDE) / period)[:, None, None] * np.ones((SIDE,) * 3)
     pairs = Pairs((SIDE,) * 3, 2, AROUND)
     spectrum, weights = pairs.forward(wave.astype(np.float32)), np.array([1.0] + [0.0] * 8)
-    left = pairs.convolved(spectrum, weights, shorter_than=17).std() / pairs.convolved(spectrum, weights).std()
+    left = (
+        pairs.convolved(spectrum, weights, shorter_than=17).std()
+        / pairs.convolved(spectrum, weights).std()
+    )
     box = np.sin(np.pi * 17 / period) / (17 * np.sin(np.pi / period))
     assert left == pytest.approx(1 - box**2, abs=1e-4)
 
 
 def test_a_step_with_long_waves_of_its_own_raises_them_less():
-    """Asked for more at all long distances, a step lifts the longest wave; it leaves alone what is longer than twice a window."""
+    """Asked for more at all long distances, a step lifts the longest wave; it leaves alone what is
+    longer than twice a window.
+    """
     target = correlations_of([EVEN], softness=SOFTNESS, r_max=12)
     r = np.arange(target.curves.shape[1]) % 13
     lifted = np.where(r >= 8, 2e-3, 0.0)
     found = {}
     spread = spread_of(EVEN)
     for name, waves in (("without", None), ("with", spread.extended(2 * spread.widths[0]))):
-        aim = type(target)(target.curves + lifted, target.softness, target.edges, target.held, waves)
+        aim = type(target)(
+            target.curves + lifted, target.softness, target.edges, target.held, waves
+        )
         field = EVEN
         for _ in range(2):
             field = match(EVEN)(corrected(field, aim, periodic=AROUND))
@@ -175,12 +194,18 @@ def test_a_step_with_long_waves_of_its_own_raises_them_less():
 
 
 def test_results_are_as_even_as_bone():
-    """Over windows of 20 voxels; without long waves held seed 1 is at 2.2 times the exemplar's spread, seed 2 at 1.45."""
+    """Over windows of 20 voxels; without long waves held seed 1 is at 2.2 times the exemplar's
+    spread, seed 2 at 1.45.
+    """
     bone = tb.crop(tb.sample("bone"), 48)
     own = evenness(bone, windows=[20 * bone.spacing[0]]).fraction[0].deviation
     model = tb.method("texture").fit(bone)
     for seed in (1, 2):
-        made = evenness(model.generate(96, seed=seed), windows=[20 * bone.spacing[0]]).fraction[0].deviation
+        made = (
+            evenness(model.generate(96, seed=seed), windows=[20 * bone.spacing[0]])
+            .fraction[0]
+            .deviation
+        )
         assert 0.7 * own < made < 1.4 * own
 
 

@@ -1,4 +1,6 @@
-"""`mrf` as a whole: exact conditionals, the paper's relaxations against literal loops, and every part of a request."""
+"""`mrf` as a whole: exact conditionals, the paper's relaxations against literal loops, and every
+part of a request.
+"""
 
 import numpy as np
 import pytest
@@ -10,18 +12,18 @@ from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.synth.mrf import relax
-from trabecula.synth.mrf.classes import Classes
+from trabecula.synth.mrf.colouring import Classes
 from trabecula.synth.mrf.content import content_of
 from trabecula.synth.mrf.feedback import Joint, joint_of, local_change
-from trabecula.synth.mrf.frame import Face
 from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
 from trabecula.synth.mrf.limits import STEPS
 from trabecula.synth.mrf.palette import palette_of
+from trabecula.synth.mrf.patches import patches_of
 from trabecula.synth.mrf.planes import across, union_of
+from trabecula.synth.mrf.porosity_reweighting import tilted
 from trabecula.synth.mrf.relax import Relaxation
 from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.source import patches_of
-from trabecula.synth.mrf.tilt import tilted
+from trabecula.synth.mrf.slice_planes import Face
 
 NONE = {"feedback": 0.0, "coupling": 0.0, "shares": False, "oblique": False, "final_heat": (1.0,)}
 
@@ -61,10 +63,14 @@ def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, widt
     seen = []
     for name in classes.names:
         sites = classes.sites(name, 0, shape[0])
-        parts = [classes.sites(name, first, min(first + 2, shape[0])) for first in range(0, shape[0], 2)]
+        parts = [
+            classes.sites(name, first, min(first + 2, shape[0])) for first in range(0, shape[0], 2)
+        ]
         assert np.array_equal(np.concatenate(parts), sites)
         seen.append(sites)
-        members = {tuple(int(c) for c in place) for place in np.array(np.unravel_index(sites, shape)).T}
+        members = {
+            tuple(int(c) for c in place) for place in np.array(np.unravel_index(sites, shape)).T
+        }
         for site in list(members)[:4]:
             assert not members & neighbours_of(site, (0, 1, 2), width, shape)
     assert np.array_equal(np.sort(np.concatenate(seen)), np.arange(np.prod(shape)))
@@ -98,7 +104,12 @@ def test_a_form_grows_by_a_box_around_every_voxel(shape, seed, reach):
     literal = np.zeros(shape, bool)
     for place in np.argwhere(form):
         literal[
-            np.ix_(*[(np.arange(p - reach, p + reach + 1)) % side for p, side in zip(place, shape, strict=True)])
+            np.ix_(
+                *[
+                    (np.arange(p - reach, p + reach + 1)) % side
+                    for p, side in zip(place, shape, strict=True)
+                ]
+            )
         ] = 1
     assert np.array_equal(grown(form, shape, reach), literal)
 
@@ -126,7 +137,9 @@ def test_a_cell_is_marked_where_any_of_its_eight_is(shape):
     found = any_of_eight(marks)
     assert found.shape == halved(shape)
     for z, y, x in np.ndindex(found.shape):
-        assert found[z, y, x] == marks[2 * z : 2 * z + 2, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2].any()
+        assert (
+            found[z, y, x] == marks[2 * z : 2 * z + 2, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2].any()
+        )
 
 
 def begun(model, lattice, coarse, faces, seed=1):
@@ -154,9 +167,13 @@ def relaxation_of(image, shape, config, *, seed=1):
 
 
 def literal_density(model, levels, site, weights, views=(0, 1, 2)):
-    """Equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64 of the neighbours."""
+    """Equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64 of the
+    neighbours.
+    """
     config, content = model.config, model.content
-    patches = patches_of(content.pictures[0], scale=0, width=config.neighbourhood, every=config.every)
+    patches = patches_of(
+        content.pictures[0], scale=0, width=config.neighbourhood, every=config.every
+    )
     features = content.features.astype(float)
     h = model.sources[0][0].bandwidth
     shares = []
@@ -173,10 +190,14 @@ def literal_density(model, levels, site, weights, views=(0, 1, 2)):
 
 
 def test_gibbs_draws_from_the_exact_conditional():
-    """Sites far apart in a known surrounding, all alike: their levels are draws from one conditional."""
+    """Sites far apart in a known surrounding, all alike: their levels are draws from one
+    conditional.
+    """
     image = tb.Image((np.random.default_rng(2).random((30, 30)) < 0.4).astype(np.uint8), "labels")
     model, relaxation = relaxation_of(
-        image, (30, 30, 30), {"neighbourhood": 3, "scales": 1, "correction": 1.0, "sweeps": (6,), "polish": 0, **NONE}
+        image,
+        (30, 30, 30),
+        {"neighbourhood": 3, "scales": 1, "correction": 1.0, "sweeps": (6,), "polish": 0, **NONE},
     )
     tile = np.random.default_rng(3).integers(0, 2, (3, 3, 3)).astype(np.uint8)
     relaxation.lattice.levels[:] = np.tile(tile, (10, 10, 10))
@@ -190,14 +211,22 @@ def test_gibbs_draws_from_the_exact_conditional():
         relaxation.sweep(step)
         drawn.append(relaxation.lattice.levels[1::3, 1::3, 1::3].mean())
     assert np.mean(drawn) == pytest.approx(wanted[1] / wanted.sum(), abs=4 * np.sqrt(0.25 / 6000))
-    assert 0.05 < np.mean(drawn) < 0.95, "the surrounding decides everything: it says nothing of the draw"
+    assert 0.05 < np.mean(drawn) < 0.95, (
+        "the surrounding decides everything: it says nothing of the draw"
+    )
 
 
 @pytest.mark.parametrize("kind", ["labels", "grey"])
 def test_icm_is_the_literal_loop(kind):
-    """The paper's figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice, site by site."""
+    """The paper's figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small
+    lattice, site by site.
+    """
     rng = np.random.default_rng(5)
-    values = rng.integers(0, 2, (14, 14)) if kind == "labels" else rng.integers(0, 6, (14, 14)).astype(np.uint8) * 40
+    values = (
+        rng.integers(0, 2, (14, 14))
+        if kind == "labels"
+        else rng.integers(0, 6, (14, 14)).astype(np.uint8) * 40
+    )
     shape = (6, 5, 7)
     settings = {"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0}
     model, relaxation = relaxation_of(tb.Image(values, kind), shape, settings)
@@ -212,10 +241,15 @@ def test_icm_is_the_literal_loop(kind):
         changed = relaxation.sweep(step)
         before = levels.copy()
         for place in generator(1, "mrf/0/order", step.number).permutation(len(classes.names)):
-            sites = [np.unravel_index(site, shape) for site in classes.sites(classes.names[place], 0, shape[0])]
+            sites = [
+                np.unravel_index(site, shape)
+                for site in classes.sites(classes.names[place], 0, shape[0])
+            ]
             sites = [site for site in sites if temperature[site] > 0]
             for site in sites:
-                weights = there * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
+                weights = (
+                    there * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
+                )
                 product = literal_density(model, levels, site, weights).prod(0)
                 best = np.sort(product)[::-1]
                 if best[0] > 1.01 * best[1]:
@@ -225,7 +259,9 @@ def test_icm_is_the_literal_loop(kind):
             cooled = {}
             for site in sites:
                 near = [place for place in neighbours_of(site, (0, 1, 2), 3, shape) if there[place]]
-                cooled[site] = max(0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near))
+                cooled[site] = max(
+                    0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near)
+                )
             for site, value in cooled.items():
                 temperature[site] = value
         assert np.array_equal(levels, relaxation.lattice.levels)
@@ -251,7 +287,10 @@ def test_inherited_voxels_are_questioned_or_fixed(picture):
     for resynthesis in (True, False):
         model = tb.method("mrf", **config, resynthesis=resynthesis).fit(picture)
         lattice = lattices_of(
-            tb.Request((12, 12, 12), seed=1, periodic=True), model.content, 1, model.config.neighbourhood
+            tb.Request((12, 12, 12), seed=1, periodic=True),
+            model.content,
+            1,
+            model.config.neighbourhood,
         )[0]
         faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
         relaxation = begun(model, lattice, coarse, faces)
@@ -267,7 +306,10 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
     for way in ("one", "all"):
         model = tb.method("mrf", upsampling=way).fit(picture)
         lattice = lattices_of(
-            tb.Request((11, 10, 8), seed=1, periodic=True), model.content, 1, model.config.neighbourhood
+            tb.Request((11, 10, 8), seed=1, periodic=True),
+            model.content,
+            1,
+            model.config.neighbourhood,
         )[0]
         faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
         levels = begun(model, lattice, coarse, faces).lattice.levels
@@ -307,7 +349,9 @@ def test_the_local_bias_rests_where_the_statistics_agree():
 
 
 def test_known_joint_of_a_checkerboard():
-    content = content_of([tb.Image(np.indices((9, 9)).sum(0) % 2, "labels")], full=40, levels=2, colours=2)
+    content = content_of(
+        [tb.Image(np.indices((9, 9)).sum(0) % 2, "labels")], full=40, levels=2, colours=2
+    )
     joint = joint_of(patches_of(content.pictures[0], scale=0, width=3, every=True), content, 2)
     # Around a 1 there are four 1s, around a 0 four as well: one cell, both groups about half.
     assert isinstance(joint, Joint)
@@ -323,12 +367,19 @@ def test_tilted_patches_have_the_porosity(picture):
 
 
 def test_fixed_voxels_stay_and_the_material_goes_on(picture):
-    """The picture itself as the middle slice: unchanged, and the next slices agree with it far more than by chance."""
+    """The picture itself as the middle slice: unchanged, and the next slices agree with it far more
+    than by chance.
+    """
     shape = (25, 40, 40)
     known = np.zeros(shape, bool)
     known[12] = True
     fixed = tb.Image(np.broadcast_to(picture.values, shape).copy(), "labels")
-    made = tb.method("mrf", sweeps=(6, 8)).fit(picture).generate(shape, seed=3, fixed=fixed, known=known).values
+    made = (
+        tb.method("mrf", sweeps=(6, 8))
+        .fit(picture)
+        .generate(shape, seed=3, fixed=fixed, known=known)
+        .values
+    )
     assert np.array_equal(made[12], picture.values)
     same = np.mean(made[1:] == made[:-1], axis=(1, 2))
     chance = picture.values.mean() ** 2 + (1 - picture.values.mean()) ** 2
@@ -360,14 +411,20 @@ def test_a_periodic_result_has_no_seam(picture):
 def test_two_pictures_rule_their_own_planes():
     """Layers across z, seen across y and x; what is seen across z is left to them."""
     rng = np.random.default_rng(8)
-    side = tb.Image(np.repeat((np.arange(36) % 6 < 3).astype(np.uint8)[:, None], 36, axis=1), "labels")
-    model = tb.method("mrf", views=("zy", "zx"), neighbourhood=7, scales=1, sweeps=(25,), **NONE).fit(side)
+    side = tb.Image(
+        np.repeat((np.arange(36) % 6 < 3).astype(np.uint8)[:, None], 36, axis=1), "labels"
+    )
+    model = tb.method(
+        "mrf", views=("zy", "zx"), neighbourhood=7, scales=1, sweeps=(25,), **NONE
+    ).fit(side)
     made = model.generate((24, 20, 20), seed=1).values
     assert np.mean(made[:, 1:] == made[:, :-1]) > 0.95
     assert np.mean(made[:, :, 1:] == made[:, :, :-1]) > 0.95
     assert np.mean(made[3:] == made[:-3]) < 0.2
     with pytest.raises(InputError, match="contradict"):
-        tb.method("mrf").fit([side, tb.Image((rng.random((36, 36)) < 0.9).astype(np.uint8), "labels")])
+        tb.method("mrf").fit(
+            [side, tb.Image((rng.random((36, 36)) < 0.9).astype(np.uint8), "labels")]
+        )
 
 
 @pytest.mark.parametrize("kind", ["grey", "colour"])
@@ -379,12 +436,16 @@ def test_grey_and_colour_take_real_values(kind):
         values = np.stack([values, 255 - values, values // 2], axis=-1)
     picture = tb.Image(values, kind)
     made = (
-        tb.method("mrf", sweeps=(3, 4), levels=24, colours=24, candidates=512).fit(picture).generate(16, seed=1).values
+        tb.method("mrf", sweeps=(3, 4), levels=24, colours=24, candidates=512)
+        .fit(picture)
+        .generate(16, seed=1)
+        .values
     )
     real = {tuple(np.atleast_1d(v)) for v in values.reshape(-1, *values.shape[2:])}
     assert {tuple(np.atleast_1d(v)) for v in made.reshape(-1, *values.shape[2:])} <= real
     assert made.mean() == pytest.approx(values.mean(), abs=25)
-    if kind == "colour":  # channels together: the first two are each other's complement in every voxel
+    # channels together: the first two are each other's complement in every voxel
+    if kind == "colour":
         assert np.abs(made[..., 0].astype(int) + made[..., 1] - 255).max() <= 1
 
 

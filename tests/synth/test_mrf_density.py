@@ -1,4 +1,6 @@
-"""`mrf`, its density: against equations 3 to 9 written out, and the tables that stand for logarithm and exponential."""
+"""`mrf`, its density: against equations 3 to 9 written out, and the tables that stand for logarithm
+and exponential.
+"""
 
 import numpy as np
 import pytest
@@ -7,16 +9,25 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.engine.compile import kernel
-from trabecula.synth.mrf import choose
+from trabecula.synth.mrf import decision_rules
 from trabecula.synth.mrf.content import content_of
 from trabecula.synth.mrf.density import densities, optimal_bandwidth
 from trabecula.synth.mrf.gather import gather_confidence, gather_levels, gather_places
 from trabecula.synth.mrf.lattice import Lattice, marks_of
 from trabecula.synth.mrf.limits import STEPS, largest_feature
+from trabecula.synth.mrf.patch_distance import _weigh_products, weigh
+from trabecula.synth.mrf.patches import patches_of, source_of
 from trabecula.synth.mrf.planes import across
-from trabecula.synth.mrf.source import patches_of, source_of
-from trabecula.synth.mrf.tables import LOGS, NEAREST_WEIGHT, POWERS, UNIT, kernel_table, log_of, power_of, shift_for
-from trabecula.synth.mrf.weigh import _weigh_products, weigh
+from trabecula.synth.mrf.tables import (
+    LOGS,
+    NEAREST_WEIGHT,
+    POWERS,
+    UNIT,
+    kernel_table,
+    log_of,
+    power_of,
+    shift_for,
+)
 
 WIDTH = 5
 
@@ -36,7 +47,11 @@ def equation_7(found, weight, patches, features, h):
     apart = (((x[:, None] - y[None]) ** 2).sum(-1) * weight[:, None]).sum(-1)  # (S, n)
     apart -= apart.min(1, keepdims=True)
     total = np.stack(
-        [np.exp(-(apart + ((level - centre) ** 2).sum(1)) / (2 * h * h)).sum(1) for level in features], axis=1
+        [
+            np.exp(-(apart + ((level - centre) ** 2).sum(1)) / (2 * h * h)).sum(1)
+            for level in features
+        ],
+        axis=1,
     )
     return total / total.sum(1, keepdims=True)
 
@@ -44,7 +59,9 @@ def equation_7(found, weight, patches, features, h):
 def learnt(kind, rng, *, steps, products):
     content = content_of([picture(kind, rng)], full=40, levels=256, colours=60)
     patches = patches_of(content.pictures[0], scale=0, width=WIDTH, every=True)
-    source = source_of(patches, content, most=10**6, bandwidth=0.9, steps=steps, products=products, bins=5)
+    source = source_of(
+        patches, content, most=10**6, bandwidth=0.9, steps=steps, products=products, bins=5
+    )
     return content, patches, source
 
 
@@ -83,7 +100,9 @@ def test_the_density_is_equation_7(kind, way):
         temperature = rng.random(levels.shape).astype(np.float32)
         gather_confidence(places, temperature, STEPS, weight)
         confidence = np.where(
-            places >= 0, np.floor(STEPS * (1 - temperature.ravel()[places].astype(float)) ** 2 + 0.5), 0
+            places >= 0,
+            np.floor(STEPS * (1 - temperature.ravel()[places].astype(float)) ** 2 + 0.5),
+            0,
         )
         confidence /= STEPS
     share, log = shares_of(source, content, found, weight, steps)
@@ -117,7 +136,8 @@ def test_interior_sites_need_no_weights_and_agree():
 
 
 @pytest.mark.parametrize(
-    ("kind", "relaxation"), [("grey", "gibbs"), ("colour", "gibbs"), ("grey", "icm"), ("colour", "icm")]
+    ("kind", "relaxation"),
+    [("grey", "gibbs"), ("colour", "gibbs"), ("grey", "icm"), ("colour", "icm")],
 )
 @pytest.mark.parametrize("width", [7, 11, 15])
 def test_products_are_exact_in_float32(kind, relaxation, width):
@@ -130,7 +150,12 @@ def test_products_are_exact_in_float32(kind, relaxation, width):
 
 
 def test_equal_neighbourhoods_are_one_candidate():
-    content = content_of([tb.Image(np.tile(np.eye(4, dtype=np.uint8), (5, 5)), "labels")], full=40, levels=9, colours=9)
+    content = content_of(
+        [tb.Image(np.tile(np.eye(4, dtype=np.uint8), (5, 5)), "labels")],
+        full=40,
+        levels=9,
+        colours=9,
+    )
     patches = patches_of(content.pictures[0], scale=0, width=3, every=True)
     source = source_of(patches, content, most=4096, bandwidth=1, steps=1, products=False, bins=3)
     assert np.count_nonzero(source.centres < 255) == 4  # the period's four diagonals
@@ -203,16 +228,16 @@ def test_the_heuristics_on_densities_made_by_hand():
     shares = [[[0.1, 0.2, 0.1, 0.6], [0.5, 0.2, 0.1, 0.2], [0.3, 0.25, 0.25, 0.2]]]
     log, features = units(shares), np.array([[0], [10], [20], [100]], np.int16)
     nothing, chosen = np.zeros(4, np.int64), np.empty(1, np.uint8)
-    choose.of_views(log, features, False, chosen)
+    decision_rules.of_views(log, features, False, chosen)
     assert chosen[0] == 0  # the third view is the least certain: .3 for level 0
-    choose.of_views(log, features, True, chosen)
+    decision_rules.of_views(log, features, True, chosen)
     assert chosen[0] == 2  # the mean of 100, 0 and 0 is 33, nearest to 20
     score = np.empty((1, 4), np.int64)
-    choose.least_of(log, np.zeros((1, 4), np.int64), score)
-    choose.greatest(score, chosen)
+    decision_rules.least_of(log, np.zeros((1, 4), np.int64), score)
+    decision_rules.greatest(score, chosen)
     assert chosen[0] == 1  # least densities .1, .2, .1, .2: the first of the equals
-    choose.combined(log, nothing, np.zeros((1, 4), np.int64), score)
-    choose.greatest(score, chosen)
+    decision_rules.combined(log, nothing, np.zeros((1, 4), np.int64), score)
+    decision_rules.greatest(score, chosen)
     assert chosen[0] == 3  # products .015, .01, .0025, .024
     assert 2.0 ** (score[0] / UNIT) == pytest.approx([0.015, 0.01, 0.0025, 0.024], rel=1e-3)
 
@@ -220,7 +245,7 @@ def test_the_heuristics_on_densities_made_by_hand():
 def test_the_correction_takes_the_marginal_off():
     log, prior = units([[[0.4, 0.6], [0.3, 0.7], [0.5, 0.5]]]), 2 * units([0.2, 0.8])
     score = np.empty((1, 2), np.int64)
-    choose.combined(log, prior, np.zeros((1, 2), np.int64), score)
+    decision_rules.combined(log, prior, np.zeros((1, 2), np.int64), score)
     assert 2.0 ** (score[0] / UNIT) == pytest.approx([0.06 / 0.04, 0.21 / 0.64], rel=1e-3)
 
 
@@ -230,7 +255,9 @@ def test_draws_have_the_density_to_a_power(heat):
     count = 40_000
     score = np.tile(units(shares), (count, 1))
     chosen = np.empty(count, np.uint8)
-    choose.drawn(score, choose.coldness(heat), POWERS, np.arange(count), np.uint64(7), 0, chosen)
+    decision_rules.drawn(
+        score, decision_rules.coldness(heat), POWERS, np.arange(count), np.uint64(7), 0, chosen
+    )
     wanted = shares ** (1 / heat)
     wanted /= wanted.sum()
     seen = np.bincount(chosen, minlength=4) / count
@@ -238,12 +265,14 @@ def test_draws_have_the_density_to_a_power(heat):
 
 
 def test_proposals_are_accepted_as_the_paper_draws_them():
-    """Of two levels with ratio p, half of the visits propose the other: from the better it is accepted with p t, else always."""
+    """Of two levels with ratio p, half of the visits propose the other: from the better it is
+    accepted with p t, else always.
+    """
     count, ratio, heat = 40_000, 0.4, 0.5
     score = np.tile(units([1.0, ratio]), (count, 1))
     for present, wanted in ((0, 0.5 * ratio * heat), (1, 0.5)):
         chosen = np.empty(count, np.uint8)
-        choose.proposed(
+        decision_rules.proposed(
             score,
             round(65536 * heat),
             POWERS,

@@ -1,4 +1,6 @@
-"""`mrf`, what it learns on the way: shares of classes, couplings of pairs, and planes that are turned."""
+"""`mrf`, what it learns on the way: shares of classes, couplings of pairs, and planes that are
+turned.
+"""
 
 import itertools
 
@@ -10,15 +12,22 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
-from trabecula.synth.mrf import shares
-from trabecula.synth.mrf.choose import COLD, COLDEST, coldness, drawn
-from trabecula.synth.mrf.classes import Classes
+from trabecula.synth.mrf import fraction_control
+from trabecula.synth.mrf.colouring import Classes
 from trabecula.synth.mrf.couplings import Couplings
+from trabecula.synth.mrf.decision_rules import COLD, COLDEST, coldness, drawn
+from trabecula.synth.mrf.fraction_control import (
+    SITE,
+    expected,
+    leads,
+    moved_levels,
+    of_groups,
+    shares_of,
+)
 from trabecula.synth.mrf.lattice import Lattice
+from trabecula.synth.mrf.patches import patches_of
 from trabecula.synth.mrf.planes import Plane, across, pixels_along, turned, union_of
 from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.shares import SITE, expected, leads, moved_levels, of_groups, shares_of
-from trabecula.synth.mrf.source import patches_of
 from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT
 
 HEATS = (4.0, 1.0, 0.3, 1 / 64)
@@ -28,7 +37,9 @@ def blobs(side=48, sigma=(2.0, 2.0), share=0.4, seed=1):
     """A thresholded smooth field of two phases."""
     fy, fx = np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side), indexing="ij")
     noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((side, side)))
-    smooth = np.fft.ifft2(noise * np.exp(-2 * np.pi**2 * ((sigma[0] * fy) ** 2 + (sigma[1] * fx) ** 2))).real
+    smooth = np.fft.ifft2(
+        noise * np.exp(-2 * np.pi**2 * ((sigma[0] * fy) ** 2 + (sigma[1] * fx) ** 2))
+    ).real
     return (smooth > np.quantile(smooth, 1 - share)).astype(np.uint8)
 
 
@@ -48,7 +59,7 @@ def shifts_for(score, groups, wanted, *, coldness, start):
     energy = np.full((len(score), len(wanted)), -(1 << 40), np.int64)  # what has no level
     found = energies(score, groups, coldness)
     energy[:, : found.shape[1]] = found
-    return shares.shifts_for(energy, np.asarray(wanted), coldness=coldness, start=start)
+    return fraction_control.shifts_for(energy, np.asarray(wanted), coldness=coldness, start=start)
 
 
 def softmax_shares(score, groups, shift, cold):
@@ -100,7 +111,9 @@ def test_two_groups_are_shifted_as_far_as_a_bisection_says(spread, heat):
 def test_two_groups_are_settled_at_once_from_any_start():
     score, groups = scores(6, 2), np.array([0, 1], np.uint8)
     found = [
-        shifts_for(score, groups, np.array([0.3, 0.7]), coldness=COLD, start=np.array(start, np.int64))
+        shifts_for(
+            score, groups, np.array([0.3, 0.7]), coldness=COLD, start=np.array(start, np.int64)
+        )
         for start in ([0, 0], [0, -(10**8)], [-(10**8), 0], [7 * UNIT, 0])
     ]
     assert np.ptp([shift[1] - shift[0] for shift in found]) <= 512
@@ -133,13 +146,17 @@ def test_at_the_coldest_the_mode_has_the_wanted_shares(levels, spread):
 
 
 def test_two_heaps_hundreds_of_bits_apart_are_divided_anywhere():
-    """Nine sites in ten are sure of 0 and one of 1: what is wanted lies in one heap or in the other."""
+    """Nine sites in ten are sure of 0 and one of 1: what is wanted lies in one heap or in the
+    other.
+    """
     rng = np.random.default_rng(0)
     lead = np.where(np.arange(2000) < 200, 350, -420) + rng.normal(0, 2, 2000)
     score = np.rint(np.stack([np.zeros(2000), lead * UNIT], axis=1)).astype(np.int32)
     groups = np.array([0, 1], np.uint8)
     for share in (0.02, 0.3, 0.97):
-        shift = shifts_for(score, groups, np.array([1 - share, share]), coldness=COLD, start=np.zeros(2, np.int64))
+        shift = shifts_for(
+            score, groups, np.array([1 - share, share]), coldness=COLD, start=np.zeros(2, np.int64)
+        )
         assert softmax_shares(score, groups, shift, COLD)[1] == pytest.approx(share, abs=1e-3)
         assert (shift[1] - shift[0] > 0) == (share > 0.1)
 
@@ -152,7 +169,9 @@ def test_what_is_not_wanted_never_comes(wanted, cold):
     for _ in range(8):
         shift = shifts_for(score, groups, np.array(wanted), coldness=cold, start=shift)
         both = score.astype(np.int64) + shift
-        assert np.array_equal(both, score + shift.astype(np.int32)), "they have to fit into the scores' type"
+        assert np.array_equal(both, score + shift.astype(np.int32)), (
+            "they have to fit into the scores' type"
+        )
     assert softmax_shares(score, groups, shift, cold) == pytest.approx(np.array(wanted), abs=4e-3)
     assert not (softmax_shares(score, groups, shift, cold)[np.array(wanted) == 0] > 1e-9).any()
 
@@ -166,13 +185,17 @@ def test_a_group_that_has_no_level_takes_nothing():
 
 
 @settings(max_examples=30)
-@given(seed=st.integers(0, 10**6), spread=st.sampled_from([1, 20, 300]), heat=st.sampled_from(HEATS))
+@given(
+    seed=st.integers(0, 10**6), spread=st.sampled_from([1, 20, 300]), heat=st.sampled_from(HEATS)
+)
 def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
     score, cold = scores(spread, 5, seed=seed, count=40), coldness(heat)
     groups, beta = np.array([1, 0, 2, 0, 1], np.uint8), coldness(heat) / COLD
     near = 1e-3 + 1e-3 / beta
     energy = energies(score, groups, cold)
-    literal = [np.logaddexp2.reduce(beta * score[:, groups == g] / UNIT, axis=1) / beta for g in range(3)]
+    literal = [
+        np.logaddexp2.reduce(beta * score[:, groups == g] / UNIT, axis=1) / beta for g in range(3)
+    ]
     assert energy / UNIT == pytest.approx(np.transpose(literal), abs=near)
     shift = np.random.default_rng(seed).integers(-9 * UNIT, 9 * UNIT, 3)
     lead = np.empty(40, np.int64)
@@ -183,7 +206,9 @@ def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
         assert lead / UNIT == pytest.approx(above, abs=near)
         added = int(shift[0])
         odds = np.exp2(-np.clip((lead + added) / UNIT * beta, -900, 900))
-        assert expected(lead, added, cold, POWERS) / SITE == pytest.approx(np.sum(1 / (1 + odds)), abs=0.01)
+        assert expected(lead, added, cold, POWERS) / SITE == pytest.approx(
+            np.sum(1 / (1 + odds)), abs=0.01
+        )
 
 
 @pytest.mark.parametrize("heat", [1e-3, 1e-9, 1e-320])
@@ -202,8 +227,12 @@ def test_next_to_no_heat_is_the_mode_and_holds_the_shares(heat):
 # Couplings
 
 
-def couplings_of(pictures, shape, *, features=((0,), (1,)), edges=(1.0, 1.0, 1.0), reach=4, rate=1.0):
-    return Couplings(pictures, np.array(features, np.int16), shape, edges=edges, reach=reach, rate=rate)
+def couplings_of(
+    pictures, shape, *, features=((0,), (1,)), edges=(1.0, 1.0, 1.0), reach=4, rate=1.0
+):
+    return Couplings(
+        pictures, np.array(features, np.int16), shape, edges=edges, reach=reach, rate=rate
+    )
 
 
 def bins_by_offset(far, edges, shape):
@@ -219,7 +248,9 @@ def bins_by_offset(far, edges, shape):
 
 
 def sort_of(step):
-    """The axis that a step lies nearest to, and from 3 on where it is not within 22.5 degrees of it."""
+    """The axis that a step lies nearest to, and from 3 on where it is not within 22.5 degrees of
+    it.
+    """
     sideways = np.abs(step).max() < np.cos(np.pi / 8) * np.linalg.norm(step)
     return int(np.argmax(np.abs(step))) + 3 * int(sideways)
 
@@ -238,30 +269,40 @@ def test_the_field_is_the_sum_over_offsets_written_out(edges):
     many = np.bincount(list(bins.values()), minlength=30)
     field = np.zeros(shape)
     for offset, place in bins.items():
-        field += coupled.strength[0, place] / many[place] * np.roll(spread, [-step for step in offset], (0, 1, 2))
+        field += (
+            coupled.strength[0, place]
+            / many[place]
+            * np.roll(spread, [-step for step in offset], (0, 1, 2))
+        )
     sites = np.array([0, 5, 77, 700, field.size - 1])
     pulled = np.full((len(sites), 2), 9, np.int64)
     coupled.pull(sites, pulled)
-    literal = np.clip(field.ravel()[sites, None] / np.log(2), -30, 30) * values  # the logarithm to base 2 of a density
+    # the logarithm to base 2 of a density
+    literal = np.clip(field.ravel()[sites, None] / np.log(2), -30, 30) * values
     assert np.abs(literal).max() > 1, "nothing is coupled"
     assert (pulled - 9) / UNIT == pytest.approx(literal, abs=4e-3)
 
 
 def test_no_pair_counts_that_is_near_or_that_no_picture_holds():
-    """One picture seen across z: pairs along z are nobody's, and next neighbours are the densities'."""
+    """One picture seen across z: pairs along z are nobody's, and next neighbours are the
+    densities'.
+    """
     coupled = couplings_of([(0, blobs(30))], (12, 12, 12), reach=5)
     levels = np.random.default_rng(1).integers(0, 2, (12, 12, 12), np.uint8)
     coupled.learn(levels, np.ones(levels.shape, bool))
     strength = coupled.strength.reshape(6, 6)
     assert not strength[[0, 3]].any() and not strength[:, :2].any()
     assert strength[1:3, 2:].all() and strength[4, 2:].all()
-    # In a plane none that is nearest to x, beyond 22.5 degrees of it, is 3 long when rounded: (2, 2) counts to y.
+    # In a plane none that is nearest to x, beyond 22.5 degrees of it, is 3 long when rounded: (2,
+    # 2) counts to y.
     assert (strength[5] != 0).tolist() == [False, False, True, False, True, True]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_targets_are_the_autocorrelation_of_the_picture(axis):
-    """Of every phase on its own where there are three: offset by offset as `measure` has it, mean over the pairs of a bin."""
+    """Of every phase on its own where there are three: offset by offset as `measure` has it, mean
+    over the pairs of a bin.
+    """
     picture = blobs(40, sigma=(4, 1.5)) + blobs(40, seed=5, share=0.2)
     rows, columns = (other for other in range(3) if other != axis)
     coupled = couplings_of([(axis, picture)], (16, 16, 16), features=np.eye(3), reach=6)
@@ -282,7 +323,9 @@ def test_targets_are_the_autocorrelation_of_the_picture(axis):
 
 
 def test_the_misfit_is_of_pairs_that_are_there():
-    """Known by its definition: root mean square over the bins of the picture's autocorrelation less the output's."""
+    """Known by its definition: root mean square over the bins of the picture's autocorrelation less
+    the output's.
+    """
     shape, rng = (12, 13, 11), np.random.default_rng(6)
     pictures = [(axis, blobs(30, seed=axis)) for axis in range(3)]
     coupled = couplings_of(pictures, shape, rate=0.5)
@@ -309,7 +352,9 @@ def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
     """What was at distance r is found at 2 r, and half as strong; what lies between is between."""
     pictures = [(axis, blobs(48)) for axis in range(3)]
     fine = couplings_of(pictures, (24, 24, 24), reach=8)
-    coarse = couplings_of([(axis, picture[::2, ::2]) for axis, picture in pictures], (12, 12, 12), reach=4)
+    coarse = couplings_of(
+        [(axis, picture[::2, ::2]) for axis, picture in pictures], (12, 12, 12), reach=4
+    )
     coarse.strength = np.random.default_rng(3).normal(size=coarse.strength.shape)
     levels = np.zeros((24, 24, 24), np.uint8)
     fine.start(coarse, levels, np.ones(levels.shape, bool))
@@ -358,9 +403,9 @@ def test_what_goes_by_turned_planes_sees_the_picture_from_behind_in_every_other_
     """And what does not, never: its picture may lean one way."""
     seen: list[bool] = []
     for oblique, wanted in ((True, [False] * 4 + [True] * 4), (False, [False] * 8)):
-        model = tb.method("mrf", neighbourhood=3, scales=1, sweeps=8, polish=0, oblique=oblique).fit(
-            tb.Image(blobs(40), "labels")
-        )
+        model = tb.method(
+            "mrf", neighbourhood=3, scales=1, sweeps=8, polish=0, oblique=oblique
+        ).fit(tb.Image(blobs(40), "labels"))
         lattice = lattices_of(tb.Request(12), model.content, 1, 3)[0]
         relaxation = started(
             lattice,
@@ -394,19 +439,32 @@ def test_turned_planes_are_orthogonal_and_hold_diagonals(axis):
     for first, second in itertools.combinations(normals, 2):
         assert np.dot(first, second) == 0
     assert [plane.stretched for plane in planes] == [(True, True), (False, True), (False, True)]
-    # The first lies in the plane across the axis; the others contain the axis, 45 degrees from the two others.
+    # The first lies in the plane across the axis; the others contain the axis, 45 degrees from the
+    # two others.
     assert np.flatnonzero(normals[0]).tolist() == [axis]
     for plane, normal in zip(planes[1:], normals[1:], strict=True):
-        assert np.flatnonzero(plane.rows).tolist() == [axis] and normal[axis] == 0 and np.abs(normal).sum() == 2
+        assert (
+            np.flatnonzero(plane.rows).tolist() == [axis]
+            and normal[axis] == 0
+            and np.abs(normal).sum() == 2
+        )
 
 
 @pytest.mark.parametrize("plane", [across(1), *turned(0), *turned(2)])
 @pytest.mark.parametrize("width", [3, 7])
 def test_neighbours_and_the_pictures_pixels_are_equally_far(plane, width):
-    """In the order of offsets: a neighbour stands for the pixel at its own distance along rows and columns, rounded."""
+    """In the order of offsets: a neighbour stands for the pixel at its own distance along rows and
+    columns, rounded.
+    """
     rows, columns = (pixels_along(width, wide) for wide in plane.stretched)
-    pixels = np.delete(np.stack(np.meshgrid(rows, columns, indexing="ij"), -1).reshape(-1, 2), width**2 // 2, axis=0)
-    units = np.stack([np.divide(step, np.linalg.norm(step)) for step in (plane.rows, plane.columns)])
+    pixels = np.delete(
+        np.stack(np.meshgrid(rows, columns, indexing="ij"), -1).reshape(-1, 2),
+        width**2 // 2,
+        axis=0,
+    )
+    units = np.stack(
+        [np.divide(step, np.linalg.norm(step)) for step in (plane.rows, plane.columns)]
+    )
     along = plane.offsets(width) @ units.T
     assert np.abs(along - pixels).max() <= 0.5
     assert np.all(np.sign(np.rint(along)) == np.sign(pixels))
@@ -423,7 +481,12 @@ def test_neighbourhoods_take_the_pixels_of_their_plane(stretched, scale):
     reach = [stride * steps[0][-1], stride * steps[1][-1]]
     wanted = {}
     for r, c in itertools.product(range(reach[0], 16 - reach[0]), range(reach[1], 15 - reach[1])):
-        near = [picture[r + stride * dr, c + stride * dc] for dr in steps[0] for dc in steps[1] if dr or dc]
+        near = [
+            picture[r + stride * dr, c + stride * dc]
+            for dr in steps[0]
+            for dc in steps[1]
+            if dr or dc
+        ]
         wanted[picture[r, c]] = near
     assert sorted(patches.centres) == sorted(wanted)
     for centre, around in zip(patches.centres, patches.around, strict=True):
@@ -439,7 +502,9 @@ def test_sites_of_a_class_for_turned_planes_do_not_see_each_other(shape, width):
     for name in classes.names:
         sites = classes.sites(name, 0, shape[0])
         near = (np.stack(np.unravel_index(sites, shape), -1)[:, None] + offsets) % shape
-        assert not np.isin(np.ravel_multi_index(tuple(np.moveaxis(near, -1, 0)), shape), sites).any()
+        assert not np.isin(
+            np.ravel_multi_index(tuple(np.moveaxis(near, -1, 0)), shape), sites
+        ).any()
         seen.append(sites)
     assert np.array_equal(np.sort(np.concatenate(seen)), flat)
 
@@ -467,17 +532,25 @@ def report(image):
 def test_an_isotropic_picture_goes_by_turned_planes_and_a_striped_one_does_not():
     assert report(made(blobs(48), 10))["oblique"] is True
     assert report(made(blobs(48, sigma=(8, 1)), 10))["oblique"] is False
-    assert report(made(blobs(48), 10, views=("yx", "zx")))["oblique"] is False, "two planes are not all directions"
+    assert report(made(blobs(48), 10, views=("yx", "zx")))["oblique"] is False, (
+        "two planes are not all directions"
+    )
     assert report(made(blobs(48), 10, oblique=False))["oblique"] is False
 
 
 def test_turned_planes_learn_what_diagonals_hold():
-    """The views of a sweep: three along the axes, then three about each axis, each learning from its own pixels."""
+    """The views of a sweep: three along the axes, then three about each axis, each learning from
+    its own pixels.
+    """
     model = tb.method("mrf", neighbourhood=5, scales=1).fit(tb.Image(blobs(48), "labels"))
     frames = model._frames(model.sources[0])
-    assert [{face.plane for face in faces} for faces in frames[1:]] == [set(turned(axis)) for axis in range(3)]
+    assert [{face.plane for face in faces} for faces in frames[1:]] == [
+        set(turned(axis)) for axis in range(3)
+    ]
     for face in itertools.chain(*frames):
-        patches = patches_of(model.content.pictures[0], scale=0, width=5, every=True, stretched=face.plane.stretched)
+        patches = patches_of(
+            model.content.pictures[0], scale=0, width=5, every=True, stretched=face.plane.stretched
+        )
         assert np.array_equal(face.source.marginal, np.bincount(patches.centres))
         assert face.source is model.sources[0][face.learner]
     assert Plane((0, 1, 1), (0, 1, -1)) in {face.plane for face in frames[1]}
@@ -485,14 +558,18 @@ def test_turned_planes_learn_what_diagonals_hold():
 
 @pytest.mark.parametrize("oblique", [False, True])
 def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
-    """Pairs far apart that shun each other: were their field that of the sweep before, domains would change sides for ever."""
+    """Pairs far apart that shun each other: were their field that of the sweep before, domains
+    would change sides for ever.
+    """
     noise = (np.random.default_rng(1).random((40, 40)) < 0.5).astype(np.uint8)
-    model = tb.method("mrf", neighbourhood=3, scales=1, coupling=1e-6, feedback=0, reach=6, oblique=oblique).fit(
-        tb.Image(noise, "labels")
-    )
+    model = tb.method(
+        "mrf", neighbourhood=3, scales=1, coupling=1e-6, feedback=0, reach=6, oblique=oblique
+    ).fit(tb.Image(noise, "labels"))
     lattice = lattices_of(tb.Request((18, 18, 18), seed=1, periodic=True), model.content, 1, 3)[0]
     couplings = model._couplings(0, lattice)
-    couplings.strength = np.where(couplings._held, -0.5, 0.0)[None].reshape(couplings.strength.shape)
+    couplings.strength = np.where(couplings._held, -0.5, 0.0)[None].reshape(
+        couplings.strength.shape
+    )
     frames = model._frames(model.sources[0])
     relaxation = started(
         lattice,
@@ -514,7 +591,9 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
         relaxation.sweep(step)
         couplings.learn(lattice.levels, lattice.there)
         overlaps.append(
-            np.mean(before * (lattice.levels - lattice.levels.mean())) / before.std() / lattice.levels.std()
+            np.mean(before * (lattice.levels - lattice.levels.mean()))
+            / before.std()
+            / lattice.levels.std()
         )
     assert np.mean(overlaps[2:]) > -0.5, overlaps
 
@@ -522,7 +601,9 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
 def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
     """Without them domains grow from sweep to sweep."""
     picture = blobs(64, sigma=(2.5, 2.5))
-    wanted = np.mean(list(autocorrelation_lines(tb.Image(picture, "labels"), lags=9).values()), axis=0)
+    wanted = np.mean(
+        list(autocorrelation_lines(tb.Image(picture, "labels"), lags=9).values()), axis=0
+    )
     apart = []
     for coupling in (0.0, 1.5):
         result = made(picture, 28, coupling=coupling, reach=10, scales=2, sweeps=(8, 12))
@@ -532,13 +613,21 @@ def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
 
 
 def test_levels_of_a_group_come_to_their_shares_class_by_class():
-    """Grey: groups are settled at once, the levels within them over a few classes; none is lost for good."""
+    """Grey: groups are settled at once, the levels within them over a few classes; none is lost for
+    good.
+    """
     groups = np.repeat(np.arange(3, dtype=np.uint8), 4)
     wanted = np.random.default_rng(3).dirichlet(np.full(12, 2.0))
-    by_group, coarse, fine = np.bincount(groups, wanted), np.zeros(3, np.int64), np.zeros(12, np.int64)
+    by_group, coarse, fine = (
+        np.bincount(groups, wanted),
+        np.zeros(3, np.int64),
+        np.zeros(12, np.int64),
+    )
     for seed in range(40):
         bias = np.linspace(-4, 4, 12) * UNIT  # a density that likes the last levels alone
-        score = np.rint(np.random.default_rng(seed).normal(0, 2 * UNIT, (600, 12)) + bias).astype(np.int32)
+        score = np.rint(np.random.default_rng(seed).normal(0, 2 * UNIT, (600, 12)) + bias).astype(
+            np.int32
+        )
         with_fine = score + fine.astype(np.int32)
         coarse = shifts_for(with_fine, groups, by_group, coldness=COLD, start=coarse)
         shift, total = coarse[groups] + fine, np.zeros(12)

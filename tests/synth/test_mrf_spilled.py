@@ -1,4 +1,6 @@
-"""`mrf` in scratch files: the same voxels whatever may be resident, and no array of the volume's size in memory."""
+"""`mrf` in scratch files: the same voxels whatever may be resident, and no array of the volume's
+size in memory.
+"""
 
 import pickle
 import tracemalloc
@@ -8,9 +10,9 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.request import Request
-from trabecula.engine import scratch, tiles
-from trabecula.engine.pickling import Places
-from trabecula.synth.mrf import members
+from trabecula.engine import memmap, parallel
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.synth.mrf import site_class
 
 SHAPE = (11, 14, 13)
 
@@ -19,7 +21,9 @@ SHAPE = (11, 14, 13)
 def pictures():
     rng = np.random.default_rng(7)
     wave = np.hypot(*np.meshgrid(np.fft.fftfreq(36), np.fft.fftfreq(36)))
-    smooth = np.fft.ifft2(np.fft.fft2(rng.normal(size=(36, 36))) * np.exp(-((wave - 1 / 8) ** 2) * 600)).real
+    smooth = np.fft.ifft2(
+        np.fft.fft2(rng.normal(size=(36, 36))) * np.exp(-((wave - 1 / 8) ** 2) * 600)
+    ).real
     smooth /= smooth.std()
     grey = np.clip(128 + 60 * smooth, 0, 255).astype(np.uint8)
     return {
@@ -37,7 +41,7 @@ class Others:
     worked = 0
 
     def spread(self, work, bounds):
-        packed = Places().packed(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -47,7 +51,7 @@ class Others:
 def as_if_large(monkeypatch):
     """A class of few sites is done as one of many is."""
     for name, value in (("_FEW", 1), ("_MANY", 0), ("_SMALL", 0)):
-        monkeypatch.setattr(members, name, value)
+        monkeypatch.setattr(site_class, name, value)
 
 
 def parts_of(picture, names):
@@ -74,24 +78,45 @@ def parts_of(picture, names):
         ("grey", {"sweeps": (1,), "scales": 2, "candidates": 128, "upsampling": "one"}, ("mask",)),
         (
             "colour",
-            {"sweeps": (1,), "scales": 1, "candidates": 64, "heuristic": "h2a", "spread": False, "oblique": False},
+            {
+                "sweeps": (1,),
+                "scales": 1,
+                "candidates": 64,
+                "heuristic": "h2a",
+                "spread": False,
+                "oblique": False,
+            },
             ("fixed",),
         ),
-        ("labels", {"sweeps": (3,), "relaxation": "icm", "heuristic": "h1b", "resynthesis": False}, ("mask", "fixed")),
+        (
+            "labels",
+            {"sweeps": (3,), "relaxation": "icm", "heuristic": "h1b", "resynthesis": False},
+            ("mask", "fixed"),
+        ),
         ("grey", {"sweeps": (1,), "relaxation": "icm", "candidates": 128, "scales": 1}, ()),
-        ("labels", {"sweeps": (3,), "relaxation": "annealing", "shares": False}, ("periodic", "target")),
+        (
+            "labels",
+            {"sweeps": (3,), "relaxation": "annealing", "shares": False},
+            ("periodic", "target"),
+        ),
     ],
 )
-def test_in_scratch_files_the_voxels_are_the_same(kind, settings, parts, pictures, tmp_path, monkeypatch):
+def test_in_scratch_files_the_voxels_are_the_same(
+    kind, settings, parts, pictures, tmp_path, monkeypatch
+):
     model = tb.method("mrf", **{"oblique": False, **settings}).fit(pictures[kind])
     request = Request(SHAPE, seed=5, **parts_of(pictures[kind], parts))
-    whole, told = model._generate(request)
-    monkeypatch.setattr(scratch, "LEAST", 1)
+    whole, told = model.make(request)
+    monkeypatch.setattr(memmap, "LEAST", 1)
     as_if_large(monkeypatch)
-    # A part of everything at once; two threads where there are few passes, of which each starts them anew.
-    with scratch.spilled(tmp_path, memory=1 << 15), tiles.threads(2 if settings.get("heuristic") == "h1b" else 1):
-        made, again = model._generate(request)
-        assert scratch.place_of(made) is not None
+    # A part of everything at once; two threads where there are few passes, of which each starts
+    # them anew.
+    with (
+        memmap.spilled(tmp_path, memory=1 << 15),
+        parallel.threads(2 if settings.get("heuristic") == "h1b" else 1),
+    ):
+        made, again = model.make(request)
+        assert memmap.place_of(made) is not None
         assert np.array_equal(made, whole)
     assert again == told
     assert whole.std() > 0 and sum(told["scales"][-1]["changed"]) > 0
@@ -101,28 +126,33 @@ def test_in_scratch_files_the_voxels_are_the_same(kind, settings, parts, picture
 def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, monkeypatch):
     pytest.importorskip("cloudpickle")
     settings = {"relaxation": "icm"} if heuristic == "h1a" else {"oblique": False}
-    model = tb.method("mrf", sweeps=(1,), scales=2, heuristic=heuristic, **settings).fit(pictures["labels"])
+    model = tb.method("mrf", sweeps=(1,), scales=2, heuristic=heuristic, **settings).fit(
+        pictures["labels"]
+    )
     request = Request(SHAPE, seed=5, **parts_of(pictures["labels"], ("mask",)))
-    whole = model._generate(request)[0]
+    whole = model.make(request)[0]
     as_if_large(monkeypatch)
     others = Others()
-    with scratch.spilled(tmp_path, memory=1 << 30, thickest=9, hands=others):
-        assert np.array_equal(model._generate(request)[0], whole)
+    with memmap.spilled(tmp_path, memory=1 << 30, thickest=9, hands=others):
+        assert np.array_equal(model.make(request)[0], whole)
     assert others.worked
 
 
 @pytest.mark.parametrize(("kind", "parts"), [("labels", ("mask",)), ("grey", ())])
 def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_path):
     """Traced are NumPy's own arrays: four times as many planes take no more of them."""
-    model = tb.method("mrf", sweeps=(1,), scales=2, candidates=128, reach=5, polish=0).fit(pictures[kind])
-    model._generate(Request(SHAPE, seed=1, **parts_of(pictures[kind], parts)))  # so that loading kernels is not counted
+    model = tb.method("mrf", sweeps=(1,), scales=2, candidates=128, reach=5, polish=0).fit(
+        pictures[kind]
+    )
+    # so that loading kernels is not counted
+    model.make(Request(SHAPE, seed=1, **parts_of(pictures[kind], parts)))
     peaks = []
     for depth in (22, 88):
         form = {"mask": np.ones((depth, 30, 34), bool)} if parts else {}
         request = Request((depth, 30, 34), seed=1, **form)
-        with tb.threads(1), scratch.spilled(tmp_path, memory=1 << 16):
+        with tb.threads(1), memmap.spilled(tmp_path, memory=1 << 16):
             tracemalloc.start()
-            model._generate(request)
+            model.make(request)
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         with tb.threads(1):

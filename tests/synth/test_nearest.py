@@ -1,11 +1,13 @@
-"""Exact nearest neighbours against a search of everything, and the second ordering by how often each was chosen."""
+"""Exact nearest neighbours against a search of everything, and the second ordering by how often
+each was chosen.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
 from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
 
@@ -27,7 +29,9 @@ def everything(points, queries, k, allowed=None):
     size=st.sampled_from([1, 3, 50, 32767]),
 )
 def test_it_finds_what_a_search_of_everything_finds(seed, count, depth, k, size):
-    """Small ranges of values make many equals and ties; the whole range of int16 strains float32 and 32 bits."""
+    """Small ranges of values make many equals and ties; the whole range of int16 strains float32
+    and 32 bits.
+    """
     rng = np.random.default_rng(seed)
     points = rng.integers(-size, size + 1, (count, depth)).astype(np.int16)
     queries = rng.integers(-size, size + 1, (7, depth)).astype(np.int16)
@@ -41,7 +45,9 @@ def test_it_finds_what_a_search_of_everything_finds(seed, count, depth, k, size)
 
 
 def test_thousands_of_equals_and_near_ties():
-    """Where float32 cannot tell candidates apart, the integers must: distances near 4e9 that differ by one."""
+    """Where float32 cannot tell candidates apart, the integers must: distances near 4e9 that differ
+    by one.
+    """
     rng = np.random.default_rng(1)
     points = np.full((4000, 40), -10_000, np.int16)
     points[1::2, 0] += rng.integers(0, 3, 2000).astype(np.int16)
@@ -70,8 +76,12 @@ def test_threads_and_batches_do_not_matter():
 
 
 def test_features_of_a_volume():
-    """Every neighbourhood of a field finds itself, and all its exact copies before it, at distance 0."""
-    field = np.clip(np.random.default_rng(3).normal(size=(1, 14, 13, 12)).cumsum(1) * 60, -127, 127).astype(np.int8)
+    """Every neighbourhood of a field finds itself, and all its exact copies before it, at distance
+    0.
+    """
+    field = np.clip(
+        np.random.default_rng(3).normal(size=(1, 14, 13, 12)).cumsum(1) * 60, -127, 127
+    ).astype(np.int8)
     windows = np.lib.stride_tricks.sliding_window_view(field[0], (3, 3, 3))
     features = windows.reshape(-1, 27).astype(np.int16)
     index, distance = k_nearest(features[::25], candidates(features, k=3))
@@ -102,7 +112,8 @@ def test_reranking_follows_the_paper():
     index = np.array([[0, 1, 2], [0, 1, 2], [3, 0, 1]], np.int32)
     distance = np.array([[100, 120, 130], [100, 170, 180], [0, 1, 2]], np.int64)
     histogram = np.array([0.75, 0.25, 0.0, 0.0])
-    match, apart = reranked(index, distance, histogram, weight=1.0)  # index 0 costs 1.5 times as much
+    # index 0 costs 1.5 times as much
+    match, apart = reranked(index, distance, histogram, weight=1.0)
     assert match.tolist() == [1, 0, 3]
     assert apart.tolist() == [120, 100, 0]
     match, _ = reranked(index, distance, histogram, weight=2.0)
@@ -124,7 +135,9 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
     histogram = index_histogram(rng.integers(0, 20, 40), 20)
     match, apart = reranked(index, distance, histogram, weight=weight)
     modified = distance * (1 + weight * np.maximum(histogram[index] - 0.05, 0))
-    assert np.allclose(apart * (1 + weight * np.maximum(histogram[match] - 0.05, 0)), modified.min(1), rtol=1e-12)
+    assert np.allclose(
+        apart * (1 + weight * np.maximum(histogram[match] - 0.05, 0)), modified.min(1), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,7 +149,10 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
         (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)), "no candidate"),
         (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
         (lambda: candidates(np.zeros((4, 3), np.int16), k=0), "k=0"),
-        (lambda: k_nearest(np.zeros((1, 2), np.int16), candidates(np.zeros((4, 3), np.int16))), "one basis"),
+        (
+            lambda: k_nearest(np.zeros((1, 2), np.int16), candidates(np.zeros((4, 3), np.int16))),
+            "one basis",
+        ),
     ],
 )
 def test_bad_input_is_told(call, message):

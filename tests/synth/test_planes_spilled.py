@@ -1,4 +1,6 @@
-"""Search and vote on planes in scratch files, and interrupted: the same voxels, slab by slab and from the last state."""
+"""Search and vote on planes in scratch files, and interrupted: the same voxels, slab by slab and
+from the last state.
+"""
 
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine import checkpoint, scratch
-from trabecula.engine.tiles import threads
+from trabecula.engine import checkpoint, memmap
+from trabecula.engine.parallel import threads
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import random_matches
 from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
@@ -21,7 +23,8 @@ from trabecula.synth.shared.turned import put_back, turned
 
 SHAPE = (24, 22, 23)
 QUICK = {
-    "kopf": {"neighbourhood": 4, "rounds": 2, "first_rounds": 3, "sweeps": (1, 2), "tries": 1},  # two levels
+    # two levels
+    "kopf": {"neighbourhood": 4, "rounds": 2, "first_rounds": 3, "sweeps": (1, 2), "tries": 1},
     "chen": {"neighbourhood": 4, "rounds": 2, "first_rounds": 3, "sweeps": (1, 2), "tries": 1},
     "sliced": {"layout_rounds": 3, "rounds": (2, 2), "corrections": (1,), "sweeps": 1, "tries": 1},
 }
@@ -55,7 +58,12 @@ def cylinder():
 
 CASES = [
     ("kopf", LABELS, {}, {}),
-    ("kopf", LABELS, {"reweighting": 0, "neighbourhood": 6, "step": 3}, {"periodic": (True, False, True)}),
+    (
+        "kopf",
+        LABELS,
+        {"reweighting": 0, "neighbourhood": 6, "step": 3},
+        {"periodic": (True, False, True)},
+    ),
     ("kopf", THREE, {}, cylinder()),
     ("kopf", GREY, {"search": "exact"}, fixed(GREY)),
     ("kopf", LABELS, {"views": ("zx", "zy"), "histogram": False}, fixed(LABELS)),
@@ -70,17 +78,17 @@ CASES = [
 
 @pytest.fixture
 def small_arrays_too(monkeypatch):
-    monkeypatch.setattr(scratch, "LEAST", 512)
+    monkeypatch.setattr(memmap, "LEAST", 512)
 
 
 @pytest.mark.parametrize(("name", "image", "options", "parts"), CASES)
 def test_scratch_files_do_not_matter(name, image, options, parts, tmp_path, small_arrays_too):
     model = tb.method(name, **(QUICK[name] | options)).fit(image)
     request = Request(SHAPE, seed=2, **parts)
-    whole = model._generate(request)
-    with scratch.spilled(tmp_path, memory=1 << 16, thickest=7):
-        made = model._generate(request)
-        assert scratch.place_of(made) is not None, "held in memory as a whole"
+    whole = model.make(request)
+    with memmap.spilled(tmp_path, memory=1 << 16, thickest=7):
+        made = model.make(request)
+        assert memmap.place_of(made) is not None, "held in memory as a whole"
         assert np.array_equal(made, whole)
         del made
     assert not list(tmp_path.iterdir()), "files of arrays that nobody needs"
@@ -100,7 +108,9 @@ class StoppedError(Exception):
         ("sliced", LABELS, fixed(LABELS), 5),
     ],
 )
-def test_an_interrupted_run_goes_on_to_the_same_voxels(name, image, parts, when, tmp_path, monkeypatch):
+def test_an_interrupted_run_goes_on_to_the_same_voxels(
+    name, image, parts, when, tmp_path, monkeypatch
+):
     """Stopped after any round: those before it are not made again."""
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
@@ -131,11 +141,12 @@ def test_an_interrupted_run_goes_on_to_the_same_voxels(name, image, parts, when,
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @given(
-    values=hnp.arrays(np.int16, st.tuples(*[st.integers(1, 3)] * 1, *[st.integers(1, 7)] * 3)), thick=st.integers(1, 4)
+    values=hnp.arrays(np.int16, st.tuples(*[st.integers(1, 3)] * 1, *[st.integers(1, 7)] * 3)),
+    thick=st.integers(1, 4),
 )
 @settings(max_examples=15, deadline=None)
 def test_turned_arrays_come_back(axis, values, thick, tmp_path_factory):
-    with scratch.spilled(tmp_path_factory.mktemp("turned"), memory=1 << 20, thickest=thick):
+    with memmap.spilled(tmp_path_factory.mktemp("turned"), memory=1 << 20, thickest=thick):
         seen = turned(values, axis)
         assert np.array_equal(seen, np.moveaxis(values, 1 + axis, 1))
         assert seen.flags.c_contiguous
@@ -160,22 +171,29 @@ def test_what_planes_say_does_not_depend_on_slabs(wraps, thick, tmp_path):
     frame = Frame.over(Region((9, 14, 12), wraps), views, histograms)
     matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
-    dear = [rng.integers(1, 9, plane.grid.candidates.stack.field.shape[1:]).astype(np.int32) for plane in frame.planes]
+    dear = [
+        rng.integers(1, 9, plane.grid.candidates.stack.field.shape[1:]).astype(np.int32)
+        for plane in frame.planes
+    ]
 
     def said():
         votes = voted_planes(frame, matches, weights, trim=1)
         return votes, *chosen_planes(frame, matches, weights, votes, dear=dear, trim=1)
 
     whole = said()
-    with threads(2), scratch.spilled(tmp_path, memory=1 << 20, thickest=thick):
+    with threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=thick):
         for ours, theirs in zip(said(), whole, strict=True):
             assert np.array_equal(ours, theirs)
 
 
 def test_a_field_itself_is_what_pixels_come_near_to():
     picture = np.random.default_rng(1).integers(-90, 91, (1, 1, 20, 20)).astype(np.int8)
-    candidates = Candidates.of(Stack.of([picture]), width=6, step=2, variance=0.9, most=8, flat=True)
-    frame = Frame.over(Region((8, 10, 12)), [(0, candidates), (2, candidates)], (Histogram.of(picture),))
+    candidates = Candidates.of(
+        Stack.of([picture]), width=6, step=2, variance=0.9, most=8, flat=True
+    )
+    frame = Frame.over(
+        Region((8, 10, 12)), [(0, candidates), (2, candidates)], (Histogram.of(picture),)
+    )
     matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
     weights = [np.ones(match.shape, np.int32) for match in matches]
     dear = [np.ones(picture.shape[1:], np.int32)] * 2

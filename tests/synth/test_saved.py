@@ -1,4 +1,6 @@
-"""Models in files: the same voxels from them, and one clear line for every way in which a file can lie."""
+"""Models in files: the same voxels from them, and one clear line for every way in which a file can
+lie.
+"""
 
 import json
 import re
@@ -13,8 +15,8 @@ import trabecula as tb
 from trabecula import models
 from trabecula.engine import tensors
 from trabecula.errors import FileError, TrabeculaError, UnknownNameError
-from trabecula.synth.facts import Facts, facts_of
-from trabecula.synth.saved import encoded, load_model
+from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info
+from trabecula.synth.api.serialize import encoded, load_model
 
 EXEMPLAR = tb.crop(tb.sample("bone"), 16)
 
@@ -54,7 +56,10 @@ def refused(folder, data):
 
 @pytest.mark.parametrize("name", ["noise", "texture"])
 def test_a_model_from_a_file_makes_the_same(name, tmp_path):
-    settings = {"texture": {"neighbourhood": 4, "first_rounds": 1, "rounds": (1,)}, "noise": {"reach": 5}}[name]
+    settings = {
+        "texture": {"neighbourhood": 4, "first_rounds": 1, "rounds": (1,)},
+        "noise": {"reach": 5},
+    }[name]
     model = tb.method(name, **settings).fit(EXEMPLAR)
     again = tb.load_model(model.save(tmp_path / "some folder" / "m.model"))
     one, two = model.generate((18, 17, 16), seed=4), again.generate((18, 17, 16), seed=4)
@@ -67,14 +72,18 @@ def test_a_model_learned_from_several_keeps_them_all(tmp_path):
     pictures = [tb.Image(EXEMPLAR.values[i], "labels", EXEMPLAR.spacing[1:], "um") for i in (4, 9)]
     model = tb.method("sliced").fit(pictures)
     again = tb.load_model(model.save(tmp_path / "m.model"))
-    assert [np.array_equal(a.values, b.values) for a, b in zip(model.exemplars, again.exemplars, strict=True)] == [
-        True
-    ] * 2
+    assert [
+        np.array_equal(a.values, b.values)
+        for a, b in zip(model.exemplars, again.exemplars, strict=True)
+    ] == [True] * 2
 
 
 def test_the_same_model_is_the_same_bytes_and_its_digest_outlives_versions(noise, data):
     said, arrays = about(data)
-    assert encoded(noise) == encoded(load_model_of(data)) and noise.sha256 == load_model_of(data).sha256
+    assert (
+        encoded(noise) == encoded(load_model_of(data))
+        and noise.sha256 == load_model_of(data).sha256
+    )
     assert said["versions"]["trabecula"] == tb.__version__
     assert np.array_equal(arrays["exemplar.0"], EXEMPLAR.values)
     other = tb.method("noise", reach=5, corrections=2).fit(EXEMPLAR)
@@ -92,17 +101,20 @@ def load_model_of(data):
 
 
 def test_facts_survive_json_and_know_shares():
-    facts = facts_of(EXEMPLAR)
+    facts = exemplar_info(EXEMPLAR)
     assert facts.shares == pytest.approx((1 - EXEMPLAR.values.mean(), EXEMPLAR.values.mean()))
-    assert Facts.from_json(json.loads(json.dumps(facts.to_json()))) == facts
-    grey = facts_of(tb.Image(np.random.default_rng(0).random((4, 5)), "grey"))
+    assert ExemplarInfo.from_json(json.loads(json.dumps(facts.to_json()))) == facts
+    grey = exemplar_info(tb.Image(np.random.default_rng(0).random((4, 5)), "grey"))
     assert grey.shares == () and grey.shape == (4, 5) and grey.ndim == 2
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"format": 2, "versions": {"trabecula": "9.1"}}, "trabecula 9.1 wrote it, in format 2.*newer"),
+        (
+            {"format": 2, "versions": {"trabecula": "9.1"}},
+            "trabecula 9.1 wrote it, in format 2.*newer",
+        ),
         ({"format": None}, "damaged"),
         ({"format": True}, "damaged"),
         ({"method": "telepathy"}, "method 'telepathy' is not in this trabecula"),
@@ -135,7 +147,10 @@ def test_facts_are_checked(data, tmp_path, field, value):
     [
         ({}, "voxels of 0 exemplars"),
         ({"exemplar.0": EXEMPLAR.values, "exemplar.1": EXEMPLAR.values}, "voxels of 2"),
-        ({"exemplar.0": EXEMPLAR.values, "weights": EXEMPLAR.values}, "'weights', which has no place"),
+        (
+            {"exemplar.0": EXEMPLAR.values, "weights": EXEMPLAR.values},
+            "'weights', which has no place",
+        ),
         ({"exemplar.0": EXEMPLAR.values + np.uint8(40)}, "labels run from"),
         ({"exemplar.0": EXEMPLAR.values[0]}, "."),
         ({"exemplar.0": np.full((16,) * 3, np.nan)}, "NaN"),
@@ -147,7 +162,9 @@ def test_voxels_are_checked(data, tmp_path, arrays, words):
 
 
 def test_files_of_another_sort_are_refused(data, tmp_path):
-    assert "none that this package wrote" in refused(tmp_path, tensors.encode({"a": EXEMPLAR.values}, {}))
+    assert "none that this package wrote" in refused(
+        tmp_path, tensors.encode({"a": EXEMPLAR.values}, {})
+    )
     assert "does not start as one" in refused(tmp_path, b"\x80\x04\x95" + bytes(100))  # a pickle
     assert "cut off" in refused(tmp_path, data[:-100])
     assert "damaged" in refused(tmp_path, tensors.encode({}, {"trabecula": "[1]"}))
@@ -185,7 +202,9 @@ def test_shipped_models_are_found_by_name(noise, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert list(models.shipped()) == ["marrow"] and models.summary("marrow") == "Bone of a test."
     model = tb.load_model("marrow")
-    assert model.name == "marrow" and np.array_equal(model.generate(8, seed=1).values, noise.generate(8, seed=1).values)
+    assert model.name == "marrow" and np.array_equal(
+        model.generate(8, seed=1).values, noise.generate(8, seed=1).values
+    )
     with pytest.raises(UnknownNameError, match="did you mean 'marrow'"):
         tb.load_model("marow")
     noise.save(tmp_path / "marrow")  # a file of that name comes first
@@ -196,10 +215,14 @@ def test_every_shipped_model_has_a_card_and_can_be_read():
     for name, path in models.shipped().items():
         assert models.summary(name), f"{name} has no card"
         card = models.card(name)
-        assert all(word in card for word in ("Licence and credit", "Recipe", "Figures", "Known failures")), name
+        assert all(
+            word in card for word in ("Licence and credit", "Recipe", "Figures", "Known failures")
+        ), name
         said, arrays = about(path.read_bytes())
         assert said["method"] in tb.methods() and arrays
         source = said["exemplars"][0]["recipe"][0]["source"]
-        assert "/" not in source and source.removesuffix(".tif") in card, "it names its scan, not where it lay"
+        assert "/" not in source and source.removesuffix(".tif") in card, (
+            "it names its scan, not where it lay"
+        )
         assert path.stat().st_size <= 60 << 20
         assert struct.unpack("<Q", path.read_bytes()[:8])[0] < 1 << 20

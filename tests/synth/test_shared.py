@@ -9,7 +9,13 @@ import trabecula as tb
 from trabecula.synth.shared.brightest import brightest
 from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
 from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.neighbourhoods import SCALE, covered_shape, grid_shape, principal_basis, project
+from trabecula.synth.shared.neighbourhoods import (
+    SCALE,
+    covered_shape,
+    grid_shape,
+    principal_basis,
+    project,
+)
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
 
@@ -49,7 +55,8 @@ def test_quantise_saturates_at_the_clip():
 
 @given(seed=st.integers(0, 99), share=st.floats(0, 1))
 def test_two_phases_split_to_the_voxel_whatever_the_ties(seed, share):
-    field = (noise((1, 7, 6, 5), seed) // 60).astype(np.int16)  # five levels: nearly everything is tied
+    # five levels: nearly everything is tied
+    field = (noise((1, 7, 6, 5), seed) // 60).astype(np.int16)
     fractions = np.array([1 - share, share])
     labels = labels_of(field, (0, 2), fractions)
     assert set(np.unique(labels)) <= {0, 2}
@@ -76,7 +83,9 @@ def test_the_brightest_are_no_darker_than_the_rest(seed, count):
 
 def mixed_values(field):
     padded = np.pad(field.astype(np.int32), 1, mode="edge")
-    around = sum(np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for shift in (-1, 1))
+    around = sum(
+        np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for shift in (-1, 1)
+    )
     return (24 * field.astype(np.int32) + around) // 30
 
 
@@ -131,22 +140,32 @@ def test_projections_are_exact_sums():
     window = field[:, 4:10, 2:8, 6:12].reshape(-1).astype(np.int64)
     exact = window @ basis.vectors.astype(np.int64)
     assert np.abs(exact).max() < 2**24
-    assert np.array_equal(features[2, 1, 3], np.rint(exact.astype(np.float32) * np.float32(SCALE / basis.scale)))
+    assert np.array_equal(
+        features[2, 1, 3], np.rint(exact.astype(np.float32) * np.float32(SCALE / basis.scale))
+    )
 
 
 def test_distances_of_features_are_those_of_neighbourhoods():
     field = quantise(phase_fields(tb.crop(tb.sample("foam"), 20))[0], clip=5)
-    basis = principal_basis(field, width=4, variance=1.0, most=64)  # every component: nothing is lost
+    # every component: nothing is lost
+    basis = principal_basis(field, width=4, variance=1.0, most=64)
     features = project(field, basis, step=1).astype(np.int64)
     a, b = features[1, 2, 3], features[9, 8, 7]
-    windows = [field[0, z : z + 4, y : y + 4, x : x + 4].astype(np.int64) for z, y, x in ((1, 2, 3), (9, 8, 7))]
-    assert ((a - b) ** 2).sum() == pytest.approx(SCALE**2 * ((windows[0] - windows[1]) ** 2).sum(), rel=2e-3)
+    windows = [
+        field[0, z : z + 4, y : y + 4, x : x + 4].astype(np.int64)
+        for z, y, x in ((1, 2, 3), (9, 8, 7))
+    ]
+    assert ((a - b) ** 2).sum() == pytest.approx(
+        SCALE**2 * ((windows[0] - windows[1]) ** 2).sum(), rel=2e-3
+    )
 
 
 def test_the_basis_is_that_of_the_covariance():
     field = noise((1, 12, 12, 12), 4)
     basis = principal_basis(field, width=4, variance=0.5, most=64)
-    rows = np.lib.stride_tricks.sliding_window_view(field[0], (4, 4, 4)).reshape(-1, 64).astype(float)
+    rows = (
+        np.lib.stride_tricks.sliding_window_view(field[0], (4, 4, 4)).reshape(-1, 64).astype(float)
+    )
     values = np.linalg.eigvalsh(np.cov(rows.T))[::-1]
     count = basis.vectors.shape[1]
     assert np.cumsum(values)[count - 1] / values.sum() == pytest.approx(basis.explained, abs=1e-6)

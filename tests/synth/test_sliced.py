@@ -67,7 +67,9 @@ def test_two_views_make_an_anisotropic_material():
     along = np.ascontiguousarray(along)
     share = across.mean()
     assert abs(along.mean() - share) < 0.2
-    model = tb.method("sliced", preset="fast").fit([tb.Image(along, "labels"), tb.Image(across, "labels")])
+    model = tb.method("sliced", preset="fast").fit(
+        [tb.Image(along, "labels"), tb.Image(across, "labels")]
+    )
     made = model.generate(32, seed=1).values
     kept = [np.mean(np.diff(made, axis=axis) == 0) for axis in range(3)]
     assert kept[2] > max(kept[:2]) + 0.05
@@ -76,7 +78,9 @@ def test_two_views_make_an_anisotropic_material():
 def test_the_picture_itself_as_the_middle_slice(picture, model):
     values, known = np.zeros((24, 64, 64), np.uint8), np.zeros((24, 64, 64), bool)
     values[12], known[12] = picture.values, True
-    made = model.generate((24, 64, 64), seed=1, fixed=tb.Image(values, "labels"), known=known).values
+    made = model.generate(
+        (24, 64, 64), seed=1, fixed=tb.Image(values, "labels"), known=known
+    ).values
     assert np.array_equal(made[12], picture.values)
     beside = np.mean([np.mean(made[z] == made[12]) for z in (11, 13)])
     elsewhere = np.mean(made[3] == made[4])
@@ -113,7 +117,12 @@ def test_too_thin_for_a_period_is_refused(model):
 
 def test_three_phases_keep_their_fractions():
     field = blobs((48, 48), seed=1).astype(np.uint8) + blobs((48, 48), seed=7)
-    made = tb.method("sliced", preset="fast").fit(tb.Image(field, "labels")).generate(24, seed=1).values
+    made = (
+        tb.method("sliced", preset="fast")
+        .fit(tb.Image(field, "labels"))
+        .generate(24, seed=1)
+        .values
+    )
     for label in range(3):
         assert abs(np.mean(made == label) - np.mean(field == label)) < 0.02
 
@@ -139,11 +148,14 @@ def test_alike_pools_the_directions_by_their_pairs():
     assert np.array_equal(curves[0], curves[1])
     assert np.array_equal(curves[0], curves[2])
     binary = part[0, 0] > 0
-    pairs = np.concatenate([(binary[1:] & binary[:-1]).ravel(), (binary[:, 1:] & binary[:, :-1]).ravel()])
+    pairs = np.concatenate(
+        [(binary[1:] & binary[:-1]).ravel(), (binary[:, 1:] & binary[:, :-1]).ravel()]
+    )
     diagonal = np.concatenate(
         [(binary[1:, 1:] & binary[:-1, :-1]).ravel(), (binary[1:, :-1] & binary[:-1, 1:]).ravel()]
     )
-    assert curves[0, 1] == pytest.approx(np.concatenate([pairs, diagonal]).mean(), abs=1e-5)  # sqrt 2 rounds to 1
+    # sqrt 2 rounds to 1
+    assert curves[0, 1] == pytest.approx(np.concatenate([pairs, diagonal]).mean(), abs=1e-5)
 
 
 def test_leaning_keeps_the_covariance_form():
@@ -154,7 +166,9 @@ def test_leaning_keeps_the_covariance_form():
     curve, phi = leaning(target, [own], [asked], softness=1.0).curves[0, 6:12], 0.3
     old, share = target.curves[0, 6:12], np.mean(hard > 0)
     # Bins of one direction: the picture lies across z, so those nearest to y are the second third.
-    assert np.allclose((curve - phi**2) / (phi - phi**2), (old - share**2) / (share - share**2), atol=1e-6)
+    assert np.allclose(
+        (curve - phi**2) / (phi - phi**2), (old - share**2) / (share - share**2), atol=1e-6
+    )
 
 
 def test_specks_go_and_pieces_stay():
@@ -179,8 +193,14 @@ def test_a_known_slice_is_known_on_every_level(picture):
     values, known = np.zeros((16, 64, 64), np.uint8), np.zeros((16, 64, 64), bool)
     values[6], known[6] = picture.values, True
     request = Request((16, 64, 64), fixed=tb.Image(values, "labels"), known=known)
-    regions = around_known(request, content.bounds(request), 2, lambda index: 3.0 * 2**index, exact=True)
-    assert [np.unique(np.nonzero(~region.free)[0]).tolist() for region in regions] == [[6], [3], [1]]
+    regions = around_known(
+        request, content.bounds(request), 2, lambda index: 3.0 * 2**index, exact=True
+    )
+    assert [np.unique(np.nonzero(~region.free)[0]).tolist() for region in regions] == [
+        [6],
+        [3],
+        [1],
+    ]
     coarse = regions[2].low[0, 1].astype(float)
     share = picture.values.reshape(16, 4, 16, 4).mean(axis=(1, 3))
     assert np.all(coarse[share == 1] > 0)

@@ -1,11 +1,13 @@
-"""Search and vote on planes: squares, views, and how what is seen in several views becomes one field."""
+"""Search and vote on planes: squares, views, and how what is seen in several views becomes one
+field.
+"""
 
 import numpy as np
 import pytest
 
 import trabecula as tb
 from trabecula.core.seeds import key
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
 from trabecula.synth.shared.content import content_of
 from trabecula.synth.shared.histogram import Histogram
@@ -32,14 +34,18 @@ def picture(seed, shape=(26, 30), channels=1):
 
 
 def candidates(field, step=2, **settings):
-    return Candidates.of(Stack.of([field]), width=WIDTH, step=step, variance=1.0, most=64, flat=True, **settings)
+    return Candidates.of(
+        Stack.of([field]), width=WIDTH, step=step, variance=1.0, most=64, flat=True, **settings
+    )
 
 
 def corners(candidates, match):
     """The first voxel of candidates, along z, y, x of the stack."""
     return [
         cell * stride
-        for cell, stride in zip(np.unravel_index(match, candidates.shape), candidates.strides, strict=True)
+        for cell, stride in zip(
+            np.unravel_index(match, candidates.shape), candidates.strides, strict=True
+        )
     ]
 
 
@@ -56,16 +62,22 @@ def test_features_of_squares_keep_their_distances(grain):
     if grain == 2:
         a, b = (block.reshape(3, 2, 3, 2).sum((1, 3)) / 2 for block in (a, b))
     apart = features[0, 2, 3].astype(int) - features[2, 4, 10]
-    assert np.sqrt((apart**2).sum()) / SCALE == pytest.approx(np.sqrt(((a - b) ** 2).sum()), rel=0.02)
+    assert np.sqrt((apart**2).sum()) / SCALE == pytest.approx(
+        np.sqrt(((a - b) ** 2).sum()), rel=0.02
+    )
 
 
 def test_the_search_finds_a_picture_in_a_stack_of_its_own_planes():
-    """Planes that are the picture itself: every match comes to its own place, and stays there from plane to plane."""
+    """Planes that are the picture itself: every match comes to its own place, and stays there from
+    plane to plane.
+    """
     field = picture(1)
     volume = np.repeat(field, 5, axis=1)
     grid = Grid.over(Region(volume.shape[1:]), candidates(field))
     match = random_matches(grid, key(0, "s"))
-    match, distance = swept(grid, match, volume, stage=key(0, "s"), first=1, count=12, tries=8, index_penalty=0.0)
+    match, distance = swept(
+        grid, match, volume, stage=key(0, "s"), first=1, count=12, tries=8, index_penalty=0.0
+    )
     assert not distance.any()
     z, y, x = corners(grid.candidates, match)
     assert not z.any()
@@ -80,7 +92,9 @@ def test_matches_move_to_the_next_level_with_their_plane():
     match = rng.choice(old.numbers, (4, 3, 4)).astype(np.int32)
     moved = carried(match, old, new, (8, 9, 10), factor=2)
     assert np.array_equal(moved[0], moved[1])
-    for before, after in zip(np.ravel(match), np.ravel(moved[::2, ::2, ::2][:, :3, :4]), strict=True):
+    for before, after in zip(
+        np.ravel(match), np.ravel(moved[::2, ::2, ::2][:, :3, :4]), strict=True
+    ):
         y, x = (int(c) for c in corners(old, before)[1:])
         assert [int(c) for c in corners(new, after)[1:]] == [min(2 * y, 20), min(2 * x, 24)]
 
@@ -88,7 +102,8 @@ def test_matches_move_to_the_next_level_with_their_plane():
 def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
     views = tuple((axis, candidates(field, step)) for axis, field in pictures)
     histograms = tuple(
-        Histogram.pooled(channel) for channel in zip(*(c.stack.histograms for _, c in views), strict=True)
+        Histogram.pooled(channel)
+        for channel in zip(*(c.stack.histograms for _, c in views), strict=True)
     )
     return Frame.over(Region(shape, wraps, free), views, histograms)
 
@@ -100,7 +115,10 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
     frame = frame_of([(axis, picture(axis, channels=2)) for axis in range(3)], (11, 14, 12), wraps)
     matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
-    factors = [rng.integers(1, frame.full + 1, p.grid.candidates.stack.field.shape[1:]) for p in frame.planes]
+    factors = [
+        rng.integers(1, frame.full + 1, p.grid.candidates.stack.field.shape[1:])
+        for p in frame.planes
+    ]
     votes = voted_planes(frame, matches, weights, factors=factors, trim=trim)
     shape = frame.region.shape
     above, below = np.zeros((2, *shape)), np.zeros(shape)
@@ -114,7 +132,10 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
                 inner = all(
                     trim <= d < WIDTH - trim
                     or (not wrap and ((s == 0 and d < trim) or (s == n - 1 and d >= WIDTH - trim)))
-                    for d, s, n, wrap in ((dy, sy, match.shape[1], around[1]), (dx, sx, match.shape[2], around[2]))
+                    for d, s, n, wrap in (
+                        (dy, sy, match.shape[1], around[1]),
+                        (dx, sx, match.shape[2], around[2]),
+                    )
                 )
                 if not inner:
                     continue
@@ -186,7 +207,9 @@ def test_only_squares_that_hold_a_free_voxel_are_active():
 
 
 def test_sliced_rounds_of_one_view_are_those_of_its_planes():
-    """A volume of planes, each moved alone: with one view the round is that of flat neighbourhoods, turned with its axis."""
+    """A volume of planes, each moved alone: with one view the round is that of flat neighbourhoods,
+    turned with its axis.
+    """
     exemplar = picture(7)
     slices = slices_of([exemplar], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 10, 12, 14)) * UNIT).astype(np.int16)
@@ -200,13 +223,23 @@ def test_sliced_rounds_of_one_view_are_those_of_its_planes():
 def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
     exemplar = picture(7, (40, 40))
     slices = slices_of([exemplar], width=4, flat=True)
-    field = np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 22)).astype(np.int16) * np.int16(UNIT)
+    field = np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 22)).astype(np.int16) * np.int16(
+        UNIT
+    )
     for number in range(16):
-        field = sliced_views(field, [(axis, slices) for axis in range(3)], key=key(0, "s"), number=number, strength=2.0)
+        field = sliced_views(
+            field,
+            [(axis, slices) for axis in range(3)],
+            key=key(0, "s"),
+            number=number,
+            strength=2.0,
+        )
     steps = np.clip(np.rint(field / UNIT), -127, 127).astype(np.int8)
     wanted = np.mean(np.abs(np.diff(exemplar.astype(int), axis=3)))
     for axis in range(3):
-        assert np.mean(np.abs(np.diff(steps.astype(int), axis=1 + axis))) == pytest.approx(wanted, rel=0.3)
+        assert np.mean(np.abs(np.diff(steps.astype(int), axis=1 + axis))) == pytest.approx(
+            wanted, rel=0.3
+        )
     assert steps.std() == pytest.approx(exemplar.std(), rel=0.15)
 
 
@@ -216,7 +249,9 @@ def test_threads_do_not_matter_on_planes():
     made = []
     for count in (1, 3):
         with threads(count):
-            made.append(sliced_views(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1))
+            made.append(
+                sliced_views(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
+            )
     assert np.array_equal(made[0], made[1])
 
 

@@ -9,12 +9,18 @@ import pytest
 import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine import checkpoint, scratch
-from trabecula.engine.pickling import Places
+from trabecula.engine import checkpoint, memmap
+from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.content import Labels
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import corrected, correlations_of, misfit, step_bytes, step_slab_bytes
+from trabecula.synth.shared.statistics.correlate import (
+    corrected,
+    correlations_of,
+    misfit,
+    step_bytes,
+    step_slab_bytes,
+)
 from trabecula.synth.shared.statistics.moved import round_bytes
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.sliced import sliced_round, sliced_views
@@ -25,7 +31,7 @@ from trabecula.synth.sliced import layout
 from trabecula.synth.sliced.domain import around_known
 from trabecula.synth.sliced.specks import without_specks
 from trabecula.synth.sliced.steps import slab_bytes, slope, stepped
-from trabecula.synth.texture import novel
+from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
 
@@ -44,7 +50,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = Places().packed(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -60,7 +66,11 @@ STAGE = key(5, "s")
 
 def known(wraps):
     request = Request(
-        FREE.shape, seed=0, periodic=wraps, fixed=tb.Image((FIELD[0] > 0).astype(np.uint8), "labels"), known=~FREE
+        FREE.shape,
+        seed=0,
+        periodic=wraps,
+        fixed=tb.Image((FIELD[0] > 0).astype(np.uint8), "labels"),
+        known=~FREE,
     )
     bounds = FIELD.astype(np.float32) / 9, FIELD.astype(np.float32) / 8 + 1
     regions = around_known(request, bounds, 2, lambda index: 4.0 * 2**index, exact=True)
@@ -72,28 +82,44 @@ def known(wraps):
     [
         pytest.param(lambda: corrected(FIELD, TARGET, debt=0.01 * TARGET.curves), id="step"),
         pytest.param(lambda: corrected(FIELD, TARGET, periodic=AROUND), id="step around"),
-        pytest.param(lambda: corrected(FIELD, TARGET, periodic=MIXED, free=FREE), id="step of what is free"),
+        pytest.param(
+            lambda: corrected(FIELD, TARGET, periodic=MIXED, free=FREE), id="step of what is free"
+        ),
         pytest.param(lambda: misfit(FIELD, TARGET, periodic=MIXED, free=FREE), id="misfit"),
-        pytest.param(lambda: stepped(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)), id="step of distances"),
+        pytest.param(
+            lambda: stepped(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)), id="step of distances"
+        ),
         pytest.param(lambda: sliced_round(votes_of(FIELD), CUBES, key=STAGE, number=2), id="round"),
         pytest.param(
-            lambda: sliced_round(votes_of(FIELD), CUBES, key=STAGE, number=3, periodic=MIXED, free=FREE),
+            lambda: sliced_round(
+                votes_of(FIELD), CUBES, key=STAGE, number=3, periodic=MIXED, free=FREE
+            ),
             id="round of what is free",
         ),
         pytest.param(
             lambda: sliced_views(
-                votes_of(FIELD), [(a, SQUARES) for a in range(3)], key=STAGE, number=1, step=1, periodic=MIXED
+                votes_of(FIELD),
+                [(a, SQUARES) for a in range(3)],
+                key=STAGE,
+                number=1,
+                step=1,
+                periodic=MIXED,
             ),
             id="views",
         ),
         pytest.param(
-            lambda: sliced_views(votes_of(FIELD), [(2, SQUARES), (1, SQUARES)], key=STAGE, number=1, free=FREE),
+            lambda: sliced_views(
+                votes_of(FIELD), [(2, SQUARES), (1, SQUARES)], key=STAGE, number=1, free=FREE
+            ),
             id="views of what is free",
         ),
         pytest.param(lambda: noise((2, 7, 5, 9), 11), id="noise"),
         pytest.param(lambda: known(MIXED), id="around what is known"),
         pytest.param(
-            lambda: without_specks(votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9), id="specks"
+            lambda: without_specks(
+                votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9
+            ),
+            id="specks",
         ),
     ],
 )
@@ -104,8 +130,8 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
         pytest.importorskip("cloudpickle")
     here = run()
     if hands is None:
-        monkeypatch.setattr(scratch, "LEAST", 64)
-    with scratch.spilled(tmp_path / "scratch", memory=1 << 16, thickest=5, hands=hands):
+        monkeypatch.setattr(memmap, "LEAST", 64)
+    with memmap.spilled(tmp_path / "scratch", memory=1 << 16, thickest=5, hands=hands):
         there = run()
         for a, b in zip(here, there, strict=True):
             assert np.array_equal(a, b)
@@ -151,11 +177,16 @@ def test_a_slope_is_that_of_central_differences_averaged(wraps):
     modes = ["wrap" if wrap else "edge" for wrap in wraps]
 
     def beside(values, axis):
-        padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode=modes[axis])
+        padded = np.pad(
+            values, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode=modes[axis]
+        )
         cells = np.arange(values.shape[axis])
         return padded.take(cells, axis), padded.take(cells + 2, axis)
 
-    square = sum(((after - before) / 2) ** 2 for before, after in (beside(channel.astype(float), a) for a in range(3)))
+    square = sum(
+        ((after - before) / 2) ** 2
+        for before, after in (beside(channel.astype(float), a) for a in range(3))
+    )
     mean = np.sqrt(square)
     for axis in range(3):
         before, after = beside(mean, axis)
@@ -187,18 +218,28 @@ CUBE, SQUARE = slices_of([EXEMPLAR[:1]], width=4), slices_of([EXEMPLAR[:1, :1]],
     ("run", "forecast"),
     [
         (lambda: corrected(ALONE, ITS), lambda: step_slab_bytes(ALONE.shape[1:], ITS)),
-        (lambda: stepped(ALONE, ITS, Region(ALONE.shape[1:])), lambda: slab_bytes(ALONE.shape[1:], ITS, OPEN)),
-        (lambda: sliced_round(votes_of(ALONE), CUBE, key=STAGE, number=1), lambda: round_bytes(CUBE)),
         (
-            lambda: sliced_views(votes_of(ALONE), [(a, SQUARE) for a in range(3)], key=STAGE, number=1, step=1),
+            lambda: stepped(ALONE, ITS, Region(ALONE.shape[1:])),
+            lambda: slab_bytes(ALONE.shape[1:], ITS, OPEN),
+        ),
+        (
+            lambda: sliced_round(votes_of(ALONE), CUBE, key=STAGE, number=1),
+            lambda: round_bytes(CUBE),
+        ),
+        (
+            lambda: sliced_views(
+                votes_of(ALONE), [(a, SQUARE) for a in range(3)], key=STAGE, number=1, step=1
+            ),
             lambda: round_bytes(SQUARE),
         ),
     ],
     ids=["step", "step of distances", "round", "views"],
 )
 def test_what_stays_in_memory_is_forecast(run, forecast, tmp_path):
-    """Arrays in scratch files are none of Python's memory, nor are the kernels, which are loaded before."""
-    with tb.threads(1), scratch.spilled(tmp_path, memory=1 << 20):
+    """Arrays in scratch files are none of Python's memory, nor are the kernels, which are loaded
+    before.
+    """
+    with tb.threads(1), memmap.spilled(tmp_path, memory=1 << 20):
         run()
         tracemalloc.start()
         run()
@@ -223,16 +264,23 @@ def whole(model):
 
 
 def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
-    with scratch.spilled(tmp_path, memory=1 << 19, thickest=5):
-        assert np.array_equal(model._generate(Request(SHAPE, seed=3))[0], whole)
+    with memmap.spilled(tmp_path, memory=1 << 19, thickest=5):
+        assert np.array_equal(model.make(Request(SHAPE, seed=3))[0], whole)
 
 
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
-    [(novel, "sliced_round", 13, 18), (novel, "swept", 6, 2), (novel, "swept", 7, 1), (Labels, "delivered", 1, 1)],
+    [
+        (novel_layout, "sliced_round", 13, 18),
+        (novel_layout, "swept", 6, 2),
+        (novel_layout, "swept", 7, 1),
+        (Labels, "delivered", 1, 1),
+    ],
     ids=["in the layout", "in a pass", "after a pass", "after the last"],
 )
-def test_interrupted_it_goes_on_bit_for_bit(owner, name, call, left, model, whole, tmp_path, monkeypatch):
+def test_interrupted_it_goes_on_bit_for_bit(
+    owner, name, call, left, model, whole, tmp_path, monkeypatch
+):
     """And does nothing again that was done before."""
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
@@ -270,7 +318,9 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
 
     def made():
         with checkpoint.kept_at(tmp_path / "a.part"), checkpoint.running("sliced", {}, request, ()):
-            return layout.laid_out(aims, Region(request.shape, AROUND), aims.histograms, 1, model.config)
+            return layout.laid_out(
+                aims, Region(request.shape, AROUND), aims.histograms, 1, model.config
+            )
 
     whole = made()
     monkeypatch.setattr(layout, "sliced_views", broken)

@@ -11,7 +11,9 @@ from trabecula.synth.texture.config import TextureConfig
 
 
 def test_the_search_finds_what_numpy_finds():
-    """Without random candidates: the best of the own match and of six neighbours' matches moved along."""
+    """Without random candidates: the best of the own match and of six neighbours' matches moved
+    along.
+    """
     rng = np.random.default_rng(0)
     shape, grid, ratio = (5, 6, 7), (4, 3, 5), 2
     exemplar = rng.integers(-50, 50, (5 * 6 * 7, 8)).astype(np.int16)
@@ -55,7 +57,10 @@ def test_the_search_finds_what_numpy_finds():
                     place[axis] -= side * ratio
                     if 0 <= place[axis] < shape[axis]:
                         candidates.append(int(np.ravel_multi_index(place, shape)))
-        d = {c: int(((features[site].astype(int) - exemplar[c].astype(int)) ** 2).sum()) for c in candidates}
+        d = {
+            c: int(((features[site].astype(int) - exemplar[c].astype(int)) ** 2).sum())
+            for c in candidates
+        }
         least = min(np.float32(d[c]) * penalty[c] for c in candidates)
         assert np.float32(d[match[site]]) * penalty[match[site]] == least
         assert distance[site] == d[match[site]]
@@ -116,11 +121,15 @@ def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
     for site in np.ndindex(grid):
         first = [0 if s == 0 and not wrap else trim for s, wrap in zip(site, wraps, strict=True)]
         last = [
-            width if s == n - 1 and not wrap else width - trim for s, n, wrap in zip(site, grid, wraps, strict=True)
+            width if s == n - 1 and not wrap else width - trim
+            for s, n, wrap in zip(site, grid, wraps, strict=True)
         ]
         corner = np.array(np.unravel_index(match[site], shape)) * stride
         here = np.ix_(
-            *(np.arange(s * step + a, s * step + b) % d for s, a, b, d in zip(site, first, last, domain, strict=True))
+            *(
+                np.arange(s * step + a, s * step + b) % d
+                for s, a, b, d in zip(site, first, last, domain, strict=True)
+            )
         )
         there = tuple(slice(c + a, c + b) for c, a, b in zip(corner, first, last, strict=True))
         for c in range(channels):
@@ -130,7 +139,9 @@ def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
 
 
 def test_layers_stay_layers_of_the_same_period():
-    """Known truth: an exemplar that varies along z alone gives a material that varies along z alone, with its period."""
+    """Known truth: an exemplar that varies along z alone gives a material that varies along z
+    alone, with its period.
+    """
     z = np.arange(48)
     layers = np.broadcast_to(((z % 12) < 4)[:, None, None], (48, 48, 48)).astype(np.uint8)
     material = tb.method("texture", novelty=0).fit(layers).generate((60, 40, 40), seed=2)
@@ -149,17 +160,22 @@ def test_porosity_is_exact():
 
 
 def test_three_phases_keep_their_fractions_and_their_contacts():
-    """Balls of `core` in a shell of `shell` in void: core and void never touch, in the exemplar or the result."""
+    """Balls of `core` in a shell of `shell` in void: core and void never touch, in the exemplar or
+    the result.
+    """
     z, y, x = np.indices((40, 40, 40)) % 13 - 6
     r = np.sqrt(z**2 + y**2 + x**2)
     values = np.select([r < 3, r < 5.2], [2, 1], 0).astype(np.uint8)
     exemplar = tb.Image(values, "labels", phases=("void", "shell", "core"))
     material = tb.method("texture").fit(exemplar).generate(48, seed=4)
     wanted = np.bincount(values.ravel()) / values.size
-    assert np.allclose(np.bincount(material.values.ravel()) / material.values.size, wanted, atol=5e-3)
+    assert np.allclose(
+        np.bincount(material.values.ravel()) / material.values.size, wanted, atol=5e-3
+    )
     core, void = material.values == 2, material.values == 0
     contacts = sum(
-        np.count_nonzero(np.take(core, range(47), axis) & np.take(void, range(1, 48), axis)) for axis in range(3)
+        np.count_nonzero(np.take(core, range(47), axis) & np.take(void, range(1, 48), axis))
+        for axis in range(3)
     )
     assert contacts < 0.01 * np.count_nonzero(core)
 
@@ -193,7 +209,9 @@ def test_settings_out_of_range_are_refused():
 
 
 def test_bone_from_a_scan_reaches_the_goal(data):
-    """120^3 from the central 60^3: S2 normalised l2 <= 0.06, largest >= 0.98, one piece after connect."""
+    """120^3 from the central 60^3: S2 normalised l2 <= 0.06, largest >= 0.98, one piece after
+    connect.
+    """
     exemplar = tb.crop(tb.read(data / "trabecular_bone_a.tif"), 60)
     material = tb.method("texture").fit(exemplar).generate(120, seed=1)
     verdict = tb.verify(exemplar, material)

@@ -8,13 +8,13 @@ import pytest
 import trabecula as tb
 from trabecula import fields
 from trabecula.core.recipe import digest
-from trabecula.engine import tiles
+from trabecula.engine import parallel
 from trabecula.errors import RequestError
+from trabecula.synth.shared.box_sums import sums
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.windows import sums
-from trabecula.synth.texture.grading import Leaning, settled
+from trabecula.synth.texture.graded import Leaning, settled
 from trabecula.synth.texture.method import Texture
-from trabecula.synth.texture.shares import carried_over
+from trabecula.synth.texture.volume_fraction import carried_over
 
 SHAPE = (72, 36, 36)
 
@@ -41,7 +41,10 @@ def test_sums_over_windows(width, wraps):
     found = sums(values, width, wraps)
     for at in [(0, 0, 0), (5, 6, 7), (10, 11, 12), (1, 11, 0)]:
         near = [np.arange(k - width // 2, k - width // 2 + width) for k in at]
-        kept = [n % s if wrap else n[(n >= 0) & (n < s)] for n, s, wrap in zip(near, values.shape, wraps, strict=True)]
+        kept = [
+            n % s if wrap else n[(n >= 0) & (n < s)]
+            for n, s, wrap in zip(near, values.shape, wraps, strict=True)
+        ]
         assert found[at] == values[np.ix_(*kept)].sum()
 
 
@@ -55,11 +58,15 @@ def test_a_smooth_field_is_shifted_until_its_shares_are_those_asked_for():
 
     noise = gaussian(np.random.default_rng(0).standard_normal((80, 40, 40)), 2.0)
     votes = np.clip(noise / noise.std() * 60 * 256, -32000, 32000).astype(np.int16)[None]
-    wanted = np.broadcast_to(np.linspace(0.3, 0.6, 80, dtype=np.float32)[:, None, None], votes.shape[1:])
+    wanted = np.broadcast_to(
+        np.linspace(0.3, 0.6, 80, dtype=np.float32)[:, None, None], votes.shape[1:]
+    )
     leaning = Leaning.of(Region(votes.shape[1:]), np.ascontiguousarray(wanted), 20)
     errors = []
     for field in (votes, settled(votes, leaning)):
-        have = sums(field[0] > 0, 20, (False,) * 3) / sums(np.ones(wanted.shape, bool), 20, (False,) * 3)
+        have = sums(field[0] > 0, 20, (False,) * 3) / sums(
+            np.ones(wanted.shape, bool), 20, (False,) * 3
+        )
         errors.append(np.abs(have - leaning.wanted / 4096 / leaning.counted).mean())
     assert errors[1] < 0.02 < 0.08 < errors[0]
 
@@ -74,7 +81,11 @@ def test_the_local_fraction_follows_the_ramp(graded, ramp):
 
 
 def test_a_flat_field_is_a_number_and_porosity_the_complement(model):
-    asked = ({"porosity": 0.75}, {"volume_fraction": 0.25}, {"porosity": np.full((32, 32, 32), 0.75)})
+    asked = (
+        {"porosity": 0.75},
+        {"volume_fraction": 0.25},
+        {"porosity": np.full((32, 32, 32), 0.75)},
+    )
     made = [model.generate(32, seed=2, target=target) for target in asked]
     assert made[0].values.mean() == pytest.approx(0.25, abs=1e-4)
     assert digest(made[0].values) == digest(made[1].values) == digest(made[2].values)
@@ -83,23 +94,32 @@ def test_a_flat_field_is_a_number_and_porosity_the_complement(model):
 def test_names_of_phases_count_and_not_their_order(bone, model):
     small = tb.crop(bone, 48)
     turned = tb.Image(1 - small.values, "labels", small.spacing, small.unit, ("solid", "void"))
-    made = Texture.configured(preset="fast").fit(turned).generate(32, seed=1, target={"porosity": 0.7})
+    made = (
+        Texture.configured(preset="fast").fit(turned).generate(32, seed=1, target={"porosity": 0.7})
+    )
     assert np.mean(made.values == 1) == pytest.approx(0.7, abs=1e-4)
 
 
 def test_inside_a_mask_and_around_an_axis(model, ramp):
     ball = (
-        np.hypot.outer(np.arange(-20, 20) + 0.5, np.hypot.outer(np.arange(-20, 20) + 0.5, np.arange(-20, 20) + 0.5))
+        np.hypot.outer(
+            np.arange(-20, 20) + 0.5,
+            np.hypot.outer(np.arange(-20, 20) + 0.5, np.arange(-20, 20) + 0.5),
+        )
         < 19
     )
     across = fields.ramp((40, 40, 40), axis="x", start=0.15, end=0.3)
-    made = model.generate((40, 40, 40), seed=1, mask=ball, target={"volume_fraction": across}).values
+    made = model.generate(
+        (40, 40, 40), seed=1, mask=ball, target={"volume_fraction": across}
+    ).values
     assert not made[~ball].any()
     half = np.arange(40) < 20
     for side in (half, ~half):
         inside = ball & side
         assert made[inside].mean() == pytest.approx(across.values[inside].mean(), abs=0.03)
-    around = model.generate((40, 40, 40), seed=1, periodic=True, target={"volume_fraction": 0.2}).values
+    around = model.generate(
+        (40, 40, 40), seed=1, periodic=True, target={"volume_fraction": 0.2}
+    ).values
     seam = np.abs(np.diff(around.astype(int), axis=0)).mean()
     assert np.abs(around[-1].astype(int) - around[0]).mean() < 1.6 * seam
 
@@ -108,9 +128,16 @@ def test_fixed_voxels_stay_and_the_rest_follows(model, bone):
     shape = (40, 24, 24)
     known = np.zeros(shape, bool)
     known[:12] = True
-    fixed = tb.Image(np.pad(bone.values[:12, :24, :24], ((0, 28), (0, 0), (0, 0))), "labels", bone.spacing, bone.unit)
+    fixed = tb.Image(
+        np.pad(bone.values[:12, :24, :24], ((0, 28), (0, 0), (0, 0))),
+        "labels",
+        bone.spacing,
+        bone.unit,
+    )
     asked = fields.ramp(shape, start=0.15, end=0.3)
-    made = model.generate(shape, seed=1, fixed=fixed, known=known, target={"volume_fraction": asked}).values
+    made = model.generate(
+        shape, seed=1, fixed=fixed, known=known, target={"volume_fraction": asked}
+    ).values
     assert np.array_equal(made[:12], bone.values[:12, :24, :24])
     assert made.mean() == pytest.approx(asked.values.mean(), abs=1e-3)
     assert made[28:].mean() > made[12:28].mean()
@@ -118,7 +145,9 @@ def test_fixed_voxels_stay_and_the_rest_follows(model, bone):
 
 def test_tiles_change_no_voxel(monkeypatch, model):
     request = tb.Request(
-        (40, 24, 24), seed=3, target={"volume_fraction": fields.ramp((40, 24, 24), start=0.12, end=0.3)}
+        (40, 24, 24),
+        seed=3,
+        target={"volume_fraction": fields.ramp((40, 24, 24), start=0.12, end=0.3)},
     )
     whole = model.generate(request)
 
@@ -127,13 +156,15 @@ def test_tiles_change_no_voxel(monkeypatch, model):
         for i in (2, 0, 1):
             work(bounds[i], bounds[i + 1])
 
-    monkeypatch.setattr(tiles, "_run", scattered)
+    monkeypatch.setattr(parallel, "_run", scattered)
     assert digest(model.generate(request).values) == digest(whole.values)
 
 
 def test_the_forecast_of_memory_holds(model):
     shape = (96, 80, 72)
-    request = tb.Request(shape, seed=1, target={"volume_fraction": fields.ramp(shape, start=0.12, end=0.3)})
+    request = tb.Request(
+        shape, seed=1, target={"volume_fraction": fields.ramp(shape, start=0.12, end=0.3)}
+    )
     plan = model.plan(request)
     arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
     model.generate(24, seed=1, target={"porosity": 0.8})  # so that loading kernels is not counted
@@ -159,7 +190,9 @@ def test_what_cannot_be_honoured_is_refused(bone, model):
     three = Texture.configured(preset="fast").fit(tb.Image(values, "labels"))
     with pytest.raises(RequestError, match="holds 3 phases"):
         three.generate(24, target={"porosity": 0.6})
-    grey = Texture.configured(preset="fast").fit(tb.Image(np.random.default_rng(0).random((20, 20, 20)), "grey"))
+    grey = Texture.configured(preset="fast").fit(
+        tb.Image(np.random.default_rng(0).random((20, 20, 20)), "grey")
+    )
     with pytest.raises(RequestError, match="exemplar is grey"):
         grey.generate(24, target={"porosity": 0.6})
 

@@ -1,4 +1,6 @@
-"""Sliced rounds and correlation steps: against plain NumPy, against the measures, and against what is known."""
+"""Sliced rounds and correlation steps: against plain NumPy, against the measures, and against what
+is known.
+"""
 
 import numpy as np
 import pytest
@@ -41,12 +43,16 @@ def test_a_rotation_keeps_angles_and_is_whole(size):
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), copies=st.integers(1, 4))
 def test_transport_brings_one_column_to_the_other(seed, copies):
-    """Where every value has a bin of its own, ours become theirs, rank for rank, in whatever numbers they come."""
+    """Where every value has a bin of its own, ours become theirs, rank for rank, in whatever
+    numbers they come.
+    """
     rng = np.random.default_rng(seed)
     theirs = rng.permutation(1000)[:50]
     ours = rng.permutation(1000)[: 50 * copies]
     rows = ours[:, None].astype(np.float32)
-    transport = Transport.between(lambda a, b: [rows[a:b]], len(rows), theirs[:, None].astype(np.float32))
+    transport = Transport.between(
+        lambda a, b: [rows[a:b]], len(rows), theirs[:, None].astype(np.float32)
+    )
     reached = ours + transport.moves(rows)[:, 0]
     assert np.array_equal(np.sort(reached), np.sort(np.repeat(theirs, copies)))
     assert np.array_equal(np.argsort(ours), np.lexsort((ours, reached)))
@@ -54,7 +60,9 @@ def test_transport_brings_one_column_to_the_other(seed, copies):
 
 @pytest.mark.parametrize("periodic", [OPEN, AROUND, (True, False, True)])
 def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
-    """Known truth: 4^3 components of neighbourhoods of 4^3 voxels hold everything, so nothing changes but by rounding."""
+    """Known truth: 4^3 components of neighbourhoods of 4^3 voxels hold everything, so nothing
+    changes but by rounding.
+    """
     field = smooth((13, 12, 15), 0)
     votes = field.astype(np.int16) * UNIT
     slices = slices_of([field], width=4, variance=1.0, most=64)
@@ -63,8 +71,13 @@ def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
 
 
 def test_rounds_take_on_the_exemplars_neighbourhoods():
-    """From noise: the spread of every component comes to the exemplar's, and so does the two-point function."""
-    exemplar, field = smooth((24, 24, 24), 1), np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 28)) * UNIT
+    """From noise: the spread of every component comes to the exemplar's, and so does the two-point
+    function.
+    """
+    exemplar, field = (
+        smooth((24, 24, 24), 1),
+        np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 28)) * UNIT,
+    )
     slices = slices_of([exemplar], width=4)
     field = field.astype(np.int16)
     for number in range(15):
@@ -93,11 +106,16 @@ def test_only_what_is_free_changes():
 @pytest.mark.parametrize("periodic", [OPEN, AROUND])
 def test_threads_change_nothing(periodic):
     field, exemplar = smooth((20, 22, 26), 5), smooth((20, 20, 20), 6)
-    slices, target = slices_of([exemplar], width=4), correlations_of([exemplar], softness=50, r_max=6)
+    slices, target = (
+        slices_of([exemplar], width=4),
+        correlations_of([exemplar], softness=50, r_max=6),
+    )
     made = []
     for count in (1, 2, 3):
         with tb.threads(count):
-            votes = sliced_round(field.astype(np.int16) * UNIT, slices, key=key(0, "s"), number=0, periodic=periodic)
+            votes = sliced_round(
+                field.astype(np.int16) * UNIT, slices, key=key(0, "s"), number=0, periodic=periodic
+            )
             made.append((votes, corrected(field, target, periodic=periodic)))
     for votes, steps in made[1:]:
         assert np.array_equal(votes, made[0][0])
@@ -115,14 +133,18 @@ def test_two_exemplars_count_as_one_of_both():
 
 @pytest.mark.parametrize("edges", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0)])
 def test_a_hard_step_gives_the_two_point_function(edges):
-    """Over the three directions it is the radial one of the measure; along an axis it is nearer to that axis' own."""
+    """Over the three directions it is the radial one of the measure; along an axis it is nearer to
+    that axis' own.
+    """
     field = smooth((14, 17, 20), 9)
     ties = field[0] == 0  # half in, half out
     image = tb.Image((field[0] > 0).astype(np.uint8), "labels", spacing=edges)
     field[0][ties] = -1
     target = correlations_of([field], softness=HARD, r_max=7, edges=edges)
     fits = Pairs(image.shape, 7, edges=edges).fits
-    assert np.allclose(radial(target.curves[0], fits), tb.measure.two_point(image, r_max=7), atol=1e-6)
+    assert np.allclose(
+        radial(target.curves[0], fits), tb.measure.two_point(image, r_max=7), atol=1e-6
+    )
 
 
 def radial(curve, fits):
@@ -132,9 +154,15 @@ def radial(curve, fits):
 
 
 def test_directions_are_told_apart():
-    """Layers across z: along z the two-point function falls to nothing and comes back, across it stays up."""
-    layers = np.broadcast_to(np.where(np.arange(24) % 8 < 4, 50, -50)[:, None, None], (24, 24, 24)).astype(np.int8)
-    along, down, across = correlations_of([layers[None]], softness=HARD, r_max=8).curves[0].reshape(3, -1)
+    """Layers across z: along z the two-point function falls to nothing and comes back, across it
+    stays up.
+    """
+    layers = np.broadcast_to(
+        np.where(np.arange(24) % 8 < 4, 50, -50)[:, None, None], (24, 24, 24)
+    ).astype(np.int8)
+    along, down, across = (
+        correlations_of([layers[None]], softness=HARD, r_max=8).curves[0].reshape(3, -1)
+    )
     assert along[4] < 0.15
     assert down[4] > 0.3
     assert np.allclose(down[1:], across[1:], atol=0.02)
@@ -148,8 +176,16 @@ def test_misfit_around_and_within_a_mask_is_that_of_the_measure():
     mask = np.zeros(image.shape, bool)
     mask[2:12, 1:14, 4:] = True
     for settings_, pairs, measured in [
-        ({"periodic": AROUND}, Pairs(image.shape, 6, AROUND), tb.measure.two_point(image, r_max=6, periodic=True)),
-        ({"free": mask}, Pairs(image.shape, 6, free=mask), tb.measure.two_point(image, r_max=6, mask=mask)),
+        (
+            {"periodic": AROUND},
+            Pairs(image.shape, 6, AROUND),
+            tb.measure.two_point(image, r_max=6, periodic=True),
+        ),
+        (
+            {"free": mask},
+            Pairs(image.shape, 6, free=mask),
+            tb.measure.two_point(image, r_max=6, mask=mask),
+        ),
     ]:
         found = misfit(field, target, **settings_)[0] + target.curves[0]
         assert np.allclose(radial(found, pairs.fits), measured, atol=1e-6)
@@ -158,7 +194,8 @@ def test_misfit_around_and_within_a_mask_is_that_of_the_measure():
 def test_a_convolution_is_the_weighted_sum_around():
     values = np.random.default_rng(11).random((9, 10, 11)).astype(np.float32)
     pairs = Pairs(values.shape, 2, AROUND)
-    weights = np.array([[0.5, -1.0, 0.25], [0.0, 2.0, 0.5], [0.0, 0.75, -0.25]])  # by direction and distance
+    # by direction and distance
+    weights = np.array([[0.5, -1.0, 0.25], [0.0, 2.0, 0.5], [0.0, 0.75, -0.25]])
     wanted = np.zeros(values.shape)
     for offset in np.ndindex(5, 5, 5):
         shift = np.array(offset) - 2
@@ -183,12 +220,16 @@ def test_steps_bring_the_two_point_function_to_the_exemplars():
 def test_a_field_at_its_target_stays_and_debt_moves_the_target():
     field = smooth((20, 20, 20), 14)
     target = correlations_of([field], softness=60, r_max=6)
-    assert np.abs(corrected(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
+    assert (
+        np.abs(corrected(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
+    )
     debt = np.zeros((1, 3, 7))
     debt[0, :, 1:4] = 2e-3
     debt = debt.reshape(1, -1)
     moved = np.rint(corrected(field, target, debt=debt) / UNIT).astype(np.int8)
-    assert np.all(misfit(moved, target).reshape(3, 7)[:, 1:4] < -5e-4), "below the target by about the debt"
+    assert np.all(misfit(moved, target).reshape(3, 7)[:, 1:4] < -5e-4), (
+        "below the target by about the debt"
+    )
 
 
 def test_no_place_is_special_where_axes_wrap():
@@ -201,7 +242,8 @@ def test_no_place_is_special_where_axes_wrap():
 
 
 def test_open_faces_gather_no_phase():
-    """What a step adds, averaged over where the faces lie in an endless material, is the same at a face and far from it.
+    """What a step adds, averaged over where the faces lie in an endless material, is the same at a
+    face and far from it.
 
     A direction that is cut off at the faces fails this: one phase piles up on them.
     """

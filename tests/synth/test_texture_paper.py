@@ -1,4 +1,6 @@
-"""The 2017 paper's own pieces: the gradient term and its solver, the energy and its weights, the exemplar's symmetries."""
+"""The 2017 paper's own pieces: the gradient term and its solver, the energy and its weights, the
+exemplar's symmetries.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.errors import InputError, UnknownNameError
 from trabecula.synth.shared.matching.kernels import vote
 from trabecula.synth.shared.orient import SETS, oriented, symmetries
@@ -41,14 +43,20 @@ def cast(field, match, weight, *, step, **rim):
 
 
 def cubes(field, match, weight, *, step, trim=0):
-    """Per site its weight, the output's voxels that it votes on and the exemplar's values there, by plain slicing."""
+    """Per site its weight, the output's voxels that it votes on and the exemplar's values there, by
+    plain slicing.
+    """
     for site in np.ndindex(match.shape):
         if match[site] < 0:
             continue
         corner = np.unravel_index(match[site], SHAPE)
         low = [0 if s == 0 else trim for s in site]
-        high = [WIDTH if s == n - 1 else WIDTH - trim for s, n in zip(site, match.shape, strict=True)]
-        here = tuple(slice(s * step + a, s * step + b) for s, a, b in zip(site, low, high, strict=True))
+        high = [
+            WIDTH if s == n - 1 else WIDTH - trim for s, n in zip(site, match.shape, strict=True)
+        ]
+        here = tuple(
+            slice(s * step + a, s * step + b) for s, a, b in zip(site, low, high, strict=True)
+        )
         there = tuple(slice(c + a, c + b) for c, a, b in zip(corner, low, high, strict=True))
         yield site, float(weight[site]), here, field[(slice(None), *there)].astype(float)
 
@@ -72,7 +80,9 @@ def dense_system(field, match, weight, mu, **grid):
     return A, b
 
 
-@pytest.mark.parametrize(("step", "trim", "mu", "holes"), [(2, 0, 1.0, False), (2, 0, 30.0, True), (1, 1, 0.3, False)])
+@pytest.mark.parametrize(
+    ("step", "trim", "mu", "holes"), [(2, 0, 1.0, False), (2, 0, 30.0, True), (1, 1, 0.3, False)]
+)
 def test_the_solution_is_that_of_the_dense_system(step, trim, mu, holes):
     field, (match, weight) = exemplar(1), sites(2, (3, 2, 3), holes=holes)
     A, b = dense_system(field, match, weight, mu * 256, step=step, trim=trim)
@@ -82,7 +92,9 @@ def test_the_solution_is_that_of_the_dense_system(step, trim, mu, holes):
     votes = cast(field, match, weight, step=step, trim=trim)
     made = solve_votes(votes, mu=mu, unit=256, tolerance=1e-4) / 256
     assert np.array_equal(votes.weights.ravel() > 0, held)
-    assert np.allclose(made.reshape(len(field), -1).T, np.clip(wanted, -127.996, 127.996), atol=0.01)
+    assert np.allclose(
+        made.reshape(len(field), -1).T, np.clip(wanted, -127.996, 127.996), atol=0.01
+    )
 
 
 def test_a_loose_tolerance_is_kept():
@@ -99,18 +111,26 @@ def test_a_loose_tolerance_is_kept():
 def test_without_gradients_it_is_the_plain_vote(trim, wraps):
     field, (match, weight) = exemplar(5), sites(6, (4, 3, 5))
     weight[1:3, 1, 2:4] = 0
-    shape = tuple(2 * n if w else c for n, w, c in zip(match.shape, wraps, covered(match.shape, 2), strict=True))
+    shape = tuple(
+        2 * n if w else c
+        for n, w, c in zip(match.shape, wraps, covered(match.shape, 2), strict=True)
+    )
     plane = np.empty((3, *covered(match.shape, 2)[1:]), np.int32)
     plain = np.empty((2, *shape), np.int16)
     cubes = ((side,) * 3 for side in (1, 2, WIDTH, trim))
     vote(field, match, weight, SHAPE, *cubes, wraps, plane, plain, 0, shape[0])
-    made = solve_votes(fold_votes(cast(field, match, weight, step=2, trim=trim, wraps=wraps), shape), mu=0)
-    assert np.abs(made.astype(int) - plain).max() <= 1  # one is rounded down, the other to the nearest
+    made = solve_votes(
+        fold_votes(cast(field, match, weight, step=2, trim=trim, wraps=wraps), shape), mu=0
+    )
+    # one is rounded down, the other to the nearest
+    assert np.abs(made.astype(int) - plain).max() <= 1
 
 
 @pytest.mark.parametrize("mu", [0, 0.1, 10, 1000])
 def test_consistent_neighbourhoods_come_back_exactly(mu):
-    """Where every site chose the exemplar's neighbourhood of its own place, the exemplar solves the system."""
+    """Where every site chose the exemplar's neighbourhood of its own place, the exemplar solves the
+    system.
+    """
     field = exemplar(7, shape=(8, 8, 10))
     grid, shape = (3, 3, 4), (5, 5, 7)
     match = np.ravel_multi_index(np.ix_(*(2 * np.arange(n) for n in grid)), shape).astype(np.int32)
@@ -123,7 +143,9 @@ def test_consistent_neighbourhoods_come_back_exactly(mu):
 
 
 def test_steep_gradients_win_with_a_large_mu():
-    """Two overlapping neighbourhoods with one slope and unlike offsets: s keeps the slope, and meets their weighted mean."""
+    """Two overlapping neighbourhoods with one slope and unlike offsets: s keeps the slope, and
+    meets their weighted mean.
+    """
     field = np.zeros((1, 4, 4, 16), np.int8)
     field[..., :8] = 5 * np.arange(8)
     field[..., 8:] = 60 + 5 * np.arange(8)
@@ -132,7 +154,9 @@ def test_steep_gradients_win_with_a_large_mu():
     add_votes(votes, field, match, weight, shape=(1, 1, 13), stride=1, step=2, width=4)
     made = solve_votes(votes, mu=1000, tolerance=1e-3)[0] / 256
     assert np.allclose(np.diff(made, axis=2), 5, atol=0.1)
-    assert made.mean() == pytest.approx(np.mean([*field[0, 0, 0, :4], *field[0, 0, 0, 8:12]]), abs=0.1)
+    assert made.mean() == pytest.approx(
+        np.mean([*field[0, 0, 0, :4], *field[0, 0, 0, 8:12]]), abs=0.1
+    )
     plain = solve_votes(votes, mu=0)[0] / 256
     assert np.abs(np.diff(plain, axis=2) - 5).max() > 10
 
@@ -160,20 +184,28 @@ def test_votes_of_several_exemplars_add_up():
     """Split by exemplar, in either order, with exemplars that are one array under two names."""
     field, (match, weight) = exemplar(11), sites(12, (3, 3, 3))
     other = np.random.default_rng(0).random(match.shape) < 0.5
-    parts = [np.where(other, match, -1).astype(np.int32), np.where(other, -1, match).astype(np.int32)]
+    parts = [
+        np.where(other, match, -1).astype(np.int32),
+        np.where(other, -1, match).astype(np.int32),
+    ]
     whole = cast(field, match, weight, step=2)
     for order in (parts, parts[::-1]):
         votes = no_votes(whole.weights.shape, channels=2)
         for part in order:
             add_votes(votes, field, part, weight, shape=SHAPE, stride=1, step=2, width=WIDTH)
-        assert all(np.array_equal(a, b) for a, b in zip(vars(votes).values(), vars(whole).values(), strict=True))
+        assert all(
+            np.array_equal(a, b)
+            for a, b in zip(vars(votes).values(), vars(whole).values(), strict=True)
+        )
 
 
 def test_channels_do_not_mix():
     field, (match, weight) = exemplar(13, channels=3), sites(14, (3, 3, 2))
     together = solve_votes(cast(field, match, weight, step=2), mu=2, unit=256)
     for channel in range(3):
-        alone = solve_votes(cast(field[channel : channel + 1], match, weight, step=2), mu=2, unit=256)
+        alone = solve_votes(
+            cast(field[channel : channel + 1], match, weight, step=2), mu=2, unit=256
+        )
         assert np.array_equal(together[channel], alone[0])
 
 
@@ -181,19 +213,30 @@ def test_threads_do_not_matter():
     field, (match, weight) = exemplar(15), sites(16, (14, 3, 4), holes=True)
     alone = solve_votes(cast(field, match, weight, step=2), mu=5, unit=256)
     with threads(3):
-        assert np.array_equal(solve_votes(cast(field, match, weight, step=2), mu=5, unit=256), alone)
+        assert np.array_equal(
+            solve_votes(cast(field, match, weight, step=2), mu=5, unit=256), alone
+        )
 
 
 @pytest.mark.parametrize("periodic", [(True, True, True), (False, True, False)])
 def test_folded_votes_repeat_without_a_seam(periodic):
     """A shift of the sites round the period shifts the solution."""
     field, (match, weight) = exemplar(17), sites(18, (4, 3, 5))
-    shape = tuple(2 * n if p else c for n, p, c in zip(match.shape, periodic, covered(match.shape, 2), strict=True))
-    whole = solve_votes(fold_votes(cast(field, match, weight, step=2), shape), mu=4, unit=256, tolerance=1e-4)
+    shape = tuple(
+        2 * n if p else c
+        for n, p, c in zip(match.shape, periodic, covered(match.shape, 2), strict=True)
+    )
+    whole = solve_votes(
+        fold_votes(cast(field, match, weight, step=2), shape), mu=4, unit=256, tolerance=1e-4
+    )
     turns = tuple(-1 if p else 0 for p in periodic)
     turned = [np.roll(array, turns, (0, 1, 2)) for array in (match, weight)]
-    made = solve_votes(fold_votes(cast(field, *turned, step=2), shape), mu=4, unit=256, tolerance=1e-4)
-    assert np.abs(np.roll(whole, tuple(2 * t for t in turns), (1, 2, 3)).astype(int) - made).max() <= 1
+    made = solve_votes(
+        fold_votes(cast(field, *turned, step=2), shape), mu=4, unit=256, tolerance=1e-4
+    )
+    assert (
+        np.abs(np.roll(whole, tuple(2 * t for t in turns), (1, 2, 3)).astype(int) - made).max() <= 1
+    )
 
 
 def test_an_empty_vote_is_nothing():
@@ -204,7 +247,16 @@ def test_an_empty_vote_is_nothing():
 def test_votes_of_another_volume_are_refused():
     match, weight = sites(19, (2, 2, 2))
     with pytest.raises(InputError, match="no_votes"):
-        add_votes(no_votes((9, 9, 9)), exemplar(0), match, weight, shape=SHAPE, stride=1, step=2, width=WIDTH)
+        add_votes(
+            no_votes((9, 9, 9)),
+            exemplar(0),
+            match,
+            weight,
+            shape=SHAPE,
+            stride=1,
+            step=2,
+            width=WIDTH,
+        )
     with pytest.raises(InputError, match="mu"):
         solve_votes(no_votes((4, 4, 4)), mu=-1)
     with pytest.raises(InputError, match="period"):
@@ -224,7 +276,11 @@ def mismatched(field, state, match, weight, step):
 def test_the_mismatch_is_exact(dtype):
     field, (match, weight) = exemplar(20), sites(21, (3, 2, 4), holes=True)
     info = np.iinfo(dtype)
-    state = np.random.default_rng(22).integers(info.min, info.max + 1, (2, *covered(match.shape, 2))).astype(dtype)
+    state = (
+        np.random.default_rng(22)
+        .integers(info.min, info.max + 1, (2, *covered(match.shape, 2)))
+        .astype(dtype)
+    )
     made = mismatch(state, field, match, shape=SHAPE, stride=1, step=2, width=WIDTH)
     wanted = mismatched(field, state / (256 if dtype == np.int16 else 1), match, weight, 2)
     assert np.array_equal(made, wanted)
@@ -237,7 +293,8 @@ def test_the_mismatch_is_exact(dtype):
 def test_no_other_field_has_less_energy(mu):
     """The vote minimises equation (1): a step in any direction raises it."""
     rng = np.random.default_rng(23)
-    field, (match, weight) = exemplar(24) // 4, sites(25, (3, 3, 3))  # far from the ends, where the result is clipped
+    # far from the ends, where the result is clipped
+    field, (match, weight) = exemplar(24) // 4, sites(25, (3, 3, 3))
     place = dict(shape=SHAPE, stride=1, step=2, width=WIDTH)
     state = solve_votes(cast(field, match, weight, step=2), mu=mu, unit=256, tolerance=1e-5)
 
@@ -248,12 +305,16 @@ def test_no_other_field_has_less_energy(mu):
     least = weighted(state)
     for size in (40, 4000):
         for _ in range(5):
-            nudged = np.clip(state + rng.normal(size=state.shape) * size, -32767, 32767).astype(np.int16)
+            nudged = np.clip(state + rng.normal(size=state.shape) * size, -32767, 32767).astype(
+                np.int16
+            )
             assert weighted(nudged) > least
 
 
 def test_reweighting_descends_the_robust_energy():
-    """With mu = 0 and fixed matches, every reweighted vote lowers sum d^r (a theorem of majorisation)."""
+    """With mu = 0 and fixed matches, every reweighted vote lowers sum d^r (a theorem of
+    majorisation).
+    """
     field, (match, weight) = exemplar(26), sites(27, (3, 3, 4))
     place = dict(shape=SHAPE, stride=1, step=2, width=WIDTH)
     settings = dict(robustness=0.8, reference=400.0, floor=64.0)
@@ -263,7 +324,9 @@ def test_reweighting_descends_the_robust_energy():
         state = solve_votes(cast(field, match, weight, step=2), mu=0)
         squared, slopes = mismatch(state, field, match, **place)
         trace.append(energy(squared, slopes, weight / 512, mu=0, **settings).robust)
-        weight = np.clip(np.rint(512 * adaptive_weights(squared, **settings)), 1, 1023).astype(np.int32)
+        weight = np.clip(np.rint(512 * adaptive_weights(squared, **settings)), 1, 1023).astype(
+            np.int32
+        )
     assert trace[5] < trace[1] < trace[0]
     assert np.all(np.diff(trace) < 1e-5 * trace[0])
 
@@ -278,13 +341,17 @@ def test_the_energy_by_hand():
 @given(
     r=st.floats(0, 2),
     scale=st.floats(0.01, 10),
-    squared=st.lists(st.floats(1e-3, 1e6), min_size=2, max_size=9).map(lambda v: np.sort(np.array(v))),
+    squared=st.lists(st.floats(1e-3, 1e6), min_size=2, max_size=9).map(
+        lambda v: np.sort(np.array(v))
+    ),
 )
 def test_nearer_neighbourhoods_never_weigh_less(r, scale, squared):
     weights = adaptive_weights(squared, robustness=r, reference=50.0, scale=scale)
     assert np.all(np.diff(weights) <= 1e-12 * weights[:-1])
     assert np.allclose(weights * squared, scale * 50.0 ** (2 - r) * squared ** (r / 2))
-    assert adaptive_weights(np.array([2500.0]), robustness=r, reference=50.0, scale=scale)[0] == pytest.approx(scale)
+    assert adaptive_weights(np.array([2500.0]), robustness=r, reference=50.0, scale=scale)[
+        0
+    ] == pytest.approx(scale)
 
 
 def at(value):
@@ -302,7 +369,9 @@ def test_lambda_follows_equation_2():
 
 
 def test_taken_literally_lambda_drags_the_energy_down_with_it():
-    """Matches that never improve: equation (1) as written falls to a twentieth, the compared energy stays."""
+    """Matches that never improve: equation (1) as written falls to a twentieth, the compared energy
+    stays.
+    """
     literal, ours = Feedback(literal=True, tolerance=0), Feedback(tolerance=0)
     for number in range(20):
         stuck = 100.0 - 1e-3 * number  # without lambda
@@ -354,7 +423,10 @@ def test_mirrors_are_the_symmetries_of_negative_determinant():
         for axis, (source, back) in enumerate(zip(each.axes, each.reversed, strict=True)):
             matrix[source, axis], offset[source] = (-1, 3) if back else (1, 0)
         places = np.indices((4, 4, 4)).reshape(3, -1)
-        pulled = [map_coordinates(c, matrix @ places + offset[:, None], order=1).reshape(4, 4, 4) for c in field]
+        pulled = [
+            map_coordinates(c, matrix @ places + offset[:, None], order=1).reshape(4, 4, 4)
+            for c in field
+        ]
         assert np.allclose(oriented(field, each), pulled)
         assert each.mirrors == (np.linalg.det(matrix) < 0)
 

@@ -32,7 +32,9 @@ def labels(values, like):
 
 
 def misfit(exemplar, image):
-    """Distance of every voxel's neighbourhood to the nearest in the exemplar; NaN where none was looked for."""
+    """Distance of every voxel's neighbourhood to the nearest in the exemplar; NaN where none was
+    looked for.
+    """
     distance = tb.measure.sources(exemplar, image).distance.astype(float)
     return np.where(distance < 0, np.nan, distance)
 
@@ -62,11 +64,14 @@ def test_a_form_is_filled_and_nothing_lies_outside(bone, model, new):
 
 
 def test_material_is_flush_to_the_surface_of_its_form(model):
-    """A slab: the share of solid in its outermost planes is that within, over six seeds (their mean scatters by a tenth)."""
+    """A slab: the share of solid in its outermost planes is that within, over six seeds (their mean
+    scatters by a tenth).
+    """
     slab = np.zeros((60, 40, 40), bool)
     slab[15:45] = True
     profile = np.mean(
-        [model.generate(slab.shape, seed=s, mask=slab).values.mean(axis=(1, 2)) for s in range(6)], axis=0
+        [model.generate(slab.shape, seed=s, mask=slab).values.mean(axis=(1, 2)) for s in range(6)],
+        axis=0,
     )
     rim = np.concatenate([profile[15:18], profile[42:45]])
     assert rim.mean() == pytest.approx(profile[20:40].mean(), rel=0.25)
@@ -81,7 +86,10 @@ def test_a_form_without_room_for_a_neighbourhood_is_refused(model):
 
 def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
     whole = tb.sample("bone")
-    bone, scan = labels(whole.values[46:, 46:, 46:], bone), labels(whole.values[:50, :50, :50], bone)
+    bone, scan = (
+        labels(whole.values[46:, 46:, 46:], bone),
+        labels(whole.values[:50, :50, :50], bone),
+    )
     model = tb.method("texture", novelty=0).fit(bone)
     known = np.ones(scan.shape, bool)
     known[13:37, 13:37, 13:37] = False
@@ -109,7 +117,9 @@ def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
 
 
 def test_fixed_voxels_of_a_phase_that_the_exemplar_lacks_are_refused(model):
-    strange = tb.Image(np.full((40, 40, 40), 2, np.uint8), "labels", phases=("void", "bone", "cement"))
+    strange = tb.Image(
+        np.full((40, 40, 40), 2, np.uint8), "labels", phases=("void", "bone", "cement")
+    )
     known = np.zeros((40, 40, 40), bool)
     known[:10] = True
     with pytest.raises(RequestError):
@@ -118,8 +128,14 @@ def test_fixed_voxels_of_a_phase_that_the_exemplar_lacks_are_refused(model):
 
 def test_several_exemplars_are_one_list_of_neighbourhoods(monkeypatch):
     rng = np.random.default_rng(0)
-    fields = [rng.integers(-9, 9, (1, *shape)).astype(np.int8) for shape in ((14, 12, 16), (12, 15, 13), (20, 12, 12))]
-    coarse = [rng.integers(-9, 9, (1, *((s + 1) // 2 for s in field.shape[1:]))).astype(np.int8) for field in fields]
+    fields = [
+        rng.integers(-9, 9, (1, *shape)).astype(np.int8)
+        for shape in ((14, 12, 16), (12, 15, 13), (20, 12, 12))
+    ]
+    coarse = [
+        rng.integers(-9, 9, (1, *((s + 1) // 2 for s in field.shape[1:]))).astype(np.int8)
+        for field in fields
+    ]
     stacks = [Stack.of(coarse), Stack.of(fields)]
     old, new = (Candidates.of(stack, width=4, step=2, variance=0.9, most=8) for stack in stacks)
     assert new.allowed.sum() == sum(np.prod([s - 3 for s in field.shape[1:]]) for field in fields)
@@ -147,7 +163,9 @@ def corners(candidates, match):
 
 
 def carried_over(match, old, new, grid, factor):
-    """Site by site: the corner that belongs there, moved into the same volume and onto the grid of candidates."""
+    """Site by site: the corner that belongs there, moved into the same volume and onto the grid of
+    candidates.
+    """
     moved = np.empty(grid, int)
     for place in np.ndindex(grid):
         corner = np.array(place) * new.steps
@@ -159,7 +177,8 @@ def carried_over(match, old, new, grid, factor):
         wanted = np.clip(wanted, 0, new.stack.sides[volume] - new.basis.box)
         cell = wanted // new.strides
         cell[0] = (wanted[0] + new.stack.starts[volume]) // new.strides[0]
-        # A stride that does not divide a volume's start: the cell before it belongs to the volume below.
+        # A stride that does not divide a volume's start: the cell before it belongs to the volume
+        # below.
         cell[0] = max(cell[0], -(-new.stack.starts[volume] // new.strides[0]))
         moved[place] = np.ravel_multi_index(tuple(cell), new.shape)
     return moved
@@ -177,7 +196,13 @@ def test_two_exemplars_both_lend_their_structures():
 
 
 def test_exemplars_that_differ_are_refused(bone):
-    other = tb.Image(bone.values, "labels", spacing=(2 * s for s in bone.spacing), unit=bone.unit, phases=bone.phases)
+    other = tb.Image(
+        bone.values,
+        "labels",
+        spacing=(2 * s for s in bone.spacing),
+        unit=bone.unit,
+        phases=bone.phases,
+    )
     with pytest.raises(InputError, match="agree in spacing"):
         tb.method("texture").fit([bone, other])
     with pytest.raises(InputError, match="one exemplar"):
@@ -208,7 +233,11 @@ def test_colours_stay_the_exemplars(bone):
     made = tb.method("texture", **QUICK).fit(tb.Image(values, "colour")).generate(36, seed=2)
     assert made.kind == "colour"
     assert made.values.shape == (36, 36, 36, 3)
-    near = np.abs(made.values[..., None, :].astype(int) - np.array([[230, 210, 160], [120, 30, 20]])).max(-1).min(-1)
+    near = (
+        np.abs(made.values[..., None, :].astype(int) - np.array([[230, 210, 160], [120, 30, 20]]))
+        .max(-1)
+        .min(-1)
+    )
     assert np.mean(near == 0) > 0.97, "channels agree on the colour"
 
 
@@ -230,11 +259,17 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
 
 
 def test_rounds_by_energy_tell_their_trace(bone):
-    """Equation (1) falls, the last round of a level changes it by less than the tolerance, and the recipe tells so."""
+    """Equation (1) falls, the last round of a level changes it by less than the tolerance, and the
+    recipe tells so.
+    """
     exemplar = tb.crop(bone, 32)
-    method = tb.method("texture", gradient=0.5, adaptive=True, tolerance=0.01, first_rounds=12, rounds=(12,))
+    method = tb.method(
+        "texture", gradient=0.5, adaptive=True, tolerance=0.01, first_rounds=12, rounds=(12,)
+    )
     levels = method.fit(exemplar).generate(36, seed=1).recipe.steps[-1]["report"]["levels"]
-    assert [level["level"] for level in levels] == sorted((level["level"] for level in levels), reverse=True)
+    assert [level["level"] for level in levels] == sorted(
+        (level["level"] for level in levels), reverse=True
+    )
     for level in levels:
         robust = [round_["robust"] for round_ in level["energy"]]
         assert robust[-1] < robust[0]
@@ -242,7 +277,9 @@ def test_rounds_by_energy_tell_their_trace(bone):
             assert abs(robust[-1] - robust[-2]) <= 0.01 * robust[-2]
 
 
-@pytest.mark.parametrize("settings", [{"search": "exact"}, {"gradient": 0.3}, {"search": "exact", "adaptive": True}])
+@pytest.mark.parametrize(
+    "settings", [{"search": "exact"}, {"gradient": 0.3}, {"search": "exact", "adaptive": True}]
+)
 def test_the_papers_pieces_honour_every_part(bone, settings):
     exemplar = tb.crop(bone, 28)
     model = tb.method("texture", first_rounds=4, rounds=(2,), **settings).fit(exemplar)
@@ -251,7 +288,9 @@ def test_the_papers_pieces_honour_every_part(bone, settings):
     known = np.zeros((30, 30, 30), bool)
     known[:12, 4:26] = True
     scan = labels(bone.values[:30, :30, :30], bone)
-    made = model.generate(30, seed=2, mask=form, fixed=scan, known=known, periodic=(False, True, False)).values
+    made = model.generate(
+        30, seed=2, mask=form, fixed=scan, known=known, periodic=(False, True, False)
+    ).values
     assert np.array_equal(made[known], scan.values[known])
     assert not made[~form & ~known].any()
     share = made[form & ~known].mean()
@@ -262,14 +301,18 @@ def test_the_exact_search_finds_nearer_neighbourhoods_than_the_coherent_one(bone
     exemplar = tb.crop(bone, 28)
     fits = {}
     for search in ("coherent", "exact"):
-        model = tb.method("texture", search=search, novelty=0, levels=1, first_rounds=6, tolerance=1e-9).fit(exemplar)
+        model = tb.method(
+            "texture", search=search, novelty=0, levels=1, first_rounds=6, tolerance=1e-9
+        ).fit(exemplar)
         trace = model.generate(36, seed=3).recipe.steps[-1]["report"]["levels"][0]["energy"]
         fits[search] = trace[1]["squares"]
     assert fits["exact"] < fits["coherent"]
 
 
 def test_mirrored_copies_are_learnt_from():
-    """Teeth that all rise to the right: the interface lies along one diagonal, and with mirrors along both."""
+    """Teeth that all rise to the right: the interface lies along one diagonal, and with mirrors
+    along both.
+    """
     y, x = np.indices((32, 32))
     teeth = np.zeros((32, 32, 32), np.uint8)
     teeth[:] = (x % 8) > (y % 8)
@@ -279,7 +322,10 @@ def test_mirrored_copies_are_learnt_from():
         across = np.mean(values[:, 1:, :-1] != values[:, :-1, 1:])
         return across / along
 
-    models = {which: tb.method("texture", orientations=which, **QUICK).fit(teeth) for which in ("none", "mirrors")}
+    models = {
+        which: tb.method("texture", orientations=which, **QUICK).fit(teeth)
+        for which in ("none", "mirrors")
+    }
     assert len(models["mirrors"].stacks[0].starts) == 8
     leans = {which: leaning(model.generate(48, seed=1).values) for which, model in models.items()}
     assert leaning(teeth) > 2
@@ -300,9 +346,19 @@ def test_new_material_copies_no_more_than_an_independent_sample_does(bone):
 
 
 def test_novelty_goes_with_labels_and_our_search_alone(bone):
-    for settings in ({"search": "exact"}, {"gradient": 0.1}, {"field": "indicator"}, {"histogram": False}):
+    for settings in (
+        {"search": "exact"},
+        {"gradient": 0.1},
+        {"field": "indicator"},
+        {"histogram": False},
+    ):
         with pytest.raises(InputError, match="novelty=0"):
             tb.method("texture", novelty=0.5, **settings).fit(bone)
-        assert tb.method("texture", **settings).config.novelty_for(distances=settings.get("field") is None) == 0
+        assert (
+            tb.method("texture", **settings).config.novelty_for(
+                distances=settings.get("field") is None
+            )
+            == 0
+        )
     with pytest.raises(InputError, match="novelty"):
         tb.method("texture", novelty=0.5).fit(tb.Image(bone.values * np.uint8(90), "grey"))

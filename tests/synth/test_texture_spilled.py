@@ -1,4 +1,6 @@
-"""Search and vote with arrays in scratch files, slab by slab, and after an interruption: the voxels of one run in memory."""
+"""Search and vote with arrays in scratch files, slab by slab, and after an interruption: the voxels
+of one run in memory.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.progress import listen
-from trabecula.engine import checkpoint, scratch
+from trabecula.engine import checkpoint, memmap
 from trabecula.synth.shared.auction import shared_out
 from trabecula.synth.shared.brightest import brightest
 from trabecula.synth.shared.histogram import Histogram, match_histogram, mixed_with_neighbours
@@ -15,12 +17,19 @@ from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
 SHAPE = (35, 30, 32)
-QUICK = {"novelty": 0.0, "neighbourhood": (5,), "first_rounds": 2, "rounds": (2, 2), "sweeps": 1, "tries": 1}
+QUICK = {
+    "novelty": 0.0,
+    "neighbourhood": (5,),
+    "first_rounds": 2,
+    "rounds": (2, 2),
+    "sweeps": 1,
+    "tries": 1,
+}
 
 
 @pytest.fixture(autouse=True)
 def _every_array_in_a_file(monkeypatch):
-    monkeypatch.setattr(scratch, "LEAST", 64)
+    monkeypatch.setattr(memmap, "LEAST", 64)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,9 @@ def shades(bone):
 
 def colours(bone):
     values = shades(bone).values
-    return tb.Image(np.stack([values, 255 - values, values // 2], axis=-1), "colour", bone.spacing, bone.unit)
+    return tb.Image(
+        np.stack([values, 255 - values, values // 2], axis=-1), "colour", bone.spacing, bone.unit
+    )
 
 
 def phases(bone):
@@ -60,8 +71,16 @@ def held(exemplar):
 
 CASES = {
     "two levels": (None, {}, lambda _: {}),
-    "sums over blocks": (None, {"neighbourhood": (8,)}, lambda _: {"periodic": (True, False, True)}),
-    "several widths and sweeps": (None, {"neighbourhood": (5, 4), "sweeps": 2}, lambda _: {"periodic": True}),
+    "sums over blocks": (
+        None,
+        {"neighbourhood": (8,)},
+        lambda _: {"periodic": (True, False, True)},
+    ),
+    "several widths and sweeps": (
+        None,
+        {"neighbourhood": (5, 4), "sweeps": 2},
+        lambda _: {"periodic": True},
+    ),
     "a form": (None, {}, lambda _: {"mask": form()}),
     "known beside a form": (None, {}, lambda e: {"mask": form(), **held(e)}),
     "without a histogram": (None, {"histogram": False}, lambda _: {}),
@@ -82,9 +101,9 @@ def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     model = tb.method("texture", **{**QUICK, **settings}).fit(exemplar)
     request = tb.Request(SHAPE, seed=3, **parts(exemplar))
     at_once, _ = model.made(request)
-    with tb.threads(2), scratch.spilled(tmp_path, memory=1 << 20, thickest=3):
+    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=3):
         values, _ = model.made(request)
-        assert scratch.place_of(values) is not None
+        assert memmap.place_of(values) is not None
         assert np.array_equal(values, at_once)
         del values
     assert not list(tmp_path.iterdir()), "a file stayed"
@@ -132,7 +151,12 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
     assert not list(tmp_path.iterdir())
 
 
-@given(seed=st.integers(0, 99), share=st.floats(0, 1), levels=st.sampled_from([2, 9, 9999]), masked=st.booleans())
+@given(
+    seed=st.integers(0, 99),
+    share=st.floats(0, 1),
+    levels=st.sampled_from([2, 9, 9999]),
+    masked=st.booleans(),
+)
 def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
     rng = np.random.default_rng(seed)
     field = (rng.integers(0, levels, (5, 4, 6)) * (30000 // levels)).astype(np.int16)
@@ -140,7 +164,9 @@ def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
     count = round(share * np.count_nonzero(inside))
     padded = np.pad(field.astype(int), 1, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3)).sum((3, 4, 5))
-    order = np.lexsort((np.arange(field.size), -around.ravel(), -mixed_with_neighbours(field).ravel().astype(int)))
+    order = np.lexsort(
+        (np.arange(field.size), -around.ravel(), -mixed_with_neighbours(field).ravel().astype(int))
+    )
     expected = np.zeros(field.size, bool)
     expected[[place for place in order if inside.ravel()[place]][:count]] = True
     assert np.array_equal(brightest(field, count, inside if masked else None).ravel(), expected)
@@ -148,7 +174,7 @@ def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
 
 def test_ties_are_settled_in_raster_order_across_slabs(tmp_path):
     field = np.zeros((11, 4, 5), np.int16)
-    with tb.threads(2), scratch.spilled(tmp_path, memory=1 << 20, thickest=2):
+    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=2):
         chosen = np.array(brightest(field, 87))
     assert np.array_equal(chosen.ravel(), np.arange(field.size) < 87)
 
@@ -168,7 +194,10 @@ def test_an_auction_gives_every_phase_its_share():
 
 
 @given(
-    st.tuples(*[st.integers(1, 6)] * 3), st.tuples(*[st.booleans()] * 3), st.integers(-2, 3), st.sampled_from([1, 2])
+    st.tuples(*[st.integers(1, 6)] * 3),
+    st.tuples(*[st.booleans()] * 3),
+    st.integers(-2, 3),
+    st.sampled_from([1, 2]),
 )
 def test_doubling_and_fitting_in_one_pass(shape, wraps, more, factor):
     field = np.random.default_rng(sum(shape)).integers(-127, 128, (2, *shape)).astype(np.int8)
@@ -179,10 +208,17 @@ def test_doubling_and_fitting_in_one_pass(shape, wraps, more, factor):
         ends[axis] = (1, 1)
         near = np.pad(fine, ends, mode="wrap" if wrap else "edge")
         side = fine.shape[axis]
-        pair = [3 * fine + near.take(range(side), axis), 3 * fine + near.take(range(2, side + 2), axis)]
-        fine = np.stack(pair, axis + 1).reshape(*fine.shape[:axis], 2 * side, *fine.shape[axis + 1 :])
+        pair = [
+            3 * fine + near.take(range(side), axis),
+            3 * fine + near.take(range(2, side + 2), axis),
+        ]
+        fine = np.stack(pair, axis + 1).reshape(
+            *fine.shape[:axis], 2 * side, *fine.shape[axis + 1 :]
+        )
     fine = ((fine + 32) >> 6) * factor
-    expected = fit_to(np.clip(fine, -127, 127).astype(np.int8) if factor == 2 else fine.astype(np.int8), wanted)
+    expected = fit_to(
+        np.clip(fine, -127, 127).astype(np.int8) if factor == 2 else fine.astype(np.int8), wanted
+    )
     assert np.array_equal(double(field, wraps, shape=wanted, factor=factor), expected)
 
 
@@ -202,7 +238,11 @@ def test_slabs_change_no_field(tmp_path):
         known = {"fixed": tb.Image(np.zeros(free.shape, np.uint8), "labels"), "known": ~free}
         request = tb.Request(free.shape, seed=1, **known)
         halves = regions_of(
-            request, 3, (field - 1, field + 1), lambda bound, _: np.rint(bound).astype(np.int8), thin=True
+            request,
+            3,
+            (field - 1, field + 1),
+            lambda bound, _: np.rint(bound).astype(np.int8),
+            thin=True,
         )
         parts = [
             halve(field),
@@ -212,13 +252,17 @@ def test_slabs_change_no_field(tmp_path):
             covered.free,
             seen.free,
         ]
-        return [np.array(part) for part in parts + [half.low for half in halves] + [half.free for half in halves]]
+        return [
+            np.array(part)
+            for part in parts + [half.low for half in halves] + [half.free for half in halves]
+        ]
 
     whole = everything()
-    with tb.threads(2), scratch.spilled(tmp_path, memory=1 << 20, thickest=2):
+    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=2):
         slabs = everything()
     assert all(np.array_equal(a, b) for a, b in zip(whole, slabs, strict=True))
-    # What is active by its definition: a free voxel in the neighbourhood, which goes round where the axis wraps.
+    # What is active by its definition: a free voxel in the neighbourhood, which goes round where
+    # the axis wraps.
     padded = np.pad(whole[4], [(0, 4), (0, 0), (0, 4)], mode="wrap")
     for site in np.ndindex(grid):
         z, y, x = (2 * s for s in site)

@@ -1,7 +1,8 @@
-"""A real browser for tests and benchmarks: headless Chromium, spoken to over a pipe (DevTools protocol), no package needed.
+"""A real browser for tests and benchmarks: headless Chromium, spoken to over a pipe (DevTools
+protocol), no package needed.
 
-The pipe is that of `--remote-debugging-pipe`: messages in JSON, each ended by a zero byte, read by the browser from
-descriptor 3 and written to 4. Nothing listens on a port.
+The pipe is that of `--remote-debugging-pipe`: messages in JSON, each ended by a zero byte, read by
+the browser from descriptor 3 and written to 4. Nothing listens on a port.
 """
 
 import base64
@@ -25,7 +26,8 @@ from PIL import Image as Pillow
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 MISSING = "no Chromium was found: install the package chromium (apt-get install chromium), or set CHROMIUM to its path"
 _SECONDS = 60
-# SwiftShader draws on the processor: the same pictures on every machine, and no graphics card needed.
+# SwiftShader draws on the processor: the same pictures on every machine, and no graphics card
+# needed.
 _FLAGS = (
     "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--disable-sync",
@@ -52,8 +54,17 @@ class Chromium:
         high = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 20) for fd in (theirs, answers)]
         actions = [(os.POSIX_SPAWN_DUP2, high[0], 3), (os.POSIX_SPAWN_DUP2, high[1], 4)]
         actions += [(os.POSIX_SPAWN_DUP2, self.log.fileno(), fd) for fd in (1, 2)]
-        words = [found(), *_FLAGS, *root, *flags, f"--user-data-dir={self.folder.name}", "about:blank"]
-        self.process = os.posix_spawn(words[0], words, os.environ, file_actions=actions, setsid=True)
+        words = [
+            found(),
+            *_FLAGS,
+            *root,
+            *flags,
+            f"--user-data-dir={self.folder.name}",
+            "about:blank",
+        ]
+        self.process = os.posix_spawn(
+            words[0], words, os.environ, file_actions=actions, setsid=True
+        )
         for fd in (theirs, answers, *high):
             os.close(fd)
         self.number, self.rest, self.pages = 0, b"", {}
@@ -83,7 +94,10 @@ class Chromium:
     def pump(self, seconds):
         """Listen to what happens for a while."""
         until = time.monotonic() + seconds
-        while b"\0" in self.rest or select.select([self.back], [], [], max(0.0, until - time.monotonic()))[0]:
+        while (
+            b"\0" in self.rest
+            or select.select([self.back], [], [], max(0.0, until - time.monotonic()))[0]
+        ):
             self._next("")
 
     def _next(self, trouble):
@@ -102,14 +116,23 @@ class Chromium:
         return message
 
     def processes(self):
-        """(type, bytes of memory, seconds of the processor) of the browser's processes; what they share is shared out."""
-        listed = subprocess.run(["ps", "-o", "pid=,args=", "-g", str(self.process)], capture_output=True, text=True)
+        """(type, bytes of memory, seconds of the processor) of the browser's processes; what they
+        share is shared out.
+        """
+        listed = subprocess.run(
+            ["ps", "-o", "pid=,args=", "-g", str(self.process)], capture_output=True, text=True
+        )
         for line in listed.stdout.splitlines():
             number, words = line.split(maxsplit=1)
-            kind = next((word.partition("=")[2] for word in words.split() if word.startswith("--type=")), "browser")
+            kind = next(
+                (word.partition("=")[2] for word in words.split() if word.startswith("--type=")),
+                "browser",
+            )
             with contextlib.suppress(FileNotFoundError):
                 ticks = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[11:13]
-                memory = re.search(r"^Pss: +(\d+)", Path(f"/proc/{number}/smaps_rollup").read_text(), re.MULTILINE)
+                memory = re.search(
+                    r"^Pss: +(\d+)", Path(f"/proc/{number}/smaps_rollup").read_text(), re.MULTILINE
+                )
                 yield kind, int(memory[1]) * 1024, sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
     def close(self):
@@ -127,7 +150,9 @@ class Chromium:
 
 
 class Tab:
-    """A page: `run` evaluates, the mouse and the keys are real events, `errors` and `requests` are what came up."""
+    """A page: `run` evaluates, the mouse and the keys are real events, `errors` and `requests` are
+    what came up.
+    """
 
     def __init__(self, browser, target, session, url, size, before):
         self.browser, self.target, self.session = browser, target, session
@@ -162,8 +187,14 @@ class Tab:
         elif method == "Runtime.exceptionThrown":
             details = about["exceptionDetails"]
             self.errors.append(details.get("exception", {}).get("description") or details["text"])
-        elif method == "Runtime.consoleAPICalled" and about["type"] in ("error", "warning", "assert"):
-            self.errors.append(str([each.get("value", each.get("description")) for each in about["args"]]))
+        elif method == "Runtime.consoleAPICalled" and about["type"] in (
+            "error",
+            "warning",
+            "assert",
+        ):
+            self.errors.append(
+                str([each.get("value", each.get("description")) for each in about["args"]])
+            )
         elif method == "Log.entryAdded" and about["entry"]["level"] == "error":
             self.errors.append(about["entry"]["text"])
         elif method == "Network.requestWillBeSent":
@@ -171,9 +202,13 @@ class Tab:
 
     def run(self, expression):
         """The value of an expression of JavaScript; promises are waited for."""
-        answer = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
+        )
         if "exceptionDetails" in answer:
-            raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "failed"))
+            raise RuntimeError(
+                answer["exceptionDetails"].get("exception", {}).get("description", "failed")
+            )
         return answer["result"].get("value")
 
     def resize(self, width, height, *, touch=False):
@@ -199,7 +234,9 @@ class Tab:
         """Press, move, release."""
         self.mouse("mousePressed", *start)
         for k in range(1, steps + 1):
-            self.mouse("mouseMoved", *(a + (b - a) * k / steps for a, b in zip(start, end, strict=True)))
+            self.mouse(
+                "mouseMoved", *(a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            )
         self.mouse("mouseReleased", *end)
 
     def press(self, key, **more):
@@ -210,7 +247,9 @@ class Tab:
 
     def fingers(self, kind, *places):
         """touchStart, touchMove, touchEnd with fingers at these places."""
-        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in places])
+        self.call(
+            "Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in places]
+        )
 
     def close(self):
         """Close the page alone."""

@@ -1,4 +1,6 @@
-"""The page in a real browser: what is drawn, what moves it, and that it asks nothing of the network."""
+"""The page in a real browser: what is drawn, what moves it, and that it asks nothing of the
+network.
+"""
 
 import base64
 import io
@@ -35,7 +37,9 @@ def browser():
 
 @pytest.fixture
 def show(browser, tmp_path):
-    """Open a page of some images from a file; everything that went wrong in it fails the test at its end."""
+    """Open a page of some images from a file; everything that went wrong in it fails the test at
+    its end.
+    """
     tabs = []
 
     def opened(*images, size=WINDOW, before="", **options):
@@ -59,7 +63,9 @@ def canvas(tab):
 
 
 def stage(tab):
-    return tab.run("[document.getElementById('stage').clientWidth, document.getElementById('stage').clientHeight]")
+    return tab.run(
+        "[document.getElementById('stage').clientWidth, document.getElementById('stage').clientHeight]"
+    )
 
 
 def apart(one, other):
@@ -74,17 +80,22 @@ def middle_of(tab, selector):
     )
 
 
-@pytest.mark.parametrize(("look", "cut"), [("bone", "corner"), ("bread", "none"), ("stone", "plane=60,10,0.4")])
+@pytest.mark.parametrize(
+    ("look", "cut"), [("bone", "corner"), ("bread", "none"), ("stone", "plane=60,10,0.4")]
+)
 def test_page_and_still_are_one_picture(show, look, cut):
     image = foam(32)
     tab = show(image, look=look)
     if cut == "none":
         tab.run("app.setCut('none')")
     elif cut != "corner":
-        tab.run("Object.assign(app.cut, {free: true, azimuth: 60, elevation: 10, offset: 0.4}); app.setCut('none')")
+        tab.run(
+            "Object.assign(app.cut, {free: true, azimuth: 60, elevation: 10, offset: 0.4}); app.setCut('none')"
+        )
     page = canvas(tab)
     still = tb.render(image, size=stage(tab), look=look, cut=cut).values.astype(int)
-    rows = slice(0, -max(30, len(still) // 8))  # the still's scale bar is in the picture, the page's lies over it
+    # the still's scale bar is in the picture, the page's lies over it
+    rows = slice(0, -max(30, len(still) // 8))
     page, still = page[rows], still[rows]
     assert (np.abs(still - still[0, 0]).max(axis=-1) > 12).mean() > 0.1
     assert apart(page, still) < 1.5
@@ -96,18 +107,24 @@ def test_what_is_skipped_would_not_have_been_seen(show, opacity):
     values = np.zeros((40, 40, 40), bool)
     values[4:9, 30:35, 5:20], values[20:22, :, 22:24] = True, True
     tab = show(values)
-    tab.run(f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; app.redraw()")
+    tab.run(
+        f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; app.redraw()"
+    )
     canvas(tab)
     shown = (
         f"(app.paint(1, 0, {{skip: {word}}}), document.getElementById('picture').toDataURL().split(',')[1])"
         for word in ("true", "false")
     )
     skipped, all_steps = (
-        np.asarray(Pillow.open(io.BytesIO(base64.b64decode(tab.run(words)))).convert("RGB")).astype(int)
+        np.asarray(Pillow.open(io.BytesIO(base64.b64decode(tab.run(words)))).convert("RGB")).astype(
+            int
+        )
         for words in shown
     )
     assert skipped.std() > 1 and apart(skipped, all_steps) < 0.2
-    counts = [tab.run(f"app.measure({{frames: 1, skip: {word}}}).samples") for word in ("true", "false")]
+    counts = [
+        tab.run(f"app.measure({{frames: 1, skip: {word}}}).samples") for word in ("true", "false")
+    ]
     assert counts[0] < 0.5 * counts[1]
 
 
@@ -119,7 +136,13 @@ def test_phases_are_drawn_in_their_colours_as_in_a_still(show):
     page, still = canvas(tab)[:-40], tb.render(image, size=stage(tab)).values.astype(int)[:-40]
     assert apart(page, still) < 1.5
     tab.run("app.volumes[0].phases[2].visible = false; app.volumes[0].dirty = true; app.redraw()")
-    assert apart(canvas(tab)[:-40], tb.render(image, size=stage(tab), phase="solid").values.astype(int)[:-40]) < 1.5
+    assert (
+        apart(
+            canvas(tab)[:-40],
+            tb.render(image, size=stage(tab), phase="solid").values.astype(int)[:-40],
+        )
+        < 1.5
+    )
 
 
 def test_a_dragged_handle_moves_its_plane_and_the_slider_follows(show):
@@ -153,7 +176,9 @@ def test_the_free_plane_is_tilted_and_shifted_by_its_handles(show):
 def test_sliders_and_keys_do_what_the_mouse_does(show):
     tab = show(foam())
     before = canvas(tab)
-    tab.run("const s = document.querySelector('input[name=x]'); s.value = 0.8; s.dispatchEvent(new Event('input'))")
+    tab.run(
+        "const s = document.querySelector('input[name=x]'); s.value = 0.8; s.dispatchEvent(new Event('input'))"
+    )
     cut = canvas(tab)
     assert apart(cut, before) > 1 and tab.run("app.cut.at[0]") == 0.8
     tab.run("document.getElementById('picture').focus()")
@@ -185,7 +210,9 @@ def test_looks_change_the_picture_and_come_from_the_table(show):
     tab = show(foam())
     pictures = []
     for name in ("bone", "foam", "bread", "sponge", "stone"):
-        tab.run(f"{{ const s = document.querySelector('select[name=Look]'); s.value = '{name}'; s.onchange(); }}")
+        tab.run(
+            f"{{ const s = document.querySelector('select[name=Look]'); s.value = '{name}'; s.onchange(); }}"
+        )
         pictures.append(canvas(tab))
     gaps = [apart(one, other) for k, one in enumerate(pictures) for other in pictures[:k]]
     assert min(gaps) > 1
@@ -196,7 +223,9 @@ def test_linked_cameras_turn_together_and_lengths_are_one_scale(show):
     fine = tb.Image(np.ones((20, 20, 20), np.uint8), "labels", 10, "um")
     tab = show(coarse, fine, names=["coarse", "fine"])
     drawn = np.abs(canvas(tab) - canvas(tab)[0, 0]).max(axis=-1) > 12
-    wide = [np.ptp(np.flatnonzero(half.any(axis=0))) + 1 for half in np.array_split(drawn, 2, axis=1)]
+    wide = [
+        np.ptp(np.flatnonzero(half.any(axis=0))) + 1 for half in np.array_split(drawn, 2, axis=1)
+    ]
     assert wide[0] == pytest.approx(2 * wide[1], abs=4)  # 400 um beside 200 um
     tab.run("app.cameras[1].azimuth = 80; app.redraw()")
     assert tab.run("app.cameras[0].azimuth") == 80
@@ -215,7 +244,9 @@ def test_grey_follows_its_transfer_function(show):
     tab.run("app.setCut('none'); app.homeAngles.azimuth = app.homeAngles.elevation = 0; app.home()")
 
     def share(low):
-        tab.run(f"Object.assign(app.volumes[0], {{low: {low}, high: {low}, dirty: true}}); app.redraw()")
+        tab.run(
+            f"Object.assign(app.volumes[0], {{low: {low}, high: {low}, dirty: true}}); app.redraw()"
+        )
         picture = canvas(tab)
         return (np.abs(picture - picture[0, 0]).max(axis=-1) > 8).mean()
 
@@ -236,7 +267,9 @@ def test_colour_is_shown_as_it_is(show):
     tab.run("app.setCut('none'); app.homeAngles.azimuth = app.homeAngles.elevation = 0; app.home()")
     picture = canvas(tab)
     (height, width), red, blue = picture.shape[:2], picture[..., 0], picture[..., 2]
-    assert (red > blue + 60)[height // 2, width // 2 - 20] and (blue > red + 60)[height // 2, width // 2 + 20]
+    assert (red > blue + 60)[height // 2, width // 2 - 20] and (blue > red + 60)[
+        height // 2, width // 2 + 20
+    ]
 
 
 def test_the_screenshot_is_a_picture_of_the_stage(show):
@@ -270,9 +303,7 @@ def test_slices_show_the_voxels(show):
 
 
 def test_without_webgl_there_are_slices_and_a_plain_message(show):
-    missing = (
-        "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply(f, c, a) "
-    )
+    missing = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply(f, c, a) "
     missing += "{ return a[0] === 'webgl2' ? null : Reflect.apply(f, c, a); }})"
     tab = show(foam(), before=missing)
     assert "no WebGL 2" in tab.run("document.getElementById('message').innerText")
@@ -283,10 +314,14 @@ def test_without_webgl_there_are_slices_and_a_plain_message(show):
 
 def test_a_damaged_page_says_so(browser, tmp_path):
     html = tb.view(foam(12)).html
-    (tmp_path / "damaged.html").write_text(html.replace('"shape": [12, 12, 12]', '"shape": [12, 12, 13]'))
+    (tmp_path / "damaged.html").write_text(
+        html.replace('"shape": [12, 12, 12]', '"shape": [12, 12, 13]')
+    )
     tab = browser.open((tmp_path / "damaged.html").as_uri(), size=WINDOW)
     tab.run("window.trabecula.ready.catch(() => 0)")
-    assert "the page is damaged: 1728 of 1872 bytes" in tab.run("document.getElementById('message').innerText")
+    assert "the page is damaged: 1728 of 1872 bytes" in tab.run(
+        "document.getElementById('message').innerText"
+    )
     tab.close()
 
 
@@ -295,7 +330,9 @@ def test_names_and_figures_stand_beside_and_are_text(show):
         "porosity": {"value": 0.51234, "real_band": [0.4, 0.6], "pass": True},
         "floating": {"value": 3, "pass": False},
     }
-    tab = show(foam(12), names=["</script><b>x"], certificate=json.loads(json.dumps({"metrics": metrics})))
+    tab = show(
+        foam(12), names=["</script><b>x"], certificate=json.loads(json.dumps({"metrics": metrics}))
+    )
     text = tab.run("document.getElementById('panel').innerText")
     assert "0.512" in text and "0.4 .. 0.6" in text and "fail" in text
     assert tab.run("document.querySelector('.name').textContent") == "</script><b>x"
@@ -311,7 +348,10 @@ def test_the_served_page_is_drawn_and_loads_nothing_else(browser):
         tab.run(READY)
         assert canvas(tab).std() > 10
         assert tab.run("location.href") == f"http://127.0.0.1:{server.server_port}/"
-        assert all(url.startswith((f"http://127.0.0.1:{server.server_port}/", "data:")) for url in tab.requests)
+        assert all(
+            url.startswith((f"http://127.0.0.1:{server.server_port}/", "data:"))
+            for url in tab.requests
+        )
         tab.go("Page.reload")  # the token is spent, the cookie is not
         tab.run(READY)
         assert tab.errors == []

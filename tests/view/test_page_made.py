@@ -1,4 +1,6 @@
-"""What goes into a page: voxels that come out again, what is too large, what stands beside; without a browser."""
+"""What goes into a page: voxels that come out again, what is too large, what stands beside; without
+a browser.
+"""
 
 import base64
 import gzip
@@ -19,7 +21,9 @@ def noise(shape, levels=2, seed=0):
 
 
 def told(page):
-    return json.loads(re.search(r'<script type="application/json" id="page">(.*?)</script>', page.html)[1])
+    return json.loads(
+        re.search(r'<script type="application/json" id="page">(.*?)</script>', page.html)[1]
+    )
 
 
 def voxels(page, index=0):
@@ -33,7 +37,9 @@ def test_the_voxels_of_a_page_are_those_of_the_images():
     np.testing.assert_array_equal(voxels(page, 0), labels.ravel())
     np.testing.assert_array_equal(voxels(page, 1), colour.ravel())
     first, second = told(page)["volumes"]
-    assert first["shape"] == [5, 6, 7] and first["edges"] == [1, 2, 3] and second["kind"] == "colour"
+    assert (
+        first["shape"] == [5, 6, 7] and first["edges"] == [1, 2, 3] and second["kind"] == "colour"
+    )
     assert [phase["visible"] for phase in first["phases"]] == [False, True, True]
 
 
@@ -62,7 +68,10 @@ def test_a_grey_volume_that_does_not_pack_is_shown_in_fewer_greys():
     values = noise((24, 24, 24), 256)
     page = tb.view(tb.Image(values, "grey"))
     assert np.abs(voxels(page).astype(int) - values.ravel()).max() <= 2
-    assert "64 greys" in page.html and len(page.html) - len(tb.view(values[0] % 2).html) < 1.25 * values.size
+    assert (
+        "64 greys" in page.html
+        and len(page.html) - len(tb.view(values[0] % 2).html) < 1.25 * values.size
+    )
 
 
 def test_what_is_too_large_is_taken_together_in_blocks_and_the_page_says_so(monkeypatch):
@@ -112,7 +121,8 @@ def test_the_looks_of_the_page_are_those_of_stills():
     assert set(table["looks"]) == set(LOOKS)
     for name, look in LOOKS.items():
         assert (
-            tuple(table["looks"][name]["solid"]) == look.solid and table["looks"][name]["roughness"] == look.roughness
+            tuple(table["looks"][name]["solid"]) == look.solid
+            and table["looks"][name]["roughness"] == look.roughness
         )
         assert table["looks"][name]["absorption"] == look.absorption
     assert sum(table["blur"]) + sum(table["blur"][:2]) == 256
@@ -127,19 +137,29 @@ def test_key_figures_stand_beside_the_image_that_they_are_of():
     small = noise((4, 4, 4))
     exemplar, result = told(tb.view(small, small, certificate={"metrics": metrics}))["volumes"]
     assert exemplar["figures"] == []
-    assert result["figures"] == [["porosity", "0.5", "0.4 .. 0.6", "pass"], ["percolates", "yes, no, yes", "", "fail"]]
+    assert result["figures"] == [
+        ["porosity", "0.5", "0.4 .. 0.6", "pass"],
+        ["percolates", "yes, no, yes", "", "fail"],
+    ]
 
 
 def test_a_real_certificate_is_taken(bone):
     part = tb.crop(bone, 40)
     verdict = tb.verify(bone, part, level="quick")
     rows = told(tb.view(part, certificate=verdict))["volumes"][0]["figures"]
-    assert sorted(row[0] for row in rows if row[0].startswith("porosity")) == ["porosity", "porosity_error"]
+    assert sorted(row[0] for row in rows if row[0].startswith("porosity")) == [
+        "porosity",
+        "porosity_error",
+    ]
     assert rows[0][3] in ("pass", "fail", "")
 
 
 def test_where_it_came_from_stands_beside(bone):
-    made = tb.Image(noise((4, 4, 4)), "labels", recipe=tb.Recipe(({"verb": "generate", "method": "noise", "seed": 3},)))
+    made = tb.Image(
+        noise((4, 4, 4)),
+        "labels",
+        recipe=tb.Recipe(({"verb": "generate", "method": "noise", "seed": 3},)),
+    )
     assert ["Made by", "noise, seed 3"] in told(tb.view(made))["volumes"][0]["facts"]
 
 
@@ -160,7 +180,9 @@ def test_the_policy_lets_only_this_script_and_style_run():
     html = tb.view(noise((4, 4, 4))).html
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', html)[1]
     assert policy.startswith("default-src 'none'; script-src 'sha256-") and "unsafe" not in policy
-    assert not re.search(r'(?:src|href)="(?!data:,)', html) and not re.search(r"\son\w+=", html.split("<script>")[0])
+    assert not re.search(r'(?:src|href)="(?!data:,)', html) and not re.search(
+        r"\son\w+=", html.split("<script>")[0]
+    )
 
 
 def test_a_200_cube_fits_its_megabytes():

@@ -23,7 +23,9 @@ def served():
 
 def ask(served, path, *, method="GET", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", served.server_port, timeout=10)
-    connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    connection.request(
+        method, path, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
     answer = connection.getresponse()
     body = answer.read().decode()
     connection.close()
@@ -51,7 +53,8 @@ def test_nobody_else_gets_it(served, path):
 
 
 @pytest.mark.parametrize(
-    "path", ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/etc/passwd", "//etc/passwd", "/index.html"]
+    "path",
+    ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/etc/passwd", "//etc/passwd", "/index.html"],
 )
 def test_no_other_path_is_there(served, path):
     cookie = f"trabecula-{served.server_port}={served.cookie}"
@@ -59,7 +62,9 @@ def test_no_other_path_is_there(served, path):
     assert answer.status == 404 and "root:" not in body
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:80", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:80", ""]
+)
 def test_another_name_for_this_machine_is_refused(served, host):
     answer, _ = ask(served, f"/?token={served.token}", Host=host)
     assert answer.status == 403
@@ -79,7 +84,10 @@ def test_a_strange_cookie_is_no_cookie(served, cookie):
 def test_it_listens_on_this_machine_alone(served):
     assert served.server_address[0] == "127.0.0.1"
     answer, _ = ask(served, "/")
-    assert answer.headers["X-Frame-Options"] == "DENY" and answer.headers["Cache-Control"] == "no-store"
+    assert (
+        answer.headers["X-Frame-Options"] == "DENY"
+        and answer.headers["Cache-Control"] == "no-store"
+    )
 
 
 def test_a_taken_port_is_told():
@@ -107,7 +115,11 @@ def test_without_a_browser_the_address_is_told(stopped, monkeypatch):
     monkeypatch.setattr(server, "has_display", lambda: False)
     lines = []
     server.serve(HTML, tell=lines.append)
-    assert "no browser was found" in lines[0] and "http://127.0.0.1:" in lines[0] and "?token=" in lines[0]
+    assert (
+        "no browser was found" in lines[0]
+        and "http://127.0.0.1:" in lines[0]
+        and "?token=" in lines[0]
+    )
     with pytest.raises(InputError, match=r"no browser was found.*save\(path\)"):
         server.serve(HTML)
 

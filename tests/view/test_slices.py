@@ -40,7 +40,9 @@ def test_spacing_gives_voxels_their_shape(image):
     colours = phase_colours(tall, LOOKS["bone"])
     sheet = slices(tall, side=320)
     plane = image.values[:, 15]
-    np.testing.assert_array_equal(panel(sheet, 2 * TOP + 40 * 5, plane.shape, (15, 5)), colours[plane])
+    np.testing.assert_array_equal(
+        panel(sheet, 2 * TOP + 40 * 5, plane.shape, (15, 5)), colours[plane]
+    )
 
 
 def test_unequal_edges_take_the_zoom_that_distorts_least():
@@ -53,11 +55,15 @@ def test_unequal_edges_take_the_zoom_that_distorts_least():
 
 def test_grey_and_colour_are_shown_as_they_are():
     grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    np.testing.assert_array_equal(panel(slices(tb.Image(grey, "grey"), side=64), TOP, (16, 16), (4, 4))[..., 0], grey)
+    np.testing.assert_array_equal(
+        panel(slices(tb.Image(grey, "grey"), side=64), TOP, (16, 16), (4, 4))[..., 0], grey
+    )
     deep = tb.Image(grey.astype(np.uint16) * 100 + 500, "grey")
     np.testing.assert_array_equal(panel(slices(deep, side=64), TOP, (16, 16), (4, 4))[..., 0], grey)
     colour = np.random.default_rng(0).integers(0, 256, (16, 16, 3)).astype(np.uint8)
-    np.testing.assert_array_equal(panel(slices(tb.Image(colour, "colour"), side=64), TOP, (16, 16), (4, 4)), colour)
+    np.testing.assert_array_equal(
+        panel(slices(tb.Image(colour, "colour"), side=64), TOP, (16, 16), (4, 4)), colour
+    )
 
 
 def test_a_large_image_is_thinned():
@@ -72,7 +78,9 @@ def test_several_slices_an_axis_are_evenly_spaced(image):
     colours = phase_colours(image, LOOKS["bone"])
     left = TOP
     for at in (3, 10, 16):
-        np.testing.assert_array_equal(panel(three, left, (30, 40), (4, 4)), colours[image.values[at]])
+        np.testing.assert_array_equal(
+            panel(three, left, (30, 40), (4, 4)), colours[image.values[at]]
+        )
         left += 160 + TOP + int(max(0, _caption_room(at, 20) - 160))
 
 
@@ -116,7 +124,8 @@ def test_the_same_image_gives_the_same_bytes(image, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("limit", "length"), [(1, 1), (1.99, 1), (2, 2), (4.9, 2), (5, 5), (99, 50), (100, 100), (0.07, 0.05)]
+    ("limit", "length"),
+    [(1, 1), (1.99, 1), (2, 2), (4.9, 2), (5, 5), (99, 50), (100, 100), (0.07, 0.05)],
 )
 def test_round_lengths(limit, length):
     assert round_length(limit) == pytest.approx(length)
@@ -136,7 +145,9 @@ def test_lengths_in_words(length, unit, text):
     assert words(length, unit) == text
 
 
-@pytest.mark.parametrize(("options", "message"), [({"per_axis": 0}, "per_axis"), ({"side": 3}, "side")])
+@pytest.mark.parametrize(
+    ("options", "message"), [({"per_axis": 0}, "per_axis"), ({"side": 3}, "side")]
+)
 def test_numbers_out_of_range_are_refused(image, options, message):
     with pytest.raises(InputError, match=message):
         slices(image, **options)

@@ -6,7 +6,7 @@ from PIL import Image as Pillow
 
 import trabecula as tb
 from trabecula.core.errors import InputError, MemoryBudgetError, UnknownNameError
-from trabecula.engine.tiles import threads
+from trabecula.engine.parallel import threads
 from trabecula.view.camera import place
 from trabecula.view.looks import LOOKS, phase_colours, to_linear, to_srgb
 
@@ -61,7 +61,8 @@ def test_faces_of_a_solid_cube_are_flat_and_lit_from_above():
 def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
     """The gradient there is that of the inside: shaded by it, the face would be speckled or black."""
     solid = foam(24, seed=5)
-    still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0), look="stone")  # no light from within
+    # no light from within
+    still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0), look="stone")
     voxels = solid[::-1, 0, :]  # looking along y, z up
     inner = np.zeros_like(voxels)
     inner[1:-1, 1:-1] = True
@@ -72,7 +73,10 @@ def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     across = (columns[-1] - columns[0] + 1) / 24
     k, i = np.nonzero(inner)
-    at_row, at_column = (rows[0] + (k + 0.5) * across).astype(int), (columns[0] + (i + 0.5) * across).astype(int)
+    at_row, at_column = (
+        (rows[0] + (k + 0.5) * across).astype(int),
+        (columns[0] + (i + 0.5) * across).astype(int),
+    )
     assert len(k) > 20
     face = still.values[at_row, at_column].astype(float)
     assert face.std(axis=0).max() < 2
@@ -82,7 +86,8 @@ def test_the_corner_is_cut_towards_the_viewer_and_shows_the_inside():
     solid = np.ones((30, 30, 30), np.uint8)
     solid[10:20, 10:20, 10:20] = 2
     whole, opened = (
-        tb.render(solid, size=SMALL, cut=cut, camera=(45, 30)).values.astype(int) for cut in ("none", "corner")
+        tb.render(solid, size=SMALL, cut=cut, camera=(45, 30)).values.astype(int)
+        for cut in ("none", "corner")
     )
 
     def blue(values):
@@ -90,24 +95,35 @@ def test_the_corner_is_cut_towards_the_viewer_and_shows_the_inside():
 
     assert blue(whole) == 0 and blue(opened) > 50
     back = tb.render(solid, size=SMALL, camera=(225, 30)).values.astype(int)
-    np.testing.assert_allclose(back, opened, atol=12)  # the block looks the same from the other side
+    # the block looks the same from the other side
+    np.testing.assert_allclose(back, opened, atol=12)
 
 
 @pytest.mark.parametrize(
-    ("cut", "rows", "columns"), [("z=0.25", 0.25, 1), (["x=0.75", "z=0.5"], 0.5, 0.75), ("plane=90,0,0.6", 1, 0.6)]
+    ("cut", "rows", "columns"),
+    [("z=0.25", 0.25, 1), (["x=0.75", "z=0.5"], 0.5, 0.75), ("plane=90,0,0.6", 1, 0.6)],
 )
 def test_planes_take_away_what_lies_beyond_them(cut, rows, columns):
     cube = np.ones((24, 24, 24), bool)
-    whole, left = (extent(drawn(tb.render(cube, size=(200, 200), cut=each, camera=(0, 0)))) for each in ("none", cut))
-    assert left[0] == pytest.approx(rows * whole[0], abs=2) and left[1] == pytest.approx(columns * whole[1], abs=2)
+    whole, left = (
+        extent(drawn(tb.render(cube, size=(200, 200), cut=each, camera=(0, 0))))
+        for each in ("none", cut)
+    )
+    assert left[0] == pytest.approx(rows * whole[0], abs=2) and left[1] == pytest.approx(
+        columns * whole[1], abs=2
+    )
 
 
 def test_a_free_plane_shows_a_flat_face_of_its_own():
     cube = np.ones((30, 30, 30), bool)
-    still = tb.render(cube, size=(240, 240), cut="plane=20,30,0.5", camera=(20, 30)).values.astype(float)
+    still = tb.render(cube, size=(240, 240), cut="plane=20,30,0.5", camera=(20, 30)).values.astype(
+        float
+    )
     face = still[100:130, 100:140]  # it faces the viewer
     assert face.std(axis=(0, 1)).max() < 2
-    turned = tb.render(cube, size=(240, 240), cut=["plane=20,30,0.7", "corner"], camera=(20, 30)).values.astype(float)
+    turned = tb.render(
+        cube, size=(240, 240), cut=["plane=20,30,0.7", "corner"], camera=(20, 30)
+    ).values.astype(float)
     assert np.abs(turned - still).mean() > 1
 
 
@@ -115,10 +131,14 @@ def test_light_goes_through_a_thin_wall_of_bread_and_not_of_stone():
     def below(thick, look):
         """Brightness of the middle of the underside, which the lamp does not reach from outside."""
         size, box = (160, 160), np.array([24.0, 24.0, thick])
-        still = tb.render(np.ones((thick, 24, 24), bool), size=size, cut="none", camera=(0, -12), look=look)
+        still = tb.render(
+            np.ones((thick, 24, 24), bool), size=size, cut="none", camera=(0, -12), look=look
+        )
         camera = place((0, -12), box, size, margin=8, foot=19)
         offset = np.array([12.0, 12.0, 0.0]) - camera.corner
-        column, row = (round(float(way @ offset / camera.pixel)) for way in (camera.right, -camera.up))
+        column, row = (
+            round(float(way @ offset / camera.pixel)) for way in (camera.right, -camera.up)
+        )
         return still.values[row - 2 : row + 3, column - 2 : column + 3].mean()
 
     assert below(2, "bread") > below(24, "bread") + 8
@@ -134,7 +154,9 @@ def test_the_rougher_the_surface_the_wider_and_weaker_its_highlight():
 
 
 def test_no_more_light_is_reflected_than_falls_in():
-    """The diffuse and specular terms, over all directions to a viewer, of light that falls in at 30 degrees."""
+    """The diffuse and specular terms, over all directions to a viewer, of light that falls in at 30
+    degrees.
+    """
     from trabecula.view import shading
 
     lamp = np.array([0.5, 0, np.sqrt(0.75)])
@@ -142,13 +164,19 @@ def test_no_more_light_is_reflected_than_falls_in():
     flat = np.sqrt(1 - up**2)
     for rough in (0.3, 0.6, 1.0):
         total = 0.0
-        for x, y, z in zip((flat * np.cos(round_)).ravel(), (flat * np.sin(round_)).ravel(), up.ravel(), strict=True):
+        for x, y, z in zip(
+            (flat * np.cos(round_)).ravel(),
+            (flat * np.sin(round_)).ravel(),
+            up.ravel(),
+            strict=True,
+        ):
             half = lamp + np.array([x, y, z])
             half /= np.linalg.norm(half)
             between = float(lamp @ half)
             sent = shading.mirrored.py_func(rough, 1.0, lamp[2], z, half[2], between)
             total += z * sent
-        assert 0.02 < 2 * total / up.size < 0.12  # Schlick's base of 0.08, and a little more at grazing angles
+        # Schlick's base of 0.08, and a little more at grazing angles
+        assert 0.02 < 2 * total / up.size < 0.12
 
 
 def test_a_turntable_turns_once_and_keeps_its_scale(tmp_path):
@@ -162,7 +190,10 @@ def test_a_turntable_turns_once_and_keeps_its_scale(tmp_path):
         frames = []
         for k in range(4):
             moving.seek(k)
-            frames.append(np.abs(np.asarray(moving.convert("RGB")).astype(int) - BACKGROUND).max(axis=-1)[:40] > 40)
+            frames.append(
+                np.abs(np.asarray(moving.convert("RGB")).astype(int) - BACKGROUND).max(axis=-1)[:40]
+                > 40
+            )
     middles = [np.nonzero(frame)[1].mean() - 39.5 for frame in frames]
     assert middles[0] < -5 and middles[1] < -5 and middles[2] > 5 and middles[3] > 5
     assert len({extent(frame)[0] for frame in frames}) == 1
@@ -173,7 +204,12 @@ def test_the_camera_turns_around_z():
     post[:, 2:8, 2:8] = True  # low x, low y: front left of a viewer at -y
 
     def middle(azimuth):
-        return np.nonzero(drawn(tb.render(post, size=(120, 120), cut="none", camera=(azimuth, 0))))[1].mean() - 59.5
+        return (
+            np.nonzero(drawn(tb.render(post, size=(120, 120), cut="none", camera=(azimuth, 0))))[
+                1
+            ].mean()
+            - 59.5
+        )
 
     assert middle(0) < -20 and middle(90) < -20 and middle(180) > 20 and middle(270) > 20
     lid = np.zeros((24, 24, 24), bool)
@@ -186,7 +222,14 @@ def test_spacing_stretches_the_picture():
     block = np.ones((20, 20, 20), bool)
     plain = extent(drawn(tb.render(block, size=(200, 200), cut="none", camera=(0, 0))))
     tall = extent(
-        drawn(tb.render(tb.Image(block, "labels", spacing=(2, 1, 1)), size=(200, 200), cut="none", camera=(0, 0)))
+        drawn(
+            tb.render(
+                tb.Image(block, "labels", spacing=(2, 1, 1)),
+                size=(200, 200),
+                cut="none",
+                camera=(0, 0),
+            )
+        )
     )
     assert plain[0] == pytest.approx(plain[1], abs=2)
     assert tall[0] == pytest.approx(2 * tall[1], abs=3)
@@ -207,7 +250,8 @@ def test_a_ball_keeps_its_size_and_is_round():
     mask = drawn(still)
     assert mask.sum() * still.spacing[0] ** 2 == pytest.approx(np.pi * 15**2, rel=0.03)
     assert extent(mask)[0] == pytest.approx(extent(mask)[1], abs=2)
-    # Smooth normals: along the lit side neighbouring pixels differ by little (a staircase would jump).
+    # Smooth normals: along the lit side neighbouring pixels differ by little (a staircase would
+    # jump).
     row = still.values[100, 80:120].astype(int).sum(axis=-1)
     assert np.abs(np.diff(row)).max() < 25
 
@@ -276,7 +320,10 @@ def test_the_whole_box_is_in_the_picture_from_everywhere():
             np.testing.assert_allclose(np.cross(camera.right, camera.up), camera.viewer, atol=1e-12)
             for corner in np.ndindex(2, 2, 2):
                 offset = np.array(corner) * extent_ - camera.corner
-                column, row = offset @ camera.right / camera.pixel, -(offset @ camera.up) / camera.pixel
+                column, row = (
+                    offset @ camera.right / camera.pixel,
+                    -(offset @ camera.up) / camera.pixel,
+                )
                 assert 9 <= column <= 290 and 9 <= row <= 178
 
 

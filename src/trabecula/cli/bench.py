@@ -18,23 +18,33 @@ _PARTS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The cases, and where pictures go."""
     parser.add_argument(
-        "cases", nargs="*", metavar="CASE", help="case, or how several begin, such as texture (default: all; minutes)"
+        "cases",
+        nargs="*",
+        metavar="CASE",
+        help="case, or how several begin, such as texture (default: all; minutes)",
     )
     parser.add_argument("--list", action="store_true", help="name the cases")
     for option, what in _PARTS.items():
         parser.add_argument(f"--{option}", nargs="+", metavar=option.upper(), help=what)
     parser.add_argument(
-        "--out", metavar="FOLDER", help="where cases that draw put their pictures (default: none drawn)"
+        "--out",
+        metavar="FOLDER",
+        help="where cases that draw put their pictures (default: none drawn)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run them in a process of their own, whose memory is theirs."""
     words = [*options.cases, *(["--list"] if options.list else [])]
-    places = {} if options.out is None else {"TRABECULA_BENCH_OUT": os.fspath(Path(options.out).absolute())}
+    places = (
+        {}
+        if options.out is None
+        else {"TRABECULA_BENCH_OUT": os.fspath(Path(options.out).absolute())}
+    )
     for option in _PARTS:
         if getattr(options, option):
-            places[f"TRABECULA_BENCH_{option.upper()}"] = ";".join(getattr(options, option))  # names hold commas
+            # names hold commas
+            places[f"TRABECULA_BENCH_{option.upper()}"] = ";".join(getattr(options, option))
     command = [sys.executable, os.fspath(_script()), *words]
     return subprocess.run(command, env={**os.environ, **places}, check=False).returncode
 

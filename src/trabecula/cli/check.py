@@ -11,7 +11,9 @@ from trabecula.cli import terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The part, the printer, its limits."""
     parser.add_argument("file", metavar="FILE", help="volume of labels, in a unit of length")
-    parser.add_argument("--printer", default="sls", metavar="NAME", help="sls (default), sla or fdm")
+    parser.add_argument(
+        "--printer", default="sls", metavar="NAME", help="sls (default), sla or fdm"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -22,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
     parser.add_argument(
-        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
+        "--memory",
+        type=shared.gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available)",
     )
     shared.add_lengths(parser, spacing=False)
     shared.add_reading(parser)
@@ -31,14 +36,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what was found. A part that would be refused is a result, not an error: status 0."""
     from trabecula.finish import print_check
-    from trabecula.flow import with_lengths
     from trabecula.io.units import to_metres
     from trabecula.mesh.sizes import say_size
+    from trabecula.pipeline.demo import with_lengths
 
     limits = shared.settings(options.set)
-    image = with_lengths(shared.load_exemplar(options.file, options), scale=shared.scale_factor(options))
-    found = print_check(image, printer=options.printer, phase=options.phase, memory=options.memory, **limits)
-    say_size([side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]], image.unit)
+    image = with_lengths(
+        shared.load_exemplar(options.file, options), scale=shared.scale_factor(options)
+    )
+    found = print_check(
+        image, printer=options.printer, phase=options.phase, memory=options.memory, **limits
+    )
+    say_size(
+        [side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]],
+        image.unit,
+    )
     if options.json:
         terminal.show_json(found.to_json())
     else:

@@ -1,4 +1,6 @@
-"""The method of an exemplar where none is named, and what is said where the one that is named cannot learn from it."""
+"""The method of an exemplar where none is named, and what is said where the one that is named
+cannot learn from it.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,11 @@ from trabecula.cli import options as shared
 
 
 def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
-    """The method that `inspect` recommends, and a line that says so, empty where there is nothing to say.
+    """The method that `inspect` recommends, and a line that says so, empty where there is nothing
+    to say.
 
-    Its preset is taken where neither a preset nor settings are given. With these a volume is learnt by `texture`: so they were
-    meant before there was a choice.
+    Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
+    by `texture`: so they were meant before there was a choice.
 
     Raises
     ------
@@ -22,7 +25,7 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     from trabecula.core.errors import InputError
     from trabecula.exemplar.margins import crop_margins
     from trabecula.report.recommend import recommend
-    from trabecula.synth.registry import method
+    from trabecula.synth.api.registry import method
 
     preset, settings = shared.configured(options)
     plain = preset is None and not settings
@@ -44,6 +47,11 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
     from trabecula.report.recommend import misfit
 
     for image in exemplars:
-        why = misfit(image, method.spec.name, method.spec.exemplar, flat=method.spec.flat)
+        why = misfit(
+            image,
+            method.capabilities.name,
+            method.capabilities.exemplar,
+            flat=method.capabilities.flat,
+        )
         if why is not None:
             raise InputError(why)

@@ -10,13 +10,15 @@ from trabecula.cli import terminal
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where to leave the results."""
-    parser.add_argument("--out", default="out", metavar="DIR", help="folder for the results (default: out)")
+    parser.add_argument(
+        "--out", default="out", metavar="DIR", help="folder for the results (default: out)"
+    )
     parser.add_argument("--json", action="store_true", help="print the certificate as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     """Do the main job and say what lies where."""
-    from trabecula.flow import demo
+    from trabecula.pipeline.demo import demo
 
     verdict = demo(options.out)
     if options.json:
@@ -24,7 +26,12 @@ def run(options: argparse.Namespace) -> int:
         return 0
     print(verdict.to_table())
     print(f"\nIn {options.out}:")
-    terminal.show_rows([(f"  {path.name}", _WHAT.get(path.name, "")) for path in sorted(Path(options.out).iterdir())])
+    terminal.show_rows(
+        [
+            (f"  {path.name}", _WHAT.get(path.name, ""))
+            for path in sorted(Path(options.out).iterdir())
+        ]
+    )
     return 0
 
 

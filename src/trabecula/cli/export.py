@@ -12,8 +12,12 @@ from trabecula.cli import terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The file and the target."""
     parser.add_argument("file", metavar="FILE", help="volume")
-    parser.add_argument("--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format")
-    parser.add_argument("--phase", help="phase whose surface is taken (default: every phase but void)")
+    parser.add_argument(
+        "--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format"
+    )
+    parser.add_argument(
+        "--phase", help="phase whose surface is taken (default: every phase but void)"
+    )
     shared.add_lengths(parser)
     parser.add_argument(
         "--memory",
@@ -27,13 +31,13 @@ def run(options: argparse.Namespace) -> int:
     """Write the surface or the voxels; for a surface, print what a check of it says."""
     from pathlib import Path
 
-    from trabecula.flow import check_target, with_lengths
     from trabecula.io.files import read, write
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
+    from trabecula.pipeline.demo import check_target, with_lengths
 
     check_target(options.out, surfaces=True)
     volume = _too_large(options)
@@ -67,8 +71,8 @@ def _too_large(options: argparse.Namespace) -> Any:
     """The volume in slabs, where its surface would not fit into memory and can be written so."""
     from pathlib import Path
 
-    from trabecula.flow import slabs_if_large
     from trabecula.mesh.slabs import in_core_bytes
+    from trabecula.pipeline.demo import slabs_if_large
 
     if Path(options.out).suffix.lower() != ".stl":
         return None
@@ -77,8 +81,8 @@ def _too_large(options: argparse.Namespace) -> Any:
 
 def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     """Write the surface slab by slab. A check would need all of it at once."""
-    from trabecula.flow import with_lengths
     from trabecula.mesh.slabs import export_slabs
+    from trabecula.pipeline.demo import with_lengths
 
     volume = with_lengths(volume, **shared.lengths(options))
     found = export_slabs(volume, options.out, phase=options.phase, memory=options.memory)

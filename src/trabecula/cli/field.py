@@ -1,4 +1,6 @@
-"""`trabecula field KIND ... --out FILE`: target fields, measured, drawn, interpolated, or from topology optimisation."""
+"""`trabecula field KIND ... --out FILE`: target fields, measured, drawn, interpolated, or from
+topology optimisation.
+"""
 
 from __future__ import annotations
 
@@ -21,44 +23,65 @@ KINDS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The kinds of field, each with its own options."""
-    kinds = parser.add_subparsers(metavar="KIND", dest="made", required=True, parser_class=type(parser))
+    kinds = parser.add_subparsers(
+        metavar="KIND", dest="made", required=True, parser_class=type(parser)
+    )
     for name, summary in KINDS.items():
         sub = kinds.add_parser(
-            name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            allow_abbrev=False,
         )
         _ARGUMENTS[name](sub)
-        sub.add_argument("--out", required=True, metavar="FILE", help="field to write (.npy .tif .zarr ...)")
+        sub.add_argument(
+            "--out", required=True, metavar="FILE", help="field to write (.npy .tif .zarr ...)"
+        )
         sub.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     """Make the field and write it."""
-    from trabecula.flow import check_target
     from trabecula.io.files import write
+    from trabecula.pipeline.demo import check_target
 
     check_target(options.out)
     field = _MAKERS[options.made](options)
     write(field, options.out)
-    told: dict[str, Any] = {"out": options.out, "shape": field.shape, "unit": field.unit, "spacing": field.spacing}
+    told: dict[str, Any] = {
+        "out": options.out,
+        "shape": field.shape,
+        "unit": field.unit,
+        "spacing": field.spacing,
+    }
     told |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
     told |= {"most": float(field.values.max())}
     if options.json:
         terminal.show_json({**told, "recipe": field.recipe.to_json()})
     else:
-        print(f"{options.out}: {field!r}\n{told['least']:.4g} .. {told['most']:.4g}, mean {told['mean']:.4g}")
+        print(
+            f"{options.out}: {field!r}\n{told['least']:.4g} .. {told['most']:.4g}, mean {told['mean']:.4g}"
+        )
     return 0
 
 
 def _add_grid(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--shape", nargs="+", required=True, metavar="N", help="voxels: one number (a cube), z y x, or y x"
+        "--shape",
+        nargs="+",
+        required=True,
+        metavar="N",
+        help="voxels: one number (a cube), z y x, or y x",
     )
     _add_edges(parser)
 
 
 def _add_edges(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or one per axis (default 1)"
+        "--spacing",
+        nargs="+",
+        metavar="S",
+        help="edge of a voxel: one number, or one per axis (default 1)",
     )
     parser.add_argument("--unit", default="voxel", help="unit of the spacing (default voxel)")
 
@@ -66,7 +89,11 @@ def _add_edges(parser: argparse.ArgumentParser) -> None:
 def _grid(options: argparse.Namespace) -> dict[str, Any]:
     spacing = shared.numbers(options.spacing, name="--spacing") if options.spacing else None
     shape = shared.integers(options.shape, name="--shape")
-    return {"shape": shape[0] if len(shape) == 1 else shape, "spacing": spacing, "unit": options.unit}
+    return {
+        "shape": shape[0] if len(shape) == 1 else shape,
+        "spacing": spacing,
+        "unit": options.unit,
+    }
 
 
 def _number(word: str, name: str) -> float:
@@ -74,9 +101,13 @@ def _number(word: str, name: str) -> float:
 
 
 def _add_measure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help="volume or picture of labels, or a scan, or sample:NAME")
     parser.add_argument(
-        "--name", default="volume_fraction", help="descriptor: volume_fraction (default), porosity, ..."
+        "file", metavar="FILE", help="volume or picture of labels, or a scan, or sample:NAME"
+    )
+    parser.add_argument(
+        "--name",
+        default="volume_fraction",
+        help="descriptor: volume_fraction (default), porosity, ...",
     )
     parser.add_argument("--size", required=True, metavar="N", help="side of the windows in voxels")
     parser.add_argument("--phase", metavar="NAME", help="phase that is measured (default: solid)")
@@ -87,30 +118,47 @@ def _measure(options: argparse.Namespace) -> Any:
     from trabecula import fields
 
     image = shared.load_exemplar(options.file, options)
-    return fields.measure(image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase)
+    return fields.measure(
+        image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase
+    )
 
 
 def _add_ramp(parser: argparse.ArgumentParser) -> None:
     _add_grid(parser)
     parser.add_argument("--axis", default="z", metavar="A", help="along z (default), y or x")
-    parser.add_argument("--from", dest="start", required=True, metavar="V", help="value of the first voxel")
-    parser.add_argument("--to", dest="end", required=True, metavar="V", help="value of the last voxel")
+    parser.add_argument(
+        "--from", dest="start", required=True, metavar="V", help="value of the first voxel"
+    )
+    parser.add_argument(
+        "--to", dest="end", required=True, metavar="V", help="value of the last voxel"
+    )
 
 
 def _ramp(options: argparse.Namespace) -> Any:
     from trabecula import fields
 
-    ends: dict[str, Any] = {"start": _number(options.start, "--from"), "end": _number(options.end, "--to")}
+    ends: dict[str, Any] = {
+        "start": _number(options.start, "--from"),
+        "end": _number(options.end, "--to"),
+    }
     return fields.ramp(**_grid(options), axis=options.axis, **ends)
 
 
 def _add_radial(parser: argparse.ArgumentParser) -> None:
     _add_grid(parser)
     parser.add_argument("--inside", required=True, metavar="V", help="value in the middle")
-    parser.add_argument("--outside", required=True, metavar="V", help="value from the radius outwards")
-    parser.add_argument("--radius", metavar="R", help="in the unit of the spacing (default: half the shortest side)")
-    parser.add_argument("--centre", nargs="+", metavar="C", help="in the unit of the spacing (default: the middle)")
-    parser.add_argument("--axis", metavar="A", help="around a line along z, y or x (default: around a point)")
+    parser.add_argument(
+        "--outside", required=True, metavar="V", help="value from the radius outwards"
+    )
+    parser.add_argument(
+        "--radius", metavar="R", help="in the unit of the spacing (default: half the shortest side)"
+    )
+    parser.add_argument(
+        "--centre", nargs="+", metavar="C", help="in the unit of the spacing (default: the middle)"
+    )
+    parser.add_argument(
+        "--axis", metavar="A", help="around a line along z, y or x (default: around a point)"
+    )
 
 
 def _radial(options: argparse.Namespace) -> Any:
@@ -127,7 +175,9 @@ def _radial(options: argparse.Namespace) -> Any:
 
 
 def _add_formula(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("formula", metavar="FORMULA", help="such as '0.3 + 0.2 * sin(2 * pi * x / X)'")
+    parser.add_argument(
+        "formula", metavar="FORMULA", help="such as '0.3 + 0.2 * sin(2 * pi * x / X)'"
+    )
     _add_grid(parser)
 
 
@@ -143,15 +193,20 @@ def _add_picture(parser: argparse.ArgumentParser) -> None:
     _add_grid(parser)
     parser.add_argument("--low", required=True, metavar="V", help="value of black")
     parser.add_argument("--high", required=True, metavar="V", help="value of white")
-    parser.add_argument("--axis", default="z", metavar="A", help="direction one looks along: z (default), y or x")
+    parser.add_argument(
+        "--axis", default="z", metavar="A", help="direction one looks along: z (default), y or x"
+    )
 
 
 def _picture(options: argparse.Namespace) -> Any:
     from trabecula import fields
-    from trabecula.flow import load
+    from trabecula.pipeline.demo import load
 
     given = _grid(options)
-    ends: dict[str, Any] = {"low": _number(options.low, "--low"), "high": _number(options.high, "--high")}
+    ends: dict[str, Any] = {
+        "low": _number(options.low, "--low"),
+        "high": _number(options.high, "--high"),
+    }
     image = load(options.file, threshold="none")
     if image.kind == "labels":  # a drawing of few levels: its greys count, not their order
         image = load(options.file, threshold="none", kind="grey")
@@ -169,12 +224,14 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
         help="position (z y x or y x, in the unit of the spacing, from the first corner) and value there; repeatable",
     )
     parser.add_argument("--power", default="4", metavar="P", help="of the distance (default 4)")
-    parser.add_argument("--mask", metavar="FILE", help="volume: the domain, inside which distances are counted")
+    parser.add_argument(
+        "--mask", metavar="FILE", help="volume: the domain, inside which distances are counted"
+    )
 
 
 def _interpolate(options: argparse.Namespace) -> Any:
     from trabecula import fields
-    from trabecula.flow import load
+    from trabecula.pipeline.demo import load
 
     points = [shared.numbers(words, name="--point") for words in options.point]
     where, values = [words[:-1] for words in points], [words[-1] for words in points]
@@ -184,14 +241,25 @@ def _interpolate(options: argparse.Namespace) -> Any:
         mask = domain.values != (domain.phases.index("void") if "void" in domain.phases else 0)
     given = _grid(options)
     return fields.interpolate(
-        given.pop("shape"), where, values, power=_number(options.power, "--power"), mask=mask, **given
+        given.pop("shape"),
+        where,
+        values,
+        power=_number(options.power, "--power"),
+        mask=mask,
+        **given,
     )
 
 
 def _add_simp(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("case", metavar="CASE", help="cantilever, wheel, or a .json file with supports and loads")
-    parser.add_argument("--elements", nargs="+", metavar="N", help="elements along z (up) y x (default: the case's)")
-    parser.add_argument("--shape", nargs="+", metavar="N", help="voxels of the field (default: one an element)")
+    parser.add_argument(
+        "case", metavar="CASE", help="cantilever, wheel, or a .json file with supports and loads"
+    )
+    parser.add_argument(
+        "--elements", nargs="+", metavar="N", help="elements along z (up) y x (default: the case's)"
+    )
+    parser.add_argument(
+        "--shape", nargs="+", metavar="N", help="voxels of the field (default: one an element)"
+    )
     for name, words in (
         ("volume", "mean density"),
         ("low", "least density"),
@@ -199,15 +267,24 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
         ("penalty", "exponent from density to stiffness"),
     ):
         parser.add_argument(f"--{name}", metavar="V", help=f"{words} (default: the case's)")
-    parser.add_argument("--radius", default="1.5", metavar="R", help="of the density filter in elements (default 1.5)")
+    parser.add_argument(
+        "--radius",
+        default="1.5",
+        metavar="R",
+        help="of the density filter in elements (default 1.5)",
+    )
     _add_edges(parser)
 
 
 def _simp(options: argparse.Namespace) -> Any:
     from trabecula import fields
 
-    given = {name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")}
-    numbers: dict[str, Any] = {name: _number(word, f"--{name}") for name, word in given.items() if word is not None}
+    given = {
+        name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")
+    }
+    numbers: dict[str, Any] = {
+        name: _number(word, f"--{name}") for name, word in given.items() if word is not None
+    }
     elements = shared.integers(options.elements, name="--elements") if options.elements else None
     spacing = shared.numbers(options.spacing, name="--spacing") if options.spacing else None
     field = fields.simp(options.case, elements, spacing=spacing, unit=options.unit, **numbers)

@@ -20,17 +20,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="volume of labels")
     parser.add_argument("--out", required=True, metavar="FILE", help="volume to write")
     group = parser.add_argument_group("what to do, in this order whatever the order of the words")
-    group.add_argument("--prune", action="store_true", help="remove short struts that end freely, grow long ones on")
     group.add_argument(
-        "--connect", action="store_true", help="join all but specks, which are removed: one piece is left"
+        "--prune",
+        action="store_true",
+        help="remove short struts that end freely, grow long ones on",
     )
     group.add_argument(
-        "--smooth", metavar="S", help="smooth the surface at the same volume: sigma, in the image's unit"
+        "--connect",
+        action="store_true",
+        help="join all but specks, which are removed: one piece is left",
     )
-    group.add_argument("--thicken", metavar="T", help="least thickness of a strut, in the image's unit")
+    group.add_argument(
+        "--smooth",
+        metavar="S",
+        help="smooth the surface at the same volume: sigma, in the image's unit",
+    )
+    group.add_argument(
+        "--thicken", metavar="T", help="least thickness of a strut, in the image's unit"
+    )
     group.add_argument("--floaters", action="store_true", help="remove every part but the largest")
     group.add_argument("--fill", action="store_true", help="fill pores that no way leads out of")
-    parser.add_argument("--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault")
+    parser.add_argument(
+        "--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault"
+    )
     parser.add_argument("--phase", help="phase that is finished (default: every phase but void)")
     parser.add_argument(
         "--mask",
@@ -39,10 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group("for --connect")
     group.add_argument(
-        "--reach", metavar="N", help="longest join in voxels; what is farther is removed (default: no limit)"
+        "--reach",
+        metavar="N",
+        help="longest join in voxels; what is farther is removed (default: no limit)",
     )
     group.add_argument(
-        "--min-size", metavar="N", help="voxels of the smallest component that is joined (default: more than a speck)"
+        "--min-size",
+        metavar="N",
+        help="voxels of the smallest component that is joined (default: more than a speck)",
     )
     shared.add_lengths(parser)
     group = parser.add_argument_group("large volumes")
@@ -54,17 +70,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "go slab by slab, into a .zarr",
     )
     group.add_argument(
-        "--scratch", metavar="DIR", help="folder for what lies on disk meanwhile (default: that of --out)"
+        "--scratch",
+        metavar="DIR",
+        help="folder for what lies on disk meanwhile (default: that of --out)",
     )
     group.add_argument(
-        "--level", type=int, default=0, metavar="N", help="coarser level of a .zarr to finish (default 0)"
+        "--level",
+        type=int,
+        default=0,
+        metavar="N",
+        help="coarser level of a .zarr to finish (default 0)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Do the operations asked for, each on the result of the one before."""
     from trabecula.core.errors import InputError
-    from trabecula.flow import check_target
+    from trabecula.pipeline.demo import check_target
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
@@ -78,13 +100,19 @@ def run(options: argparse.Namespace) -> int:
         words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
         raise InputError(f"nothing to do: give --connect, or another of {words}")
     check_target(options.out, goes_on=True)
-    text, done = _in_slabs(steps, options) if _is_too_large(steps, options) else _in_core(steps, options)
+    text, done = (
+        _in_slabs(steps, options) if _is_too_large(steps, options) else _in_core(steps, options)
+    )
     print(f"{options.out}: {text}")
     if len(done) == 1:
         terminal.show_mapping(done[0]["report"])
     else:
         terminal.show_mapping(
-            {f"{step['operation']}.{name}": value for step in done for name, value in step["report"].items()}
+            {
+                f"{step['operation']}.{name}": value
+                for step in done
+                for name, value in step["report"].items()
+            }
         )
     return 0
 
@@ -92,8 +120,8 @@ def run(options: argparse.Namespace) -> int:
 def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
     """Read, finish and write the whole; the result in a line, and the steps of its recipe."""
     from trabecula.finish import OPERATIONS
-    from trabecula.flow import load_like, with_lengths
     from trabecula.io.files import read, write
+    from trabecula.pipeline.demo import load_like, with_lengths
 
     given = shared.lengths(options)
     scale = given.pop("scale")
@@ -112,12 +140,14 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
 
 
 def _form(part: Any, options: argparse.Namespace) -> Any:
-    """The form that a volume fills: as given, or as its recipe tells where its file is there; else None."""
+    """The form that a volume fills: as given, or as its recipe tells where its file is there; else
+    None.
+    """
     from trabecula.core.errors import TrabeculaError
-    from trabecula.core.progress import say
-    from trabecula.engine.locations import located
+    from trabecula.core.progress import notify
+    from trabecula.engine.storage.location import located
     from trabecula.finish import mask_steps
-    from trabecula.flow import form_of, load_mask
+    from trabecula.pipeline.demo import form_of, load_mask
 
     if not (options.prune or options.connect) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
@@ -132,10 +162,10 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     try:
         form = form_of(part.recipe, folder=folder)
     except TrabeculaError as error:
-        say(f"the form that {options.file} fills is not known ({error}): give it with --mask")
+        notify(f"the form that {options.file} fills is not known ({error}): give it with --mask")
         return None
     if form is not None:
-        say(
+        notify(
             f"{options.file} fills a form, which its recipe names: joins stay inside, and free ends are counted per volume of it"
         )
     return form
@@ -152,7 +182,7 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     from trabecula.core.errors import MemoryBudgetError
     from trabecula.engine.plan import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
-    from trabecula.flow import volume_shape
+    from trabecula.pipeline.demo import volume_shape
 
     shape = volume_shape(options.file, level=options.level)
     names = [name for name, _ in steps]
@@ -167,35 +197,43 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
             "finish a coarser level (--level 1), or raise --memory"
         )
     if not options.out.lower().endswith(".zarr"):
-        raise MemoryBudgetError(f"{why}: write a .zarr, into which it goes slab by slab, or raise --memory")
+        raise MemoryBudgetError(
+            f"{why}: write a .zarr, into which it goes slab by slab, or raise --memory"
+        )
     return True
 
 
 def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
     """Finish a store into a store; the result in a line, and the steps of its recipe."""
     from trabecula.core.errors import InputError
-    from trabecula.core.progress import say
+    from trabecula.core.progress import notify
     from trabecula.finish import mask_steps
     from trabecula.finish.slabs import finish_slabs
-    from trabecula.flow import with_lengths
     from trabecula.io.lazy import open_slabs
+    from trabecula.pipeline.demo import with_lengths
 
-    say(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
+    notify(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
     if options.mask is not None:
         raise InputError("--mask needs the whole volume in memory: leave it out, or raise --memory")
     given = shared.lengths(options)
     scale = given.pop("scale")
-    volume = with_lengths(with_lengths(open_slabs(options.file, level=options.level), **given), scale=scale)
+    volume = with_lengths(
+        with_lengths(open_slabs(options.file, level=options.level), **given), scale=scale
+    )
     if mask_steps(volume.recipe) is not None:
-        say("slab by slab joins are not kept inside of the form that it fills: raise --memory where they should be")
+        notify(
+            "slab by slab joins are not kept inside of the form that it fills: raise --memory where they should be"
+        )
     chosen = [(name, {"phase": options.phase, **settings}) for name, settings in steps]
-    recipe = finish_slabs(volume, options.out, chosen, memory=options.memory, folder=options.scratch)
+    recipe = finish_slabs(
+        volume, options.out, chosen, memory=options.memory, folder=options.scratch
+    )
     return repr(volume), recipe.steps[-len(steps) :]
 
 
 def _steps(options: argparse.Namespace) -> Iterator[Step]:
-    """The operations asked for, in their order: whole struts, one piece, its surface, its strength, what that left loose
-    or closed."""
+    """The operations asked for, in their order: whole struts, one piece, its surface, its strength,
+    what that left loose or closed."""
     if options.prune:
         yield "prune", {}
     if options.connect:
@@ -203,7 +241,11 @@ def _steps(options: argparse.Namespace) -> Iterator[Step]:
         named = {"reach": "--reach", "min_size": "--min-size"}
         yield (
             "connect",
-            {name: shared.integer(word, name=named[name]) for name, word in given.items() if word is not None},
+            {
+                name: shared.integer(word, name=named[name])
+                for name, word in given.items()
+                if word is not None
+            },
         )
     if options.smooth is not None:
         yield "smooth", {"sigma": shared.numbers([options.smooth], name="--smooth")[0]}

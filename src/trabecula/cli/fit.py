@@ -1,4 +1,6 @@
-"""`trabecula fit EXEMPLAR [--method NAME] --out MODEL [--set KEY=VALUE] [--minutes M] [--device D] [--run FOLDER]`."""
+"""`trabecula fit EXEMPLAR [--method NAME] --out MODEL [--set KEY=VALUE] [--minutes M] [--device D]
+[--run FOLDER]`.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,28 @@ _SHORT = ("minutes", "device", "run")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to learn from, how, and where to put what was learned."""
-    parser.add_argument("exemplars", nargs="+", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME")
+    parser.add_argument(
+        "exemplars", nargs="+", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME"
+    )
     parser.add_argument("--method", help="see trabecula methods (default: what inspect recommends)")
-    parser.add_argument("--out", required=True, metavar="MODEL", help="file to write, for generate --model")
+    parser.add_argument(
+        "--out", required=True, metavar="MODEL", help="file to write, for generate --model"
+    )
     shared.add_settings(parser)
-    parser.add_argument("--minutes", type=float, metavar="M", help="time to learn for, where the method takes any")
+    parser.add_argument(
+        "--minutes", type=float, metavar="M", help="time to learn for, where the method takes any"
+    )
     parser.add_argument("--device", help="cpu, cuda or auto, where the method can use either")
     parser.add_argument(
-        "--run", metavar="FOLDER", help="where the method leaves figures, pictures and states of the training"
+        "--run",
+        metavar="FOLDER",
+        help="where the method leaves figures, pictures and states of the training",
     )
     parser.add_argument(
-        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
+        "--memory",
+        type=shared.gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available)",
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
     parser.add_argument("--json", action="store_true", help="print what was learned as JSON")
@@ -35,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Learn, and write the model."""
-    from trabecula.engine.tiles import thread_count, threads
-    from trabecula.synth.registry import method
+    from trabecula.engine.parallel import thread_count, threads
+    from trabecula.synth.api.registry import method
 
     chosen, recommended = None, ""
     if options.method is None:
@@ -57,17 +70,24 @@ def run(options: argparse.Namespace) -> int:
             terminal.note(recommended)
         path = model.save(options.out)
     if options.json:
-        found = {"out": str(path), "sha256": model.sha256, "bytes": path.stat().st_size, "history": dict(model.history)}
+        found = {
+            "out": str(path),
+            "sha256": model.sha256,
+            "bytes": path.stat().st_size,
+            "history": dict(model.history),
+        }
         terminal.show_json(found)
     else:
-        print(f"{path}: a model of {chosen.spec.name}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}")
+        print(
+            f"{path}: a model of {chosen.capabilities.name}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}"
+        )
     return 0
 
 
 def _check_place(out: str) -> None:
     """Raise before any work is done where the model cannot be written."""
     from trabecula.core.errors import FileError
-    from trabecula.flow import check_folder
+    from trabecula.pipeline.demo import check_folder
 
     if Path(out).is_dir():
         raise FileError(f"cannot write {out}: a folder of that name is there; choose another name")
@@ -88,7 +108,7 @@ def _check_no_short(options: argparse.Namespace) -> None:
 def _configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
     """The preset and the settings given, by --set or by an option of their own."""
     from trabecula.core.errors import InputError
-    from trabecula.synth.registry import method
+    from trabecula.synth.api.registry import method
 
     preset, found = shared.configured(options)
     known = vars(method(options.method, preset=preset).config)
@@ -99,6 +119,8 @@ def _configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]
         if name in found:
             raise InputError(f"--{name} and --set {name}: give one of them")
         if name not in known:
-            raise InputError(f"--{name} {value}: method {options.method!r} has no such setting; leave it out")
+            raise InputError(
+                f"--{name} {value}: method {options.method!r} has no such setting; leave it out"
+            )
         found[name] = value
     return preset, found

@@ -1,4 +1,5 @@
-"""`trabecula generate EXEMPLAR ... [--method NAME] --shape Z Y X --seed N --out FILE`, or with `--model FILE|NAME`.
+"""`trabecula generate EXEMPLAR ... [--method NAME] --shape Z Y X --seed N --out FILE`, or with
+`--model FILE|NAME`.
 
 `trabecula generate --resume FILE` goes on with a run that was interrupted.
 """
@@ -29,11 +30,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead of all else: go on with the interrupted run that makes FILE; what it started from is looked for "
         "where it was, or given with --exemplar, --model, --mask, --fixed, --known",
     )
-    group.add_argument("--exemplar", nargs="+", metavar="FILE", help="with --resume: where the exemplars lie now")
     group.add_argument(
-        "--workers", type=int, metavar="N", help="make the blocks of a .zarr in N processes (needs the extra cluster)"
+        "--exemplar", nargs="+", metavar="FILE", help="with --resume: where the exemplars lie now"
     )
-    group.add_argument("--scheduler", metavar="ADDR", help="or on the Dask cluster of this scheduler: tcp://HOST:PORT")
+    group.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        help="make the blocks of a .zarr in N processes (needs the extra cluster)",
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDR",
+        help="or on the Dask cluster of this scheduler: tcp://HOST:PORT",
+    )
     group.add_argument(
         "--scratch",
         metavar="DIR",
@@ -52,7 +62,9 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--method", help="see trabecula methods (default: what inspect recommends)")
     parser.add_argument(
-        "--model", metavar="FILE|NAME", help="instead of EXEMPLAR and --method: what fit wrote, or see trabecula models"
+        "--model",
+        metavar="FILE|NAME",
+        help="instead of EXEMPLAR and --method: what fit wrote, or see trabecula models",
     )
     parser.add_argument(
         "--shape",
@@ -63,7 +75,10 @@ def add_request(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", help="0 .. 2**63 - 1 (default 0)")
     shared.add_settings(parser)
     parser.add_argument(
-        "--memory", type=shared.gibibytes, metavar="GIB", help="memory that may be used (default: what is available)"
+        "--memory",
+        type=shared.gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available)",
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
     parser.add_argument(
@@ -78,7 +93,9 @@ def add_request(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What the options ask for: a request, and either a model or a method with its exemplars (or the voxels' size)."""
+    """What the options ask for: a request, and either a model or a method with its exemplars (or
+    the voxels' size).
+    """
 
     request: Any
     method: Any = None
@@ -103,11 +120,13 @@ def prepare(options: argparse.Namespace) -> Job:
     from trabecula.core.checks import as_seed, as_shape
     from trabecula.core.errors import InputError
     from trabecula.core.request import Request
-    from trabecula.synth.facts import blank
+    from trabecula.synth.api.exemplar_info import without_exemplar
 
     chosen, model = _source(options)
     if options.shape is None and options.mask is None and options.fixed is None:
-        raise InputError("the size of the result is not given: add --shape N, or --shape Z Y X (or a --mask)")
+        raise InputError(
+            "the size of the result is not given: add --shape N, or --shape Z Y X (or a --mask)"
+        )
     sides = None if options.shape is None else shared.integers(options.shape, name="--shape")
     shape = None if sides is None else as_shape(sides, ndim=2 if len(sides) == 2 else 3)
     seed = as_seed(shared.integer(options.seed or "0", name="--seed"))
@@ -119,7 +138,7 @@ def prepare(options: argparse.Namespace) -> Job:
     elif exemplars:
         check_fits(chosen, exemplars)
     voxel = _voxel(options) if chosen and exemplars is None else {}
-    known = exemplars or ([blank(**voxel)] if model is None else list(model.facts))
+    known = exemplars or ([without_exemplar(**voxel)] if model is None else list(model.facts))
     parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
@@ -133,7 +152,9 @@ def _voxel(options: argparse.Namespace) -> dict[str, Any]:
 
     given = [name for name in ("kind", "phases", "threshold", "crop") if getattr(options, name)]
     if given:
-        raise InputError(f"--{given[0]} says how an exemplar is read: name one, or leave the option out")
+        raise InputError(
+            f"--{given[0]} says how an exemplar is read: name one, or leave the option out"
+        )
     edges = shared.numbers(options.spacing or ["1"], name="--spacing")
     if len(set(edges)) > 1:
         raise InputError(
@@ -143,36 +164,60 @@ def _voxel(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _source(options: argparse.Namespace) -> tuple[Any, Any]:
-    """The method that is to learn, or the model that has; neither where the exemplar is to choose the method."""
+    """The method that is to learn, or the model that has; neither where the exemplar is to choose
+    the method.
+    """
     from trabecula.core.errors import InputError
-    from trabecula.synth.registry import method
-    from trabecula.synth.saved import load_model
+    from trabecula.synth.api.registry import method
+    from trabecula.synth.api.serialize import load_model
 
     if options.model is None:
         preset, settings = shared.configured(options)
         if options.method is None and options.exemplars:
             return None, None
-        chosen = None if options.method is None else method(options.method, preset=preset, **settings)
-        if chosen is None or not (options.exemplars or chosen.spec.alone):
-            raise InputError("no exemplar was given: name a scan to learn from, or a --model that has learned")
+        chosen = (
+            None if options.method is None else method(options.method, preset=preset, **settings)
+        )
+        if chosen is None or not (options.exemplars or chosen.capabilities.alone):
+            raise InputError(
+                "no exemplar was given: name a scan to learn from, or a --model that has learned"
+            )
         return chosen, None
-    names = ("exemplars", "method", "preset", "set", "kind", "spacing", "unit", "phases", "threshold", "crop")
+    names = (
+        "exemplars",
+        "method",
+        "preset",
+        "set",
+        "kind",
+        "spacing",
+        "unit",
+        "phases",
+        "threshold",
+        "crop",
+    )
     given = [name for name in names if getattr(options, name)]
     if given:
         what = "an exemplar" if given[0] == "exemplars" else f"--{given[0]}"
-        raise InputError(f"{what} beside --model {options.model}: the model has learned with settings of its own")
+        raise InputError(
+            f"{what} beside --model {options.model}: the model has learned with settings of its own"
+        )
     return None, load_model(options.model)
 
 
 def run(options: argparse.Namespace) -> int:
     """Generate and write; a run that was interrupted goes on from what it left beside --out."""
-    from trabecula.engine.tiles import thread_count, threads
+    from trabecula.engine.parallel import thread_count, threads
 
     with threads(options.threads if options.threads is not None else thread_count()):
         made = _made(options) if options.resume is None else _resumed(options)
     out = options.out or str(made.path)
     if options.json:
-        found = {"out": out, "shape": made.shape, "sha256": made.sha256, "recipe": made.recipe.to_json()}
+        found = {
+            "out": out,
+            "shape": made.shape,
+            "sha256": made.sha256,
+            "recipe": made.recipe.to_json(),
+        }
         terminal.show_json(found)
     else:
         print(f"{out}: {made.text}\nsha256 {made.sha256}")
@@ -181,21 +226,29 @@ def run(options: argparse.Namespace) -> int:
 
 def _made(options: argparse.Namespace) -> Any:
     from trabecula.core.errors import InputError
-    from trabecula.flow import check_target, generate_to, plan_to
+    from trabecula.pipeline.demo import check_target, generate_to, plan_to
 
     if options.out is None:
         raise InputError("the place of the result is not given: add --out FILE")
     if options.exemplar:
-        raise InputError("--exemplar is for --resume and rerun: name the exemplar without an option")
+        raise InputError(
+            "--exemplar is for --resume and rerun: name the exemplar without an option"
+        )
     check_target(options.out, goes_on=True)
     cluster = _cluster(options)
     job = prepare(options)
     model = job.fitted(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
-    size = plan_to(model, job.request, options.out, **cut).disk if cluster is None else model.plan(job.request).disk
+    size = (
+        plan_to(model, job.request, options.out, **cut).disk
+        if cluster is None
+        else model.plan(job.request).disk
+    )
     check_target(options.out, size=size, goes_on=True)
-    return generate_to(model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch)
+    return generate_to(
+        model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
+    )
 
 
 _MOVED = ("exemplar", "mask", "fixed", "known", "model")
@@ -203,14 +256,22 @@ _MOVED = ("exemplar", "mask", "fixed", "known", "model")
 
 def _resumed(options: argparse.Namespace) -> Any:
     from trabecula.core.errors import InputError
-    from trabecula.flow import resume
+    from trabecula.pipeline.demo import resume
 
     kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}
-    given = [name for name, value in vars(options).items() if name not in kept and value not in (None, [], 0)]
+    given = [
+        name
+        for name, value in vars(options).items()
+        if name not in kept and value not in (None, [], 0)
+    ]
     if given:
-        option = {"exemplars": "an EXEMPLAR", "halvings": "--level"}.get(given[0], f"--{given[0].replace('_', '-')}")
+        option = {"exemplars": "an EXEMPLAR", "halvings": "--level"}.get(
+            given[0], f"--{given[0].replace('_', '-')}"
+        )
         hint = " (--exemplar tells where it lies now)" if given[0] == "exemplars" else ""
-        raise InputError(f"{option} beside --resume: the unfinished run knows what was asked for; leave it out{hint}")
+        raise InputError(
+            f"{option} beside --resume: the unfinished run knows what was asked for; leave it out{hint}"
+        )
     moved = {name: getattr(options, name) for name in _MOVED}
     kept_in = {"memory": options.memory, "cluster": _cluster(options), "scratch": options.scratch}
     return resume(options.resume, **kept_in, **moved)

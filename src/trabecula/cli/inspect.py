@@ -40,13 +40,18 @@ def run(options: argparse.Namespace) -> int:
 
 def _loaded(options: argparse.Namespace) -> Any:
     """The scan; a grey one stays grey unless a threshold is given."""
-    from trabecula.flow import load, slabs_if_large
+    from trabecula.pipeline.demo import load, slabs_if_large
 
     if options.threshold in (None, "none"):
         volume = slabs_if_large(
-            options.scan, need=lambda shape: _BYTES * prod(shape), memory=options.memory, **shared.reading(options)
+            options.scan,
+            need=lambda shape: _BYTES * prod(shape),
+            memory=options.memory,
+            **shared.reading(options),
         )
         if volume is not None:
             return volume.centre(shared.box_of(options, options.scan)) if options.crop else volume
     threshold = "none" if options.threshold is None else shared.threshold(options.threshold)
-    return load(options.scan, crop=shared.crop_of(options), threshold=threshold, **shared.reading(options))
+    return load(
+        options.scan, crop=shared.crop_of(options), threshold=threshold, **shared.reading(options)
+    )

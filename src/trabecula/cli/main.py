@@ -42,7 +42,8 @@ class Parser(argparse.ArgumentParser):
         terminal.fail(f"{message} (see {self.prog} --help)")
         raise SystemExit(2)
 
-    # Here and not in `error`, since argparse would let the parser of all verbs complain, which knows no verb's options.
+    # Here and not in `error`, since argparse would let the parser of all verbs complain, which
+    # knows no verb's options.
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, and refuse what is left over, with the nearest option."""
         found, left_over = super().parse_known_args(args, namespace)
@@ -51,7 +52,9 @@ class Parser(argparse.ArgumentParser):
             unknown = next((word.split("=")[0] for word in left_over if word.startswith("-")), "")
             near = difflib.get_close_matches(unknown, options, n=1) if unknown else []
             hint = f"; did you mean {near[0]}?" if near else ""
-            self.error(f"unrecognized arguments: {' '.join(word or repr(word) for word in left_over)}{hint}")
+            self.error(
+                f"unrecognized arguments: {' '.join(word or repr(word) for word in left_over)}{hint}"
+            )
         return found, left_over
 
 
@@ -59,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a path or a sign that the terminal cannot show is no reason to fail
+        # a path or a sign that the terminal cannot show is no reason to fail
+        if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
@@ -67,7 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         terminal.fail("interrupted: nothing was written that is not whole")
         return 130
     except BrokenPipeError:
-        # The reader went away (trabecula methods | head): not an error, but Python would complain at exit.
+        # The reader went away (trabecula methods | head): not an error, but Python would complain
+        # at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
@@ -98,7 +103,8 @@ def _run(words: list[str]) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        # The machine's word on a path (a name too long, a device gone): the user's to mend as much as a missing file.
+        # The machine's word on a path (a name too long, a device gone): the user's to mend as much
+        # as a missing file.
         terminal.fail(
             f"{error.filename or 'input or output'}: {error.strerror or error}; check the path and the device"
         )
@@ -125,13 +131,20 @@ def _smaller(options: argparse.Namespace) -> str:
 def _parser(verb: str | None):
     from trabecula import __version__
 
-    parser = Parser(prog="trabecula", description="Porous and heterogeneous materials by example.", allow_abbrev=False)
+    parser = Parser(
+        prog="trabecula",
+        description="Porous and heterogeneous materials by example.",
+        allow_abbrev=False,
+    )
     parser.add_argument("--version", action="version", version=f"trabecula {__version__}")
     verbs = parser.add_subparsers(metavar="VERB", parser_class=Parser)
     chosen = None
     for name, summary in VERBS.items():
         sub = verbs.add_parser(
-            name, help=summary, description=summary[0].upper() + summary[1:] + ".", allow_abbrev=False
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            allow_abbrev=False,
         )
         if name == verb:
             module = importlib.import_module(f"trabecula.cli.{name}")

@@ -35,7 +35,9 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.core.errors import InputError
 
     if options.phase is not None and options.level == "full":
-        raise InputError("--full solves transport and stiffness of the whole material: leave out --full, or --phase")
+        raise InputError(
+            "--full solves transport and stiffness of the whole material: leave out --full, or --phase"
+        )
     found = _described(options)
     if options.json:
         terminal.show_json(found)
@@ -45,14 +47,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _described(options: argparse.Namespace) -> dict[str, Any]:
-    """Of the whole where that fits into memory, else slab by slab; of a crop of what does not fit only that is read."""
-    from trabecula.flow import slabs_if_large
+    """Of the whole where that fits into memory, else slab by slab; of a crop of what does not fit
+    only that is read.
+    """
     from trabecula.measure.blockwise import describe_slabs, in_core_bytes
+    from trabecula.pipeline.demo import slabs_if_large
 
     volume = None
     if options.threshold in (None, "auto", "none"):
         given = {"memory": options.memory, **shared.reading(options)}
-        volume = slabs_if_large(options.file, need=lambda shape: in_core_bytes(shape, options.level), **given)
+        volume = slabs_if_large(
+            options.file, need=lambda shape: in_core_bytes(shape, options.level), **given
+        )
     if volume is None:
         return _in_core(shared.load_exemplar(options.file, options), options)
     if options.crop:
@@ -70,7 +76,9 @@ def _in_core(image: Any, options: argparse.Namespace) -> dict[str, Any]:
         return describe(image, level=options.level, box=options.box)
     check_labels(image)
     _check_phase(image.phases, options.phase)
-    found = describe_phases(image, level=options.level, phase=None if options.phase == "all" else options.phase)
+    found = describe_phases(
+        image, level=options.level, phase=None if options.phase == "all" else options.phase
+    )
     return {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit, **found}
 
 
@@ -102,7 +110,9 @@ def _show(found: Mapping[str, Any]) -> None:
     for phase, figures in columns.items():
         for name, value in figures.items():
             if name == "percolates":
-                rows.setdefault(name, {})[phase] = [axis for axis, through in value.items() if through]
+                rows.setdefault(name, {})[phase] = [
+                    axis for axis, through in value.items() if through
+                ]
             elif name not in CURVES:
                 for axis, part in value.items() if isinstance(value, Mapping) else (("", value),):
                     rows.setdefault(f"{name} {axis}".strip(), {})[phase] = part
@@ -110,7 +120,10 @@ def _show(found: Mapping[str, Any]) -> None:
     terminal.show_rows(
         [
             ("each phase", *columns),
-            *((name, *(terminal.brief(cells.get(phase)) for phase in columns)) for name, cells in rows.items()),
+            *(
+                (name, *(terminal.brief(cells.get(phase)) for phase in columns))
+                for name, cells in rows.items()
+            ),
         ]
     )
     for kind in ("pairs", "triples"):
@@ -124,6 +137,9 @@ def _show(found: Mapping[str, Any]) -> None:
             terminal.show_rows(
                 [
                     (kind, *keys),
-                    *((name, *(terminal.brief(figures[key]) for key in keys)) for name, figures in numbers.items()),
+                    *(
+                        (name, *(terminal.brief(figures[key]) for key in keys))
+                        for name, figures in numbers.items()
+                    ),
                 ]
             )

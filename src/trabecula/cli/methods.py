@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """List the methods that the registry finds."""
-    from trabecula.synth.registry import methods
+    from trabecula.synth.api.registry import methods
 
     found = methods()
     if options.json:

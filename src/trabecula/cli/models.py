@@ -23,7 +23,9 @@ def run(options: argparse.Namespace) -> int:
         check_name(options.name, found, name="model")
         print(card(options.name).rstrip() or f"{options.name} has no card")
     elif options.json:
-        terminal.show_json({name: {"summary": summary(name), "file": str(path)} for name, path in found.items()})
+        terminal.show_json(
+            {name: {"summary": summary(name), "file": str(path)} for name, path in found.items()}
+        )
     elif found:
         terminal.show_rows([(name, summary(name)) for name in found])
     else:

@@ -11,12 +11,20 @@ from typing import Any
 def add_reading(parser: argparse.ArgumentParser) -> None:
     """How an exemplar is read."""
     group = parser.add_argument_group("how the exemplar is read")
-    group.add_argument("--kind", metavar="KIND", help="labels, grey or colour (default: as the file says)")
-    group.add_argument("--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or z y x")
-    group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
-    group.add_argument("--phases", nargs="+", metavar="NAME", help="names of the labels, darkest first")
     group.add_argument(
-        "--threshold", metavar="T", help="of a grey scan: a number, LOW,HIGH, otsu, dual, auto (default), or none"
+        "--kind", metavar="KIND", help="labels, grey or colour (default: as the file says)"
+    )
+    group.add_argument(
+        "--spacing", nargs="+", metavar="S", help="edge of a voxel: one number, or z y x"
+    )
+    group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
+    group.add_argument(
+        "--phases", nargs="+", metavar="NAME", help="names of the labels, darkest first"
+    )
+    group.add_argument(
+        "--threshold",
+        metavar="T",
+        help="of a grey scan: a number, LOW,HIGH, otsu, dual, auto (default), or none",
     )
     group.add_argument(
         "--crop",
@@ -45,7 +53,9 @@ def add_lengths(parser: argparse.ArgumentParser, *, spacing: bool = True) -> Non
             help="edge of a voxel, where the file states none: one number, or z y x",
         )
         group.add_argument("--unit", help="unit of the spacing: um, mm, ...")
-    group.add_argument("--scale", metavar="F", help="factor on all lengths: 10 makes the part ten times as large")
+    group.add_argument(
+        "--scale", metavar="F", help="factor on all lengths: 10 makes the part ten times as large"
+    )
 
 
 def lengths(options: argparse.Namespace) -> dict[str, Any]:
@@ -63,7 +73,11 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     """Settings of a method."""
     parser.add_argument("--preset", help="ready settings of the method")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; repeatable"
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a setting of the method; repeatable",
     )
 
 
@@ -71,18 +85,34 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
     """What is asked for beside a shape: a form, axes that repeat, a measured part."""
     group = parser.add_argument_group("forms, tiles and measured parts")
     group.add_argument(
-        "--mask", metavar="FILE", help="form to fill: a surface (.stl .ply .obj .3mf; scaled to --shape) or a volume"
+        "--mask",
+        metavar="FILE",
+        help="form to fill: a surface (.stl .ply .obj .3mf; scaled to --shape) or a volume",
     )
     group.add_argument(
-        "--mask-scale", metavar="S", help="factor on a surface's lengths, which are in its unit or the exemplar's"
+        "--mask-scale",
+        metavar="S",
+        help="factor on a surface's lengths, which are in its unit or the exemplar's",
     )
     group.add_argument(
-        "--periodic", nargs="*", metavar="AXIS", help="repeat without a seam along z, y, x (no word: all of them)"
+        "--periodic",
+        nargs="*",
+        metavar="AXIS",
+        help="repeat without a seam along z, y, x (no word: all of them)",
     )
-    group.add_argument("--fixed", metavar="FILE", help="scan or picture (a slice) whose voxels are kept and continued")
-    group.add_argument("--known", metavar="FILE", help="volume: where --fixed was measured (void: to be made)")
     group.add_argument(
-        "--at", nargs=3, metavar=("Z", "Y", "X"), help="corner of --fixed in --shape; all around it is made"
+        "--fixed",
+        metavar="FILE",
+        help="scan or picture (a slice) whose voxels are kept and continued",
+    )
+    group.add_argument(
+        "--known", metavar="FILE", help="volume: where --fixed was measured (void: to be made)"
+    )
+    group.add_argument(
+        "--at",
+        nargs=3,
+        metavar=("Z", "Y", "X"),
+        help="corner of --fixed in --shape; all around it is made",
     )
     group.add_argument(
         "--view",
@@ -106,21 +136,34 @@ def periodic(words: list[str] | None) -> tuple[bool, ...]:
         return (False,) * 3
     named = set("".join(words).lower()) if words else set("zyx")
     if not named <= set("zyx"):
-        raise InputError(f"--periodic {' '.join(words)}: name axes among z, y, x (a file comes before --periodic)")
+        raise InputError(
+            f"--periodic {' '.join(words)}: name axes among z, y, x (a file comes before --periodic)"
+        )
     return tuple(axis in named for axis in "zyx")
 
 
 def load_parts(
-    options: argparse.Namespace, exemplars: list[Any], shape: tuple[int, ...] | None, views: Any = ()
+    options: argparse.Namespace,
+    exemplars: list[Any],
+    shape: tuple[int, ...] | None,
+    views: Any = (),
 ) -> dict[str, Any]:
-    """Mask, fixed, known and target of a request, from their files; `views` are those that pictures are."""
+    """Mask, fixed, known and target of a request, from their files; `views` are those that pictures
+    are.
+    """
     from trabecula.core.errors import InputError
-    from trabecula.flow import load_fixed, load_mask, voxels_of
+    from trabecula.pipeline.demo import load_fixed, load_mask, voxels_of
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
     exemplar = exemplars[0]
-    spacing = None if options.mask is None and options.fixed is None else voxels_of(exemplars, views)
-    scale = None if options.mask_scale is None else numbers([options.mask_scale], name="--mask-scale")[0]
+    spacing = (
+        None if options.mask is None and options.fixed is None else voxels_of(exemplars, views)
+    )
+    scale = (
+        None
+        if options.mask_scale is None
+        else numbers([options.mask_scale], name="--mask-scale")[0]
+    )
     if options.mask is not None:
         found["mask"] = load_mask(options.mask, exemplar, shape=shape, scale=scale, spacing=spacing)
         shape = found["mask"].shape if shape is None else shape
@@ -128,23 +171,34 @@ def load_parts(
         raise InputError("--mask-scale without --mask: give the surface that is scaled")
     if options.fixed is not None:
         corner = None if options.at is None else integers(options.at, name="--at")
-        where = {"shape": shape, "corner": corner, "known": options.known, "view": options.view or "yx"}
-        found["fixed"], found["known"] = load_fixed(options.fixed, exemplar, spacing=spacing, **where)
+        where = {
+            "shape": shape,
+            "corner": corner,
+            "known": options.known,
+            "view": options.view or "yx",
+        }
+        found["fixed"], found["known"] = load_fixed(
+            options.fixed, exemplar, spacing=spacing, **where
+        )
     elif options.known is not None or options.at is not None or options.view is not None:
-        raise InputError("--known, --at and --view say where --fixed lies: give --fixed FILE as well")
+        raise InputError(
+            "--known, --at and --view say where --fixed lies: give --fixed FILE as well"
+        )
     return found
 
 
 def load_targets(pairs: list[str]) -> dict[str, Any]:
     """`NAME=VALUE` words, where the value is a number or the file of a field."""
     from trabecula.core.errors import InputError
-    from trabecula.flow import load
+    from trabecula.pipeline.demo import load
 
     found: dict[str, Any] = {}
     for pair in pairs:
         name, sign, value = pair.partition("=")
         if not (name and sign and value):
-            raise InputError(f"--target {pair}: write --target porosity=0.25, or --target porosity=FILE")
+            raise InputError(
+                f"--target {pair}: write --target porosity=0.25, or --target porosity=FILE"
+            )
         if name in found:
             raise InputError(f"--target {name} is given twice: give one")
         try:
@@ -159,12 +213,22 @@ def add_level(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("how much is measured")
     levels = group.add_mutually_exclusive_group()
     levels.add_argument(
-        "--quick", dest="level", action="store_const", const="quick", help="seconds: counts and correlations only"
+        "--quick",
+        dest="level",
+        action="store_const",
+        const="quick",
+        help="seconds: counts and correlations only",
     )
     levels.add_argument(
-        "--full", dest="level", action="store_const", const="full", help="minutes: transport and stiffness as well"
+        "--full",
+        dest="level",
+        action="store_const",
+        const="full",
+        help="minutes: transport and stiffness as well",
     )
-    group.add_argument("--box", type=int, metavar="N", help="with --full: solve in a centre box of N voxels a side")
+    group.add_argument(
+        "--box", type=int, metavar="N", help="with --full: solve in a centre box of N voxels a side"
+    )
     parser.set_defaults(level="default")
 
 
@@ -180,9 +244,11 @@ def add_phase(parser: argparse.ArgumentParser) -> None:
 
 def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     """The exemplar as the options say; a grey one is segmented."""
-    from trabecula.flow import load
+    from trabecula.pipeline.demo import load
 
-    return load(source, crop=crop_of(options), threshold=threshold(options.threshold), **reading(options))
+    return load(
+        source, crop=crop_of(options), threshold=threshold(options.threshold), **reading(options)
+    )
 
 
 def crop_of(options: argparse.Namespace) -> list[int] | str | None:
@@ -205,12 +271,19 @@ def box_of(options: argparse.Namespace, file: str) -> list[int]:
     sides = crop_of(options)
     if isinstance(sides, list):
         return sides
-    raise InputError(f"--crop auto looks at all of {file}, which does not fit into memory: give the sides of a box")
+    raise InputError(
+        f"--crop auto looks at all of {file}, which does not fit into memory: give the sides of a box"
+    )
 
 
 def reading(options: argparse.Namespace) -> dict[str, Any]:
     """What was given of how a file is read."""
-    given = {"kind": options.kind, "unit": options.unit, "phases": options.phases, "level": options.halvings or None}
+    given = {
+        "kind": options.kind,
+        "unit": options.unit,
+        "phases": options.phases,
+        "level": options.halvings or None,
+    }
     found = {name: value for name, value in given.items() if value is not None}
     if options.spacing:
         found["spacing"] = numbers(options.spacing, name="--spacing")
@@ -235,7 +308,9 @@ def numbers(words: list[str], *, name: str) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError:
-        raise InputError(f"{name} {' '.join(words)}: give numbers (a file comes before {name})") from None
+        raise InputError(
+            f"{name} {' '.join(words)}: give numbers (a file comes before {name})"
+        ) from None
 
 
 def integer(word: str, *, name: str) -> int:

@@ -1,4 +1,6 @@
-"""`trabecula plan ...`: as generate, but only the forecast: memory, disk, and time from a second's trial."""
+"""`trabecula plan ...`: as generate, but only the forecast: memory, disk, and time from a second's
+trial.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,12 @@ def run(options: argparse.Namespace) -> int:
     making = _making(job, options)
     peak = max(learning.peak, making.peak)
     if options.json:
-        found = {**making.to_json(), "peak": peak, "learning": learning.to_json(), "available": available_memory()}
+        found = {
+            **making.to_json(),
+            "peak": peak,
+            "learning": learning.to_json(),
+            "available": available_memory(),
+        }
         terminal.show_json(found)
         return 0
     rows = [("learning: " + name, format_bytes(size)) for name, size in learning.memory.items()]
@@ -53,9 +60,16 @@ def _time(seconds: float | None) -> str:
 
 
 def _making(job: Job, options: argparse.Namespace) -> Any:
-    from trabecula.engine.tiles import thread_count, threads
-    from trabecula.flow import plan_to
+    from trabecula.engine.parallel import thread_count, threads
+    from trabecula.pipeline.demo import plan_to
 
     with threads(options.threads if options.threads is not None else thread_count()):
         model = job.fitted(memory=options.memory)
-        return plan_to(model, job.request, options.out, memory=options.memory, chunks=options.chunks, trial=True)
+        return plan_to(
+            model,
+            job.request,
+            options.out,
+            memory=options.memory,
+            chunks=options.chunks,
+            trial=True,
+        )

@@ -13,9 +13,20 @@ from trabecula.cli import shown
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The file, the picture, the look."""
     parser.add_argument("file", metavar="FILE", help="volume, or sample:NAME")
-    parser.add_argument("--out", required=True, metavar="FILE", help="picture to write (.png; with --turntable .gif)")
+    parser.add_argument(
+        "--out",
+        required=True,
+        metavar="FILE",
+        help="picture to write (.png; with --turntable .gif)",
+    )
     parser.add_argument("--look", default="bone", help="bone, foam, bread, sponge or stone")
-    parser.add_argument("--size", nargs=2, default=["800", "600"], metavar=("W", "H"), help="pixels (default 800 600)")
+    parser.add_argument(
+        "--size",
+        nargs=2,
+        default=["800", "600"],
+        metavar=("W", "H"),
+        help="pixels (default 800 600)",
+    )
     parser.add_argument(
         "--cut",
         nargs="+",
@@ -24,20 +35,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, share); several together",
     )
     parser.add_argument(
-        "--camera", nargs=2, default=["32", "26"], metavar=("AZ", "EL"), help="degrees around and above"
+        "--camera",
+        nargs=2,
+        default=["32", "26"],
+        metavar=("AZ", "EL"),
+        help="degrees around and above",
     )
-    parser.add_argument("--turntable", metavar="N", help="a moving picture of N stills all round (.gif)")
+    parser.add_argument(
+        "--turntable", metavar="N", help="a moving picture of N stills all round (.gif)"
+    )
     shown.add_memory(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
-    from trabecula.flow import check_folder, check_target
+    from trabecula.pipeline.demo import check_folder, check_target
     from trabecula.view.scene import forecast
     from trabecula.view.still import render, turntable
 
-    frames = None if options.turntable is None else shared.integer(options.turntable, name="--turntable")
+    frames = (
+        None if options.turntable is None else shared.integer(options.turntable, name="--turntable")
+    )
     if frames is None:
         check_target(options.out)
     else:
@@ -46,7 +65,9 @@ def run(options: argparse.Namespace) -> int:
     azimuth, elevation = shared.numbers(options.camera, name="--camera")
     picture = (size[0], size[1])
     image = shown.load_shown(
-        options.file, options, need=lambda shape, itemsize: forecast(shape, picture).peak + itemsize * prod(shape)
+        options.file,
+        options,
+        need=lambda shape, itemsize: forecast(shape, picture).peak + itemsize * prod(shape),
     )
     wanted: dict[str, Any] = {
         "look": options.look,

@@ -1,4 +1,6 @@
-"""What is shown of a file that does not fit into memory: a coarser level of it, or only the box that is asked for."""
+"""What is shown of a file that does not fit into memory: a coarser level of it, or only the box
+that is asked for.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,12 @@ def add_memory(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load_shown(source: str, options: argparse.Namespace, *, need: Callable[[tuple[int, ...], int], int]) -> Any:
-    """As `load_exemplar`, of the finest level that fits where none is asked for; of a crop of labels nothing else is read."""
+def load_shown(
+    source: str, options: argparse.Namespace, *, need: Callable[[tuple[int, ...], int], int]
+) -> Any:
+    """As `load_exemplar`, of the finest level that fits where none is asked for; of a crop of
+    labels nothing else is read.
+    """
     from trabecula.io.levels import level_that_fits
 
     boxed = _box(source, options) if options.crop else None
@@ -37,7 +43,7 @@ def _box(source: str, options: argparse.Namespace) -> Any:
     from dataclasses import replace
     from math import prod
 
-    from trabecula.flow import slabs_if_large
+    from trabecula.pipeline.demo import slabs_if_large
 
     if options.threshold not in (None, "auto", "none"):
         return None
@@ -48,4 +54,6 @@ def _box(source: str, options: argparse.Namespace) -> Any:
         return None
     image = volume.centre(shared.box_of(options, source))
     corner = [(have - want) // 2 for have, want in zip(volume.shape, image.shape, strict=True)]
-    return replace(image, recipe=volume.recipe.then("crop", image.values, size=image.shape, corner=corner))
+    return replace(
+        image, recipe=volume.recipe.then("crop", image.values, size=image.shape, corner=corner)
+    )

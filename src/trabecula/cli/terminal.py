@@ -1,4 +1,6 @@
-"""What the command line shows beside its results: progress and notices on standard error, errors in one line."""
+"""What the command line shows beside its results: progress and notices on standard error, errors in
+one line.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,9 @@ def show_rows(rows: Sequence[Sequence[Any]]) -> None:
     texts = [[str(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in texts) for i in range(len(texts[0]))] if texts else []
     for row in texts:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        print(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        )
 
 
 def show_mapping(values: Mapping[str, Any]) -> None:

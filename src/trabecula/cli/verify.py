@@ -1,4 +1,6 @@
-"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ...] [--quick | --full] [--json] [--report HTML]`."""
+"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ...] [--quick | --full]
+[--json] [--report HTML]`.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,20 @@ from trabecula.cli import terminal
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The exemplar, the results, the forms of the verdict."""
-    parser.add_argument("exemplar", metavar="EXEMPLAR", help="scan that the material should be like, or sample:NAME")
+    parser.add_argument(
+        "exemplar", metavar="EXEMPLAR", help="scan that the material should be like, or sample:NAME"
+    )
     parser.add_argument("files", nargs="+", metavar="FILE", help="results, ours or anybody's")
-    parser.add_argument("--json", action="store_true", help="print as JSON (a list for several files)")
+    parser.add_argument(
+        "--json", action="store_true", help="print as JSON (a list for several files)"
+    )
     parser.add_argument("--report", metavar="HTML", help="write one self-contained page")
     parser.add_argument(
-        "--r-max", type=int, default=50, metavar="R", help="largest distance of the curves, voxels (default 50)"
+        "--r-max",
+        type=int,
+        default=50,
+        metavar="R",
+        help="largest distance of the curves, voxels (default 50)",
     )
     parser.add_argument(
         "--memory",
@@ -45,8 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an error: status 0."""
-    from trabecula.flow import check_page, write_page
+    """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an
+    error: status 0.
+    """
+    from trabecula.pipeline.demo import check_page, write_page
     from trabecula.report.certificate import verify
 
     if options.report:
@@ -56,7 +68,13 @@ def run(options: argparse.Namespace) -> int:
     views = [plane for word in options.views for plane in word.split(",")]
     images = [_result(file, exemplars, views, options) for file in options.files]
     names = [Path(file).name for file in options.files]
-    wanted = {"r_max": options.r_max, "names": names, "level": options.level, "box": options.box, "views": views}
+    wanted = {
+        "r_max": options.r_max,
+        "names": names,
+        "level": options.level,
+        "box": options.box,
+        "views": views,
+    }
     wanted["memory"] = options.memory
     found = verify(exemplars if len(exemplars) > 1 else exemplars[0], *images, **wanted)
     certificates = found if isinstance(found, list) else [found]
@@ -71,12 +89,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _result(file: str, exemplars: list[Any], views: list[str], options: argparse.Namespace) -> Any:
-    """A result as an Image, or in slabs where it is too large and the exemplar is a volume of labels."""
-    from trabecula.flow import load_like, slabs_like_if_large, voxels_of
+    """A result as an Image, or in slabs where it is too large and the exemplar is a volume of
+    labels.
+    """
     from trabecula.measure.blockwise import in_core_bytes
+    from trabecula.pipeline.demo import load_like, slabs_like_if_large, voxels_of
 
     exemplar, volume = exemplars[0], None
     if exemplar.kind == "labels" and exemplar.ndim == 3:
-        memory = {"need": lambda shape: in_core_bytes(shape, options.level), "memory": options.memory}
+        memory = {
+            "need": lambda shape: in_core_bytes(shape, options.level),
+            "memory": options.memory,
+        }
         volume = slabs_like_if_large(file, exemplar, **memory)
-    return load_like(file, exemplar, spacing=lambda: voxels_of(exemplars, views)) if volume is None else volume
+    return (
+        load_like(file, exemplar, spacing=lambda: voxels_of(exemplars, views))
+        if volume is None
+        else volume
+    )

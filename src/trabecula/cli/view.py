@@ -14,19 +14,30 @@ from trabecula.cli import shown
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The files, where the page goes, what stands beside them."""
     parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="volumes or pictures side by side, or sample:NAME; 6 at most"
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="volumes or pictures side by side, or sample:NAME; 6 at most",
     )
     parser.add_argument(
-        "--html", metavar="OUT", help="write the page as one file that needs no network, and open nothing"
+        "--html",
+        metavar="OUT",
+        help="write the page as one file that needs no network, and open nothing",
     )
-    parser.add_argument("--look", default="bone", help="bone (default), foam, bread, sponge or stone: to begin with")
+    parser.add_argument(
+        "--look", default="bone", help="bone (default), foam, bread, sponge or stone: to begin with"
+    )
     parser.add_argument(
         "--certificate",
         metavar="FILE",
         help="what `trabecula verify --json` printed: its key figures stand beside each FILE, or each but the first",
     )
-    parser.add_argument("--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)")
-    parser.add_argument("--no-browser", action="store_true", help="print the address, open no browser")
+    parser.add_argument(
+        "--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)"
+    )
+    parser.add_argument(
+        "--no-browser", action="store_true", help="print the address, open no browser"
+    )
     shown.add_memory(parser)
     shared.add_reading(parser)
 
@@ -34,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the page; write it, or serve it until interrupted."""
     from trabecula.cli import terminal
-    from trabecula.flow import check_page
+    from trabecula.pipeline.demo import check_page
     from trabecula.view.page import server, view
     from trabecula.view.page.fitting import forecast
 
@@ -44,7 +55,10 @@ def run(options: argparse.Namespace) -> int:
     certificate = _certificate(options.certificate) if options.certificate else None
     # Greys are shown as they are, unless a threshold is asked for.
     options.threshold = options.threshold or "none"
-    images = [shown.load_shown(file, options, need=lambda *volume: forecast(*volume).peak) for file in options.files]
+    images = [
+        shown.load_shown(file, options, need=lambda *volume: forecast(*volume).peak)
+        for file in options.files
+    ]
     names = [Path(file).name for file in options.files]
     page = view(*images, names=names, look=options.look, certificate=certificate)
     if options.html:
@@ -63,4 +77,6 @@ def _certificate(path: str) -> Any:
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror}; check the path") from error
     except (ValueError, RecursionError):
-        raise InputError(f"{path} is no JSON: write it with `trabecula verify ... --json > {path}`") from None
+        raise InputError(
+            f"{path} is no JSON: write it with `trabecula verify ... --json > {path}`"
+        ) from None

@@ -1,4 +1,6 @@
-"""How results show themselves in a terminal: every field, numbers short, and of large arrays the shape and the range alone."""
+"""How results show themselves in a terminal: every field, numbers short, and of large arrays the
+shape and the range alone.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ _WRITTEN_OUT = 36
 
 
 def brief(result: Any) -> str:
-    """Return the `repr` of a dataclass: the fields that are not at their default, none of them long.
+    """Return the `repr` of a dataclass: the fields that are not at their default, none of them
+    long.
 
     Examples
     --------
@@ -23,17 +26,25 @@ def brief(result: Any) -> str:
     Request(shape=(9, 9, 9), mask=<array 9x9x9 bool>)
     """
     shown = [
-        f"{one.name}={short(getattr(result, one.name))}" for one in fields(result) if one.repr and _is_set(result, one)
+        f"{one.name}={short(getattr(result, one.name))}"
+        for one in fields(result)
+        if one.repr and _is_set(result, one)
     ]
     if any("\n" in text for text in shown):
-        return f"{type(result).__name__}(\n  " + ",\n  ".join(text.replace("\n", "\n  ") for text in shown) + ",\n)"
+        return (
+            f"{type(result).__name__}(\n  "
+            + ",\n  ".join(text.replace("\n", "\n  ") for text in shown)
+            + ",\n)"
+        )
     return f"{type(result).__name__}({', '.join(shown)})"
 
 
 def _is_set(result: Any, one: Field[Any]) -> bool:
     default = one.default if one.default_factory is MISSING else one.default_factory()
     value = getattr(result, one.name)
-    return not (type(value) is type(default) and not isinstance(value, np.ndarray) and value == default)
+    return not (
+        type(value) is type(default) and not isinstance(value, np.ndarray) and value == default
+    )
 
 
 def short(value: Any) -> str:

@@ -1,4 +1,6 @@
-"""Small checks that raise and return nothing, and conversions that return. Every message ends with what to do."""
+"""Small checks that raise and return nothing, and conversions that return. Every message ends with
+what to do.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def check_name(value: str, known: Iterable[str], *, name: str) -> None:
         return
     near = difflib.get_close_matches(str(value), known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise UnknownNameError(f"unknown {name} {value!r}: {hint}known are {', '.join(known) or 'none'}")
+    raise UnknownNameError(
+        f"unknown {name} {value!r}: {hint}known are {', '.join(known) or 'none'}"
+    )
 
 
 def check_finite(values: np.ndarray, *, name: str) -> None:
@@ -48,17 +52,23 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
         raw = [value] if isinstance(value, (int, np.integer, float)) else list(value)
         sides = [int(side) for side in raw]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} {value!r} is not made of integers: give one number or {ndim}") from None
+        raise InputError(
+            f"{name} {value!r} is not made of integers: give one number or {ndim}"
+        ) from None
     if any(side != given for side, given in zip(sides, raw, strict=True)):
         raise InputError(f"{name} {value!r} is not made of whole numbers")
     if len(sides) == 1:
         sides = sides * ndim
     if len(sides) != ndim:
-        raise InputError(f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest axis first")
+        raise InputError(
+            f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest axis first"
+        )
     if min(sides) < 1:
         raise InputError(f"{name} {tuple(sides)} must be positive along every axis")
     if math.prod(sides) > MOST_VOXELS:
-        raise InputError(f"{name} {tuple(sides)} is more than 2**48 voxels, which no run can hold: ask for less")
+        raise InputError(
+            f"{name} {tuple(sides)} is more than 2**48 voxels, which no run can hold: ask for less"
+        )
     return tuple(sides)
 
 
@@ -67,14 +77,18 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
     if value is None:
         return (1.0,) * ndim
     try:
-        raw: list[Any] = [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
+        raw: list[Any] = (
+            [value] if isinstance(value, (int, float, np.integer, np.floating)) else list(value)
+        )
         edges = [float(edge) for edge in raw]
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"spacing {value!r} is not made of numbers: give one or {ndim}") from None
     if len(edges) == 1:
         edges = edges * ndim
     if len(edges) != ndim:
-        raise InputError(f"spacing {tuple(raw)} has {len(raw)} numbers: give one or {ndim}, slowest axis first")
+        raise InputError(
+            f"spacing {tuple(raw)} has {len(raw)} numbers: give one or {ndim}, slowest axis first"
+        )
     if not all(math.isfinite(edge) and edge > 0 for edge in edges):
         raise InputError(f"spacing {tuple(edges)} must be positive and finite along every axis")
     if min(edges) < 1 / WIDEST or max(edges) > WIDEST or max(edges) > MOST_ANISOTROPIC * min(edges):
@@ -94,10 +108,14 @@ def as_seed(value: int) -> int:
     return int(value)
 
 
-def as_number(value: Any, *, name: str, low: float, high: float, whole: bool = False) -> float | int:
+def as_number(
+    value: Any, *, name: str, low: float, high: float, whole: bool = False
+) -> float | int:
     """A number from `low` to `high`, an int where `whole`; for the fields of a method's config."""
     kind = "a whole number" if whole else "a number"
-    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
+        value, bool
+    )
     if not number or (whole and value != value // 1):
         raise InputError(f"{name}={value!r} should be {kind} from {low} to {high}")
     if not low <= value <= high:

@@ -1,4 +1,6 @@
-"""How a notebook shows an Image: named here by the package's top level, so that the core knows no pictures."""
+"""How a notebook shows an Image: named here by the package's top level, so that the core knows no
+pictures.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,9 @@ import importlib
 from typing import Any
 
 html: str | None = None
-"""A function that gives an Image as HTML, as "module:function"; None where no room of the package draws."""
+"""A function that gives an Image as HTML, as "module:function"; None where no room of the package
+draws.
+"""
 
 
 def as_html(image: Any) -> str | None:

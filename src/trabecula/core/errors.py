@@ -1,7 +1,7 @@
 """The exceptions of the package: a small tree, each also the builtin that a caller would expect.
 
-A message says what was given, what is needed, and what to do. Whatever is *not* a `TrabeculaError` and reaches the
-user is a bug.
+A message says what was given, what is needed, and what to do. Whatever is *not* a `TrabeculaError`
+and reaches the user is a bug.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class UnnamedVoidError(InputError):
     Attributes
     ----------
     what : str
-        What is missing, without the advice: what helps has other names in Python and on the command line.
+        What is missing, without the advice: what helps has other names in Python and on the command
+        line.
     """
 
     def __init__(self, phases: Sequence[str], *, phase_helps: bool = True) -> None:
@@ -48,7 +49,8 @@ class UnnamedVoidError(InputError):
         super().__init__(f"{self.what}: name one of them void (phases=... of the image){advice}")
         self.phases, self.phase_helps = tuple(phases), phase_helps
 
-    # Workers send their errors: this class is made again there from the names, not from the message.
+    # Workers send their errors: this class is made again there from the names, not from the
+    # message.
     def __reduce__(self) -> tuple[Callable[..., UnnamedVoidError], tuple[object, ...]]:
         return partial(UnnamedVoidError, phase_helps=self.phase_helps), (self.phases,)
 

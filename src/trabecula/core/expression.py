@@ -1,7 +1,9 @@
-"""Formulas of a user, such as "0.3 + 0.2 * sin(2 * pi * x / X)": parsed here, never handed to Python.
+"""Formulas of a user, such as "0.3 + 0.2 * sin(2 * pi * x / X)": parsed here, never handed to
+Python.
 
-Only what is named in this module is understood: numbers, given names, arithmetic, comparisons, a choice and a few
-functions. Everything is computed in NumPy's floats, so that no formula can ask for a number of a million digits.
+Only what is named in this module is understood: numbers, given names, arithmetic, comparisons, a
+choice and a few functions. Everything is computed in NumPy's floats, so that no formula can ask for
+a number of a million digits.
 """
 
 from __future__ import annotations
@@ -63,8 +65,8 @@ class Expression:
     Parameters
     ----------
     text : str
-        Numbers, the given names, pi and e; + - * / % **, comparisons, `and`, `or`, `not`, `A if CONDITION else B`, and
-        the `FUNCTIONS`. At most 2000 characters.
+        Numbers, the given names, pi and e; + - * / % **, comparisons, `and`, `or`, `not`, `A if
+        CONDITION else B`, and the `FUNCTIONS`. At most 2000 characters.
     names : collection of str
         What the formula may speak of.
 
@@ -86,7 +88,9 @@ class Expression:
         self.text = text
         self._tree = _tree_of(text)
         _check_part(self._tree, tuple(names), text)
-        self.names = frozenset(part.id for part in ast.walk(self._tree) if isinstance(part, ast.Name)) & set(names)
+        self.names = frozenset(
+            part.id for part in ast.walk(self._tree) if isinstance(part, ast.Name)
+        ) & set(names)
 
     def __call__(self, **values: Any) -> np.ndarray:
         """The formula's value in float64; where it has none (0 / 0) it is NaN."""
@@ -111,7 +115,9 @@ def expressions(text: str, names: Collection[str], *, count: int) -> list[Expres
     tree = _tree_of(text)
     parts = list(tree.elts) if isinstance(tree, ast.Tuple) else [tree]
     if len(parts) != count:
-        raise InputError(f"the formula {text!r} has {len(parts)} parts: give {count}, separated by commas")
+        raise InputError(
+            f"the formula {text!r} has {len(parts)} parts: give {count}, separated by commas"
+        )
     return [Expression(ast.unparse(part), names) for part in parts]
 
 
@@ -142,8 +148,13 @@ def _check_part(tree: ast.expr, names: tuple[str, ...], text: str) -> None:
                 check_name(part.id, (*names, *CONSTANTS), name="name in a formula")
         elif isinstance(part, ast.Constant):
             if isinstance(part.value, bool) or not isinstance(part.value, (int, float)):
-                raise InputError(f"the formula {text!r} holds {part.value!r}: only numbers and names are understood")
-        elif not isinstance(part, (*_OPERATORS, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Load)):
+                raise InputError(
+                    f"the formula {text!r} holds {part.value!r}: only numbers and names are understood"
+                )
+        elif not isinstance(
+            part,
+            (*_OPERATORS, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Load),
+        ):
             what = type(part).__name__
             raise InputError(
                 f"the formula {text!r} holds a {what}: only arithmetic, comparisons and functions are understood"
@@ -158,7 +169,9 @@ def _check_call(part: ast.Call, text: str) -> None:
     check_name(part.func.id, FUNCTIONS, name="function in a formula")
     takes = FUNCTIONS[part.func.id][1]
     if len(part.args) != takes:
-        raise InputError(f"{part.func.id} takes {takes} values, the formula {text!r} gives {len(part.args)}")
+        raise InputError(
+            f"{part.func.id} takes {takes} values, the formula {text!r} gives {len(part.args)}"
+        )
 
 
 def _value(part: ast.expr, known: Mapping[str, Any]) -> Any:
@@ -174,7 +187,9 @@ def _value(part: ast.expr, known: Mapping[str, Any]) -> Any:
     if isinstance(part, ast.UnaryOp):
         return _OPERATORS[type(part.op)](_value(part.operand, known))
     if isinstance(part, ast.IfExp):
-        return np.where(_value(part.test, known), _value(part.body, known), _value(part.orelse, known))
+        return np.where(
+            _value(part.test, known), _value(part.body, known), _value(part.orelse, known)
+        )
     if isinstance(part, ast.BoolOp):
         found = _value(part.values[0], known)
         for other in part.values[1:]:

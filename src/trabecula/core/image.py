@@ -1,11 +1,12 @@
 """The one noun: `Image`, values with what they mean.
 
-Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxel whose *corner* lies at the origin; a
-voxel's edge along an axis is `spacing` of that axis, in `unit`.
+Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxel whose *corner*
+lies at the origin; a voxel's edge along an axis is `spacing` of that axis, in `unit`.
 
-An image is taken for an array wherever one is expected (`np.asarray(image)` are its values, not copied) and is sliced like
-one. What is computed from it by operators, NumPy, or an array's own methods (`image > 3`, `image.mean()`) is a plain array
-or number: only a slice is an image again. `image == other` of two images asks whether they are the same object.
+An image is taken for an array wherever one is expected (`np.asarray(image)` are its values, not
+copied) and is sliced like one. What is computed from it by operators, NumPy, or an array's own
+methods (`image > 3`, `image.mean()`) is a plain array or number: only a slice is an image again.
+`image == other` of two images asks whether they are the same object.
 """
 
 from __future__ import annotations
@@ -42,8 +43,32 @@ _OF_ARRAYS = frozenset(
             "flat",
             "flatten",
         ),
-        *("itemsize", "max", "mean", "min", "nbytes", "nonzero", "prod", "ravel", "repeat", "reshape", "round", "size"),
-        *("squeeze", "std", "strides", "sum", "swapaxes", "take", "tobytes", "tolist", "transpose", "var"),
+        *(
+            "itemsize",
+            "max",
+            "mean",
+            "min",
+            "nbytes",
+            "nonzero",
+            "prod",
+            "ravel",
+            "repeat",
+            "reshape",
+            "round",
+            "size",
+        ),
+        *(
+            "squeeze",
+            "std",
+            "strides",
+            "sum",
+            "swapaxes",
+            "take",
+            "tobytes",
+            "tolist",
+            "transpose",
+            "var",
+        ),
     )
 )
 """What code that was written for arrays asks of them; none of it changes the values."""
@@ -56,8 +81,8 @@ class Image(NDArrayOperatorsMixin):
     Parameters
     ----------
     values : array, (Z, Y, X) or (Y, X); colour (..., 3)
-        Labels `0..n-1` (any integer or bool; kept as uint8), grey (any real), or uint8 RGB. Not copied unless converted;
-        do not write into it afterwards.
+        Labels `0..n-1` (any integer or bool; kept as uint8), grey (any real), or uint8 RGB. Not
+        copied unless converted; do not write into it afterwards.
     kind : {"labels", "grey", "colour"}
         Given, never guessed from a shape.
     spacing : float or sequence of float, optional
@@ -72,8 +97,8 @@ class Image(NDArrayOperatorsMixin):
     Raises
     ------
     InputError
-        Wrong dimensions, empty, NaN or infinite, labels that are not integers or not `0..n-1`, bad spacing, phase names
-        that do not fit.
+        Wrong dimensions, empty, NaN or infinite, labels that are not integers or not `0..n-1`, bad
+        spacing, phase names that do not fit.
 
     Examples
     --------
@@ -125,17 +150,25 @@ class Image(NDArrayOperatorsMixin):
         return self.values.dtype
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
-        """Return the values, as NumPy asks for them (`np.asarray(image)`); copied where `copy` or another type needs it."""
+        """Return the values, as NumPy asks for them (`np.asarray(image)`); copied where `copy` or
+        another type needs it.
+        """
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         """Return what NumPy's function makes of the values: an array, which has no spacing."""
         if any(isinstance(out, Image) for out in options.get("out", ())):
-            raise InputError("an Image does not change: compute a new array, and make an Image of it (tb.Image)")
-        return getattr(ufunc, method)(*(one.values if isinstance(one, Image) else one for one in inputs), **options)
+            raise InputError(
+                "an Image does not change: compute a new array, and make an Image of it (tb.Image)"
+            )
+        return getattr(ufunc, method)(
+            *(one.values if isinstance(one, Image) else one for one in inputs), **options
+        )
 
     def __eq__(self, other: object) -> Any:
-        """Return whether both images are the same object; of numbers and arrays, which values are equal."""
+        """Return whether both images are the same object; of numbers and arrays, which values are
+        equal.
+        """
         if isinstance(other, Image) or other is None or isinstance(other, str):
             return self is other
         return np.equal(self, other)  # type: ignore[call-overload]
@@ -153,7 +186,9 @@ class Image(NDArrayOperatorsMixin):
             """Return an attribute of the array, of those that code written for arrays asks for."""
             if name in _OF_ARRAYS:
                 return getattr(self.values, name)
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            raise AttributeError(
+                f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self
+            )
 
     def __len__(self) -> int:
         """Return the voxels along the first axis."""
@@ -164,20 +199,31 @@ class Image(NDArrayOperatorsMixin):
         return (self[place] for place in range(len(self)))
 
     def __getitem__(self, key: Any) -> Image:
-        """Return a part of the image: slices keep an axis, a number drops it, a step makes its voxels longer.
+        """Return a part of the image: slices keep an axis, a number drops it, a step makes its
+        voxels longer.
 
         The values are not copied. The recipe has one more step, where there is a recipe.
 
         Raises
         ------
         InputError
-            As `core.indexing.read_index`: among others a mask or a list, which are asked of `image.values`.
+            As `core.indexing.read_index`: among others a mask or a list, which are asked of
+            `image.values`.
         """
         index = indexing.read_index(key, shape=self.shape)
         values = self.values[index]
-        pairs = [(item, edge) for item, edge in zip(index, self.spacing, strict=True) if isinstance(item, slice)]
+        pairs = [
+            (item, edge)
+            for item, edge in zip(index, self.spacing, strict=True)
+            if isinstance(item, slice)
+        ]
         recipe = self.recipe and self.recipe.then("slice", values, index=indexing.to_json(index))
-        return replace(self, values=values, spacing=tuple(edge * abs(item.step) for item, edge in pairs), recipe=recipe)
+        return replace(
+            self,
+            values=values,
+            spacing=tuple(edge * abs(item.step) for item, edge in pairs),
+            recipe=recipe,
+        )
 
     def __repr__(self) -> str:
         return outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
@@ -186,7 +232,9 @@ class Image(NDArrayOperatorsMixin):
         return display.as_html(self)
 
 
-def outline(shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str, phases: Sequence[str]) -> str:
+def outline(
+    shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str, phases: Sequence[str]
+) -> str:
     """An image in a line, whether or not its values are in memory."""
     size = "x".join(map(str, shape))
     edge = "x".join(f"{s:g}" for s in spacing)
@@ -196,25 +244,33 @@ def outline(shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str
 
 def _real_array(values: ArrayLike) -> np.ndarray:
     if isinstance(values, Image):  # as an array it would lose its spacing and names without a word
-        raise InputError("an Image is given where its values are wanted: use it as it is, or give image.values")
+        raise InputError(
+            "an Image is given where its values are wanted: use it as it is, or give image.values"
+        )
     try:
         array = np.asarray(values)
     except ValueError:
-        raise InputError("the rows of the image differ in length: give an array of equal sides") from None
+        raise InputError(
+            "the rows of the image differ in length: give an array of equal sides"
+        ) from None
     if array.dtype.kind not in "biufc":
         raise InputError(f"the image holds {array.dtype} values: numbers are needed")
     return array
 
 
 def _given(spacing: float | Sequence[float] | None) -> float | Sequence[float] | None:
-    """None where the spacing was left out: the field's default is (), and 0 is a mistake that has to be told."""
+    """None where the spacing was left out: the field's default is (), and 0 is a mistake that has
+    to be told.
+    """
     return None if np.size(spacing) == 0 else spacing  # type: ignore[arg-type]
 
 
 def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
     if kind == "colour":
         if values.shape[-1] != 3 or values.dtype != np.uint8:
-            raise InputError(f"colour is uint8 with 3 channels last: got {values.dtype}, shape {values.shape}")
+            raise InputError(
+                f"colour is uint8 with 3 channels last: got {values.dtype}, shape {values.shape}"
+            )
         return values
     if kind == "grey":
         if values.dtype == bool:
@@ -242,11 +298,15 @@ def _checked_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tup
         return ()
     count = int(values.max()) + 1
     if isinstance(phases, str):
-        raise InputError(f"phases={phases!r} is one text: give one name per label, such as ('void', 'solid')")
+        raise InputError(
+            f"phases={phases!r} is one text: give one name per label, such as ('void', 'solid')"
+        )
     if not len(phases):
         return default_phases(max(2, count))
     if len(phases) < max(count, 2) or len(set(phases)) != len(phases):
-        raise InputError(f"phases {tuple(phases)} must name at least {max(count, 2)} labels, each name once")
+        raise InputError(
+            f"phases {tuple(phases)} must name at least {max(count, 2)} labels, each name once"
+        )
     return tuple(str(name) for name in phases)
 
 
@@ -256,7 +316,8 @@ def default_phases(count: int) -> tuple[str, ...]:
 
 
 def labels(values: ArrayLike, **fields: Any) -> Image:
-    """An Image of labels from an array of few levels, such as 0/255: the levels, in rising order, become 0..n-1.
+    """An Image of labels from an array of few levels, such as 0/255: the levels, in rising order,
+    become 0..n-1.
 
     Raises
     ------
@@ -269,19 +330,24 @@ def labels(values: ArrayLike, **fields: Any) -> Image:
     check_finite(array, name="the array")
     levels = distinct_levels(array, limit=MAX_PHASES)
     if levels is None:
-        raise InputError(f"the array has more than {MAX_PHASES} levels: it is grey; segment it (tb.segment)")
+        raise InputError(
+            f"the array has more than {MAX_PHASES} levels: it is grey; segment it (tb.segment)"
+        )
     if np.any(levels != np.round(levels)):
         raise InputError(
             f"labels are whole numbers, the array holds {levels[levels != np.round(levels)][0]}: segment it (tb.segment)"
         )
-    if array.dtype in (np.uint8, np.uint16):  # a table: ten times faster than a search, and an eighth of its memory
+    # a table: ten times faster than a search, and an eighth of its memory
+    if array.dtype in (np.uint8, np.uint16):
         table = np.searchsorted(levels, np.arange(int(levels[-1]) + 1)).astype(np.uint8)
         return Image(table[array], "labels", **fields)
     return Image(np.searchsorted(levels, array).astype(np.uint8), "labels", **fields)
 
 
 def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
-    """The sorted distinct values, or None where there are more than `limit` (found without sorting the whole array)."""
+    """The sorted distinct values, or None where there are more than `limit` (found without sorting
+    the whole array).
+    """
     if values.dtype == bool:
         values = values.view(np.uint8)
     flat = values.ravel()
@@ -292,12 +358,15 @@ def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
         if len(levels) > limit:
             return None
         piece = flat[start : start + (1 << 22)]
-        levels = np.union1d(levels, np.flatnonzero(np.bincount(piece)).astype(piece.dtype) if small else piece)
+        levels = np.union1d(
+            levels, np.flatnonzero(np.bincount(piece)).astype(piece.dtype) if small else piece
+        )
     return levels if len(levels) <= limit else None
 
 
 def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
-    """An Image as it is; an array of bool or of labels `0..n-1` as an Image of labels; other arrays need a kind first.
+    """An Image as it is; an array of bool or of labels `0..n-1` as an Image of labels; other arrays
+    need a kind first.
 
     Raises
     ------
@@ -308,7 +377,10 @@ def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
         return value
     array = np.asarray(value)
     if array.dtype == bool or (
-        np.issubdtype(array.dtype, np.integer) and array.size and array.min() >= 0 and array.max() < MAX_PHASES
+        np.issubdtype(array.dtype, np.integer)
+        and array.size
+        and array.min() >= 0
+        and array.max() < MAX_PHASES
     ):
         return Image(array, "labels")
     raise InputError(
@@ -320,13 +392,16 @@ def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
 def check_labels(image: Image, *, name: str = "image") -> None:
     """Raise where the image is not of kind "labels"."""
     if image.kind != "labels":
-        raise InputError(f"{name} is {image.kind}, labels are needed: segment it first (tb.segment, or --threshold)")
+        raise InputError(
+            f"{name} is {image.kind}, labels are needed: segment it first (tb.segment, or --threshold)"
+        )
 
 
 def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
     """The label of a phase given by name or number; `None` means the phase named `default`.
 
-    An image without a phase of that name has no default: the caller has to say which phase is meant.
+    An image without a phase of that name has no default: the caller has to say which phase is
+    meant.
     """
     if phase is None:
         phase = default
@@ -338,13 +413,19 @@ def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
     return int(phase)
 
 
-def with_values(image: Image, values: np.ndarray, *, recipe: Recipe | None = None, **changes: Any) -> Image:
+def with_values(
+    image: Image, values: np.ndarray, *, recipe: Recipe | None = None, **changes: Any
+) -> Image:
     """The same image with other values (and, where given, another recipe)."""
-    return replace(image, values=values, recipe=image.recipe if recipe is None else recipe, **changes)
+    return replace(
+        image, values=values, recipe=image.recipe if recipe is None else recipe, **changes
+    )
 
 
 def declared(image: Image, **fields: Any) -> Image:
-    """The same voxels with a spacing, a unit or names of phases that their file does not state; the recipe tells."""
+    """The same voxels with a spacing, a unit or names of phases that their file does not state; the
+    recipe tells.
+    """
     recipe = image.recipe.then("declare", image.values, fields=fields)
     return replace(image, recipe=recipe, **fields)
 

@@ -1,7 +1,7 @@
 """Progress of long work, told to whoever listens.
 
-Work calls `track` (a loop) or `say` (a line); nobody passes a bar around. Without a listener both cost nothing, so
-library code stays quiet and the command line shows a bar.
+Work calls `track` (a loop) or `notify` (a line); nobody passes a bar around. Without a listener
+both cost nothing, so library code stays quiet and the command line shows a bar.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from typing import TypeVar
 T = TypeVar("T")
 
 Listener = Callable[[str, float], None]
-"""Called with a label and the fraction done, 0..1; a fraction of 1 ends the stage. A line of text has fraction -1."""
+"""Called with a label and the fraction done, 0..1; a fraction of 1 ends the stage. A line of text
+has fraction -1.
+"""
 
 _listener: ContextVar[Listener | None] = ContextVar("trabecula_progress", default=None)
 
@@ -44,15 +46,17 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
         listener(label, min(done / max(total, 1), 1.0))
 
 
-def say(line: str) -> None:
+def notify(line: str) -> None:
     """One line for the listener, such as a notice that something takes longer once."""
     listener = _listener.get()
     if listener is not None:
         listener(line, -1.0)
 
 
-def tell(label: str, done: float) -> None:
-    """The fraction done, 0..1, of work that is no loop over items; the label may change as it goes on."""
+def report(label: str, done: float) -> None:
+    """The fraction done, 0..1, of work that is no loop over items; the label may change as it goes
+    on.
+    """
     listener = _listener.get()
     if listener is not None:
         listener(label, done)

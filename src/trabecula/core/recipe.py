@@ -1,8 +1,9 @@
-"""How an image came to be: a list of steps, each plain JSON, from the first file read to the last thing done.
+"""How an image came to be: a list of steps, each plain JSON, from the first file read to the last
+thing done.
 
-The recipe travels in every file written. A step names its verb and every parameter with its value, so that replaying
-the steps gives the same voxels; `sha256` is the digest of the voxels after the step. The method's step holds the
-recipes of its exemplars.
+The recipe travels in every file written. A step names its verb and every parameter with its value,
+so that replaying the steps gives the same voxels; `sha256` is the digest of the voxels after the
+step. The method's step holds the recipes of its exemplars.
 """
 
 from __future__ import annotations
@@ -47,13 +48,18 @@ class Recipe:
         """The recipe that `to_json` gave; `None` means an empty one."""
         if steps is None:
             return cls()
-        if not isinstance(steps, list) or not all(isinstance(step, dict) and "verb" in step for step in steps):
-            raise InputError("the recipe is damaged: it should be a list of steps, each with a verb")
+        if not isinstance(steps, list) or not all(
+            isinstance(step, dict) and "verb" in step for step in steps
+        ):
+            raise InputError(
+                "the recipe is damaged: it should be a list of steps, each with a verb"
+            )
         return cls(tuple(copy.deepcopy(steps)))
 
     def __repr__(self) -> str:
         done = [
-            f"{step['verb']} {next((step[key] for key in _NAMED if step.get(key)), '')}".strip() for step in self.steps
+            f"{step['verb']} {next((step[key] for key in _NAMED if step.get(key)), '')}".strip()
+            for step in self.steps
         ]
         return f"<Recipe: {', '.join(done) or 'nothing known'}>"
 
@@ -62,12 +68,16 @@ class Recipe:
 
 
 def digest(values: np.ndarray) -> str:
-    """SHA-256 of type, shape and voxels, the same in memory and in every format that keeps the type."""
+    """SHA-256 of type, shape and voxels, the same in memory and in every format that keeps the
+    type.
+    """
     return digest_of(values.dtype, values.shape, [values])
 
 
 def digest_of(dtype: np.dtype, shape: Sequence[int], slabs: Iterable[np.ndarray]) -> str:
-    """The digest of an array of which not all is in memory: slabs along the first axis, in their order."""
+    """The digest of an array of which not all is in memory: slabs along the first axis, in their
+    order.
+    """
     little = dtype.newbyteorder("<")
     digester = hashlib.sha256(f"{little.str.lstrip('<=|')}{tuple(shape)}".encode())
     for slab in slabs:
@@ -84,7 +94,9 @@ def versions() -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """`value` as JSON would give it back, or an error: a recipe that cannot be written is no recipe."""
+    """`value` as JSON would give it back, or an error: a recipe that cannot be written is no
+    recipe.
+    """
     return json.loads(json.dumps(value, default=_scalar, allow_nan=False))
 
 

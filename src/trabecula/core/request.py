@@ -26,39 +26,44 @@ class Request:
     Parameters
     ----------
     shape : int or sequence of int, optional
-        Voxels along z, y, x; one number means a cube, two a picture (y, x), of which all arrays then have two axes. None takes
-        the mask's.
+        Voxels along z, y, x; one number means a cube, two a picture (y, x), of which all arrays
+        then have two axes. None takes the mask's.
     seed : int
         0 .. 2**63 - 1. The same request gives the same voxels.
     periodic : bool or sequence of bool
         Axes along which the result repeats without a seam.
     mask : (Z, Y, X) bool array or Image of labels, optional
-        The form to fill; outside it the result is void. Of an Image, everything but the phase "void" (label 0 where none
-        has that name) is filled. Kept as a bool array. Where an Image states a spacing or a unit, the result's voxels are of that
-        size: of an exemplar that states another the request is refused, one that states none takes it.
+        The form to fill; outside it the result is void. Of an Image, everything but the phase
+        "void" (label 0 where none has that name) is filled. Kept as a bool array. Where an Image
+        states a spacing or a unit, the result's voxels are of that size: of an exemplar that states
+        another the request is refused, one that states none takes it.
     target : mapping of str to float or (Z, Y, X) float array or grey Image
-        Descriptors to have, by name: one number for the whole result, or a field of what each place is to have around it,
-        inside the mask where there is one. "porosity" is the share of the phase "void" (label 0 where none has that name),
-        "volume_fraction" what remains to 1, "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface",
-        "mean_curvature" and "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
+        Descriptors to have, by name: one number for the whole result, or a field of what each place
+        is to have around it, inside the mask where there is one. "porosity" is the share of the
+        phase "void" (label 0 where none has that name), "volume_fraction" what remains to 1,
+        "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface", "mean_curvature" and
+        "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
         "perimeter" and "euler". Methods say which they honour. Fields are kept as float32 arrays.
     fixed : Image, (Z, Y, X), optional
-        Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere does not matter.
+        Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere
+        does not matter.
     known : (Z, Y, X) bool array or Image of labels, optional
-        Where `fixed` holds measured voxels: some, but not all. Needed with `fixed`. Kept as a bool array.
+        Where `fixed` holds measured voxels: some, but not all. Needed with `fixed`. Kept as a bool
+        array.
 
     Attributes
     ----------
     origins : mapping of str to Recipe
-        How mask, fixed and known came to be, for the recipe of the result; fields of `target` as "target.NAME".
+        How mask, fixed and known came to be, for the recipe of the result; fields of `target` as
+        "target.NAME".
     voxel : (tuple of float, str), optional
         Spacing and unit of a mask that is an Image and states them.
 
     Raises
     ------
     InputError
-        A mask, a fixed image, known voxels or a target of another shape or type; a mask without a voxel; nothing known, or
-        nothing left to make; a target out of range.
+        A mask, a fixed image, known voxels or a target of another shape or type; a mask without a
+        voxel; nothing known, or nothing left to make; a target out of range.
     UnknownNameError
         A target of a descriptor that cannot be asked for.
     RequestError
@@ -88,15 +93,23 @@ class Request:
     def __post_init__(self) -> None:
         origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}
         origins |= {f"target.{name}": recipe for name, recipe in origins_of(self.target).items()}
-        object.__setattr__(self, "origins", {name: recipe for name, recipe in origins.items() if recipe is not None})
+        object.__setattr__(
+            self,
+            "origins",
+            {name: recipe for name, recipe in origins.items() if recipe is not None},
+        )
         object.__setattr__(self, "voxel", _stated_voxel(self.mask))
         object.__setattr__(self, "mask", _as_region(self.mask, name="mask"))
         object.__setattr__(self, "known", _as_region(self.known, name="known"))
         if self.shape is None:
             if self.mask is None:
-                raise InputError("the request has no shape: give voxels along z, y, x, or a mask whose shape is taken")
+                raise InputError(
+                    "the request has no shape: give voxels along z, y, x, or a mask whose shape is taken"
+                )
             object.__setattr__(self, "shape", self.mask.shape)
-        object.__setattr__(self, "shape", as_shape(self.shape, ndim=2 if np.shape(self.shape) == (2,) else 3))
+        object.__setattr__(
+            self, "shape", as_shape(self.shape, ndim=2 if np.shape(self.shape) == (2,) else 3)
+        )
         object.__setattr__(self, "seed", as_seed(self.seed))
         object.__setattr__(self, "periodic", _as_periodic(self.periodic, len(self.shape)))
         object.__setattr__(self, "target", as_target(self.target, self.shape))
@@ -116,15 +129,25 @@ class Request:
         return fields or self.mask is not None or self.fixed is not None
 
     def to_json(self) -> dict[str, Any]:
-        """What a result's recipe holds of the request: plain values, and of its arrays how they came to be."""
-        plain: dict[str, Any] = {"shape": list(self.shape), "seed": self.seed, "periodic": list(self.periodic)}
+        """What a result's recipe holds of the request: plain values, and of its arrays how they
+        came to be.
+        """
+        plain: dict[str, Any] = {
+            "shape": list(self.shape),
+            "seed": self.seed,
+            "periodic": list(self.periodic),
+        }
         made = {name: recipe.to_json() for name, recipe in self.origins.items()}
         if self.target:
-            plain["target"] = {name: made.pop(f"target.{name}", value) for name, value in self.target.items()}
+            plain["target"] = {
+                name: made.pop(f"target.{name}", value) for name, value in self.target.items()
+            }
         return {**plain, **made}
 
 
-def check_exemplar(request: Request, exemplar: Image, *, spacing: Sequence[float] | None = None) -> None:
+def check_exemplar(
+    request: Request, exemplar: Image, *, spacing: Sequence[float] | None = None
+) -> None:
     """Raise where the fixed voxels of a request are not of the exemplar's material.
 
     Parameters
@@ -161,7 +184,8 @@ def check_exemplar(request: Request, exemplar: Image, *, spacing: Sequence[float
         )
     present = np.bincount(exemplar.values.ravel(), minlength=len(fixed.phases)) > 0
     held = np.zeros(256, np.bool_)
-    for values, known in zip(fixed.values, request.known, strict=True):  # plane by plane: no copy of the whole is made
+    # plane by plane: no copy of the whole is made
+    for values, known in zip(fixed.values, request.known, strict=True):
         held[values[known]] = True
     strange = [label for label in np.flatnonzero(held) if not present[label]]
     if strange:
@@ -180,7 +204,9 @@ def _origin(part: Image | ArrayLike | None) -> Recipe | None:
 
 
 def _stated_voxel(part: Image | ArrayLike | None) -> tuple[tuple[float, ...], str] | None:
-    if not isinstance(part, Image) or (part.unit == "voxel" and all(edge == 1 for edge in part.spacing)):
+    if not isinstance(part, Image) or (
+        part.unit == "voxel" and all(edge == 1 for edge in part.spacing)
+    ):
         return None
     return part.spacing, part.unit
 
@@ -190,7 +216,9 @@ def _as_region(region: Image | ArrayLike | None, *, name: str) -> np.ndarray | N
         return None
     if isinstance(region, Image):
         if region.kind != "labels":
-            raise InputError(f"the {name} is {region.kind}: give labels (segment it first), or a boolean array")
+            raise InputError(
+                f"the {name} is {region.kind}: give labels (segment it first), or a boolean array"
+            )
         return region.values != (region.phases.index("void") if "void" in region.phases else 0)
     array = np.asarray(region)
     if array.dtype != bool or array.ndim not in (2, 3):
@@ -204,7 +232,9 @@ def _check_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> None:
     if mask is None:
         return
     if mask.shape != shape:
-        raise InputError(f"the mask has shape {mask.shape}, the request {shape}: give one of them, or make them equal")
+        raise InputError(
+            f"the mask has shape {mask.shape}, the request {shape}: give one of them, or make them equal"
+        )
     if not mask.any():
         raise InputError("the mask holds no voxel: mark with True what is to be filled")
 
@@ -216,18 +246,28 @@ def _check_fixed(request: Request) -> None:
     if fixed is None:
         raise RequestError("known voxels without an image of them: give fixed as well")
     if known is None:
-        raise RequestError("fixed voxels need known, a boolean array that is True where they were measured (--known)")
+        raise RequestError(
+            "fixed voxels need known, a boolean array that is True where they were measured (--known)"
+        )
     if not isinstance(fixed, Image):
-        raise InputError(f"fixed is a plain {type(fixed).__name__}: give an Image (tb.Image(array, kind='labels'))")
+        raise InputError(
+            f"fixed is a plain {type(fixed).__name__}: give an Image (tb.Image(array, kind='labels'))"
+        )
     for name, have in (("fixed", fixed.shape), ("known", known.shape)):
         if have != shape:
-            raise InputError(f"{name} has shape {have}, the request {shape}: place it in the larger one first (--at)")
+            raise InputError(
+                f"{name} has shape {have}, the request {shape}: place it in the larger one first (--at)"
+            )
     asked = known if request.mask is None else known[request.mask]
     if not asked.any():
         where = "" if request.mask is None else " inside the mask"
-        raise InputError(f"no voxel{where} is known: mark with True what was measured, or leave fixed out")
+        raise InputError(
+            f"no voxel{where} is known: mark with True what was measured, or leave fixed out"
+        )
     if asked.all():
-        raise InputError("every voxel is known, nothing is left to make: mark with False what is to be made")
+        raise InputError(
+            "every voxel is known, nothing is left to make: mark with False what is to be made"
+        )
     for axis, wraps in enumerate(request.periodic):
         if wraps and known.take(0, axis).any() and known.take(-1, axis).any():
             raise RequestError(
@@ -237,7 +277,11 @@ def _check_fixed(request: Request) -> None:
 
 
 def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
-    axes = (bool(value),) * ndim if isinstance(value, (bool, np.bool_)) else tuple(bool(axis) for axis in value)
+    axes = (
+        (bool(value),) * ndim
+        if isinstance(value, (bool, np.bool_))
+        else tuple(bool(axis) for axis in value)
+    )
     if ndim == 2 and len(axes) == 3 and (all(axes) or not axes[0]):
         axes = axes[1:]
     if len(axes) != ndim:

@@ -1,7 +1,9 @@
-"""The seed rule: every random number is a function of (seed, stage, coordinate), never of the order of work.
+"""The seed rule: every random number is a function of (seed, stage, coordinate), never of the order
+of work.
 
-`key` turns a seed and the name of a stage into the 64-bit key of a counter-based generator; `generator` is the NumPy
-generator for one coordinate of that stage. Kernels use the same key with `engine.random`.
+`key` turns a seed and the name of a stage into the 64-bit key of a counter-based generator;
+`generator` is the NumPy generator for one coordinate of that stage. Kernels use the same key with
+`engine.random`.
 """
 
 from __future__ import annotations

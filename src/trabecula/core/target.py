@@ -39,19 +39,25 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
         Not numbers, NaN, out of range, another shape.
     """
     if not isinstance(given, Mapping):
-        raise InputError(f"target is a {type(given).__name__}: give names with values, such as {{'porosity': 0.3}}")
+        raise InputError(
+            f"target is a {type(given).__name__}: give names with values, such as {{'porosity': 0.3}}"
+        )
     found = {}
     for name, value in given.items():
         if not (isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE):
             check_name(name, RANGES, name="target")
         found[name] = _checked(value, shape, name=name)
     if {"porosity", "volume_fraction"} <= set(found):
-        raise InputError("the target has porosity and volume_fraction, which is 1 - porosity: give one of them")
+        raise InputError(
+            "the target has porosity and volume_fraction, which is 1 - porosity: give one of them"
+        )
     return found
 
 
 def porosity_of(target: Mapping[str, Target]) -> Target | None:
-    """The porosity that targets ask for, by that name or as 1 - volume_fraction; None where they say nothing of it."""
+    """The porosity that targets ask for, by that name or as 1 - volume_fraction; None where they
+    say nothing of it.
+    """
     if "volume_fraction" in target:
         return 1 - target["volume_fraction"]
     return target.get("porosity")
@@ -60,7 +66,9 @@ def porosity_of(target: Mapping[str, Target]) -> Target | None:
 def origins_of(given: Any) -> dict[str, Recipe]:
     """How the fields among the targets came to be; a number speaks for itself."""
     pairs = given.items() if isinstance(given, Mapping) else ()
-    return {name: _origin(value) for name, value in pairs if isinstance(value, Image) or np.ndim(value)}
+    return {
+        name: _origin(value) for name, value in pairs if isinstance(value, Image) or np.ndim(value)
+    }
 
 
 def _origin(value: Any) -> Recipe:
@@ -72,10 +80,14 @@ def _origin(value: Any) -> Recipe:
 def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
     low, high = RANGES["volume_fraction" if name.startswith(OF_A_PHASE) else name]
     if isinstance(value, Image) and value.kind != "grey":
-        raise InputError(f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')")
+        raise InputError(
+            f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')"
+        )
     field = np.asarray(value.values if isinstance(value, Image) else value)
     if field.dtype.kind not in "iuf":
-        raise InputError(f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of them")
+        raise InputError(
+            f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of them"
+        )
     check_finite(field, name=f"the target {name}")
     if field.ndim and field.shape != shape:
         raise InputError(

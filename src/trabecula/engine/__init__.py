@@ -1,1 +1,3 @@
-"""How work runs: compiled kernels, threads over tiles, random numbers by coordinate, memory budgets, stores."""
+"""How work runs: compiled kernels, threads over tiles, random numbers by coordinate, memory
+budgets, stores.
+"""

@@ -1,11 +1,14 @@
-"""Volumes made block by block into a store: a finished block is never made again, and an unfinished store says what it is.
+"""Volumes made block by block into a store: a finished block is never made again, and an unfinished
+store says what it is.
 
-The store grows under the name `part` (at an address under its own: see engine.locations), as whole files that are each put
-in place at once; a run that was killed leaves it, and the same run goes on from it. A coarser level's cubes follow as soon as the
-blocks below them are there, and are read from those. When the last is there the store gets its recipe and its own name.
+The store grows under the name `part` (at an address under its own: see engine.locations), as whole
+files that are each put in place at once; a run that was killed leaves it, and the same run goes on
+from it. A coarser level's cubes follow as soon as the blocks below them are there, and are read
+from those. When the last is there the store gets its recipe and its own name.
 
-The caller's `make` has to give the same voxels of a box whichever other boxes were made before it. Then how the volume is
-cut does not matter, nor who makes which part of it: no file belongs to two blocks.
+The caller's `make` has to give the same voxels of a box whichever other boxes were made before it.
+Then how the volume is cut does not matter, nor who makes which part of it: no file belongs to two
+blocks.
 """
 
 from __future__ import annotations
@@ -18,15 +21,25 @@ from typing import Any, Protocol
 import numpy as np
 
 from trabecula.core.errors import FileError, TrabeculaError
-from trabecula.core.progress import say, track
+from trabecula.core.progress import notify, track
 from trabecula.core.recipe import digest_of
 from trabecula.engine import store
-from trabecula.engine.cuts import Box, Task, below, boxes_of, slices_of, sources_of, tasks_of
-from trabecula.engine.levels import halved
-from trabecula.engine.locations import AnyPath, Folder, Location, located
+from trabecula.engine.chunking import Box, Task, below, boxes_of, slices_of, sources_of, tasks_of
 from trabecula.engine.lock import locked
+from trabecula.engine.multiscale import halved
+from trabecula.engine.storage.location import AnyPath, Folder, Location, located
 
-__all__ = ["Box", "Hands", "Volume", "boxes_of", "digest_bytes", "do", "part_bytes", "slices_of", "stream"]
+__all__ = [
+    "Box",
+    "Hands",
+    "StoredVolume",
+    "boxes_of",
+    "digest_bytes",
+    "do",
+    "part_bytes",
+    "slices_of",
+    "stream",
+]
 
 _AT_ONCE = 256 << 20
 """Bytes of the finished volume that are read at once for its digest."""
@@ -35,14 +48,15 @@ _SLAB = 64  # planes of the level below that are read at once
 
 
 @dataclass(frozen=True)
-class Volume:
+class StoredVolume:
     """What is to be made, and how it is described.
 
     Attributes
     ----------
     shape, dtype : of the voxels, (Z, Y, X)
     make : Box -> array of its voxels, channels last where there are any
-    describe : SHA-256 of all voxels -> plain JSON kept in the store, of an unfinished one with an empty digest
+    describe : SHA-256 of all voxels -> plain JSON kept in the store, of an unfinished one with an
+    empty digest
     identity : str
         Of all that the voxels depend on: only a part of the same volume is gone on from.
     scale, unit : as for `store.save`
@@ -70,13 +84,19 @@ class Hands(Protocol):
     """Who makes the blocks, where it is not this process alone."""
 
     def make(
-        self, volume: Volume, part: Location, tasks: Sequence[Task], sources: Sequence[Sequence[int]]
+        self,
+        volume: StoredVolume,
+        part: Location,
+        tasks: Sequence[Task],
+        sources: Sequence[Sequence[int]],
     ) -> Iterable[object]:
-        """Do the tasks (see `do`), each after those whose places in the list are its sources; yield once after each."""
+        """Do the tasks (see `do`), each after those whose places in the list are its sources; yield
+        once after each.
+        """
 
 
 def stream(
-    volume: Volume,
+    volume: StoredVolume,
     path: AnyPath,
     *,
     part: AnyPath | None = None,
@@ -108,8 +128,8 @@ def stream(
     Raises
     ------
     FileError
-        Something else lies at `part` or `path`, another run's blocks among it, or the disk is full: what is finished stays.
-        Another process writes it.
+        Something else lies at `part` or `path`, another run's blocks among it, or the disk is full:
+        what is finished stays. Another process writes it.
     """
     chunk = store.CHUNK if chunk is None else chunk
     if side % chunk:
@@ -122,7 +142,14 @@ def stream(
         return _streamed(volume, place, grown, chunk, side, hands)
 
 
-def _streamed(volume: Volume, place: Location, grown: Location, chunk: int, side: int, hands: Hands | None) -> str:
+def _streamed(
+    volume: StoredVolume,
+    place: Location,
+    grown: Location,
+    chunk: int,
+    side: int,
+    hands: Hands | None,
+) -> str:
     goes_on = volume.goes_on or f"generate --resume {place.name}"
     try:
         if isinstance(grown, Folder):
@@ -138,7 +165,7 @@ def _streamed(volume: Volume, place: Location, grown: Location, chunk: int, side
         opened.finish(volume.describe(sha256))
         place.settle(grown)
     except KeyboardInterrupt:
-        say(f"interrupted: the same run goes on from {grown.name} ({goes_on})")
+        notify(f"interrupted: the same run goes on from {grown.name} ({goes_on})")
         raise
     except OSError as error:
         if isinstance(error, TrabeculaError):
@@ -150,12 +177,14 @@ def _streamed(volume: Volume, place: Location, grown: Location, chunk: int, side
     return sha256
 
 
-def _begun(volume: Volume, part: Location, place: Location, chunk: int, side: int) -> store.Unfinished:
+def _begun(
+    volume: StoredVolume, part: Location, place: Location, chunk: int, side: int
+) -> store.Unfinished:
     """The unfinished store: what the same run left, or a new one."""
     left = _left(volume, part, chunk)
     if left is None:
         number = len(boxes_of(volume.shape, side))
-        say(f"making {place.name} in {number} block{'s' if number > 1 else ''} of {side} voxels")
+        notify(f"making {place.name} in {number} block{'s' if number > 1 else ''} of {side} voxels")
         return store.create_unfinished(
             part,
             (volume.channels, *volume.shape) if volume.channels else volume.shape,
@@ -168,12 +197,12 @@ def _begun(volume: Volume, part: Location, place: Location, chunk: int, side: in
             chunk=chunk,
             block=side,
         )
-    say(f"going on from {part.name}")
+    notify(f"going on from {part.name}")
     part.sweep()
     return left
 
 
-def _left(volume: Volume, part: Location, chunk: int) -> store.Unfinished | None:
+def _left(volume: StoredVolume, part: Location, chunk: int) -> store.Unfinished | None:
     if not part.is_there():
         return None
     left = store.open_unfinished(part)
@@ -182,7 +211,12 @@ def _left(volume: Volume, part: Location, chunk: int) -> store.Unfinished | None
             f"cannot write {part}: something else of that name is there; remove it, or choose another --out"
         )
     shape, dtype = left.shapes[0], left.arrays[0].dtype
-    if (left.identity, shape, dtype, left.channels) != (volume.identity, volume.shape, volume.dtype, volume.channels):
+    if (left.identity, shape, dtype, left.channels) != (
+        volume.identity,
+        volume.shape,
+        volume.dtype,
+        volume.channels,
+    ):
         sides = "x".join(map(str, shape))
         if left.complete:
             raise FileError(
@@ -200,7 +234,11 @@ def _left(volume: Volume, part: Location, chunk: int) -> store.Unfinished | None
 
 
 def _done(
-    volume: Volume, opened: store.Unfinished, tasks: Sequence[Task], side: int, hands: Hands | None
+    volume: StoredVolume,
+    opened: store.Unfinished,
+    tasks: Sequence[Task],
+    side: int,
+    hands: Hands | None,
 ) -> Iterable[object]:
     if hands is not None:
         sources = sources_of(tasks, opened.shapes, side=side, chunk=opened.chunk)
@@ -208,14 +246,18 @@ def _done(
     return _alone(volume, opened, tasks)
 
 
-def _alone(volume: Volume, opened: store.Unfinished, tasks: Sequence[Task]) -> Iterator[None]:
+def _alone(volume: StoredVolume, opened: store.Unfinished, tasks: Sequence[Task]) -> Iterator[None]:
     for task in tasks:
         do(task, opened, volume.make, labels=volume.labels)
         yield
 
 
-def do(task: Task, opened: store.Unfinished, make: Callable[[Box], np.ndarray], *, labels: bool) -> None:
-    """Make a box of a level of an unfinished store and write it there, from `make` or from the level below."""
+def do(
+    task: Task, opened: store.Unfinished, make: Callable[[Box], np.ndarray], *, labels: bool
+) -> None:
+    """Make a box of a level of an unfinished store and write it there, from `make` or from the
+    level below.
+    """
     if task.level:
         values = _coarser(opened, task, labels)
     else:
@@ -231,7 +273,10 @@ def _coarser(opened: store.Unfinished, task: Task, labels: bool) -> np.ndarray:
     _check_files(opened, level, region)
     (first, last), *across = region
     slabs = [(start, min(start + _SLAB, last)) for start in range(first, last, _SLAB)]
-    parts = [halved(opened.read(level, (slab, *across)), labels=labels, axes=len(region)) for slab in slabs]
+    parts = [
+        halved(opened.read(level, (slab, *across)), labels=labels, axes=len(region))
+        for slab in slabs
+    ]
     return np.concatenate(parts, axis=-len(region))
 
 
@@ -258,7 +303,8 @@ def _is_there(opened: store.Unfinished, task: Task, there: set[str]) -> bool:
         return False
     if opened.place.whole:
         return True
-    with suppress(Exception):  # whatever a codec raises on a file that the disk spoiled: it is made again
+    # whatever a codec raises on a file that the disk spoiled: it is made again
+    with suppress(Exception):
         opened.read(task.level, task.box)
         return True
     # At an end of the volume zarr would read them before it writes the part that holds voxels.
@@ -268,11 +314,15 @@ def _is_there(opened: store.Unfinished, task: Task, there: set[str]) -> bool:
 
 def digest_bytes(shape: Sequence[int], dtype: np.dtype) -> int:
     """Memory of the planes that are read at once for the digest of a finished volume."""
-    return _depth(shape, dtype, store.CHUNK) * dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64))
+    return (
+        _depth(shape, dtype, store.CHUNK) * dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64))
+    )
 
 
 def part_bytes(shape: Sequence[int], block: Sequence[int], dtype: np.dtype) -> int:
-    """Memory that a block takes beside what its making does: as made and as packed, coarser, and planes for the digest."""
+    """Memory that a block takes beside what its making does: as made and as packed, coarser, and
+    planes for the digest.
+    """
     own = dtype.itemsize * int(np.prod(block, dtype=np.int64))
     coarser = 8 * min(own, dtype.itemsize * store.CHUNK ** len(block))
     return max(4 * own, coarser, 2 * digest_bytes(shape, dtype))
@@ -293,5 +343,7 @@ def _slabs(opened: store.Unfinished) -> Iterator[np.ndarray]:
     length, *across = shape
     depth = _depth(shape, dtype, opened.chunk)
     for first in track(range(0, length, depth), "digest"):
-        part = opened.read(0, ((first, min(first + depth, length)), *((0, side) for side in across)))
+        part = opened.read(
+            0, ((first, min(first + depth, length)), *((0, side) for side in across))
+        )
         yield np.moveaxis(part, 0, -1) if opened.channels else part

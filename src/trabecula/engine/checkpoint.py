@@ -1,11 +1,14 @@
-"""Long runs that can be interrupted: a loop offers its state between rounds, and the same run goes on from it.
+"""Long runs that can be interrupted: a loop offers its state between rounds, and the same run goes
+on from it.
 
-`kept_at` names the file, `running` says what runs (so that no other run uses it), and a loop calls `resumed` before it
-starts and `offer` after every round. Without a place nothing is written and nothing is read. A state is written at most
-every `EVERY` seconds, under a temporary name that is then renamed, and is removed once the result is safe.
+`kept_at` names the file, `running` says what runs (so that no other run uses it), and a loop calls
+`resumed` before it starts and `offer` after every round. Without a place nothing is written and
+nothing is read. A state is written at most every `EVERY` seconds, under a temporary name that is
+then renamed, and is removed once the result is safe.
 
-The result does not depend on an interruption as long as a round is a function of the arrays and numbers in the state:
-random numbers come from seed, stage and round (core.seeds), so nothing else has to be kept.
+The result does not depend on an interruption as long as a round is a function of the arrays and
+numbers in the state: random numbers come from seed, stage and round (core.seeds), so nothing else
+has to be kept.
 """
 
 from __future__ import annotations
@@ -28,25 +31,27 @@ import numpy as np
 
 from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
-from trabecula.engine.arrays import packed, unpacked
 from trabecula.engine.files import replacing
 from trabecula.engine.lock import locked
+from trabecula.engine.npz_stream import packed, unpacked
 
 EVERY = 15.0
 """Seconds between two states, at least."""
 
 _SHARE = 20
-"""A state that takes long to write is written so rarely that writing takes at most one part in this many of the run."""
+"""A state that takes long to write is written so rarely that writing takes at most one part in this
+many of the run.
+"""
 
 _ABOUT = "about"
 _PREFIX = "state."  # so that no array's name collides with ours
 
 
 @dataclass(frozen=True)
-class State:
+class Checkpoint:
     """Where a loop was left.
 
     Attributes
@@ -66,7 +71,8 @@ class _Keeper:
     path: Path
     identity: str = ""
     step: Mapping[str, Any] = field(default_factory=dict)  # what was asked for, as a recipe says it
-    left: dict[str, Any] | None = None  # stage and number of the state that an earlier run left, until it is used
+    # stage and number of the state that an earlier run left, until it is used
+    left: dict[str, Any] | None = None
     ours: bool = False  # the file on disk is a state of this run
     pause: float = 0.0
     saved: float = field(default_factory=time.monotonic)
@@ -79,8 +85,9 @@ _keeper: ContextVar[_Keeper | None] = ContextVar("trabecula_checkpoint", default
 def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
     """Keep the state of what runs inside the block in the file `path`; None keeps nothing.
 
-    The file is removed when the block ends without an error, so write the result inside it. A file of that name that another
-    run left is replaced once there is a state to keep; one that is no state at all is left as it is.
+    The file is removed when the block ends without an error, so write the result inside it. A file
+    of that name that another run left is replaced once there is a state to keep; one that is no
+    state at all is left as it is.
 
     Raises
     ------
@@ -111,14 +118,20 @@ def _keeping(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        if keeper.ours and keeper.path.suffix == ".part":  # else it is for whoever named the place to say
+        # else it is for whoever named the place to say
+        if keeper.ours and keeper.path.suffix == ".part":
             result = keeper.path.name.removesuffix(".part")
-            say(f"interrupted: the same run goes on from {keeper.path.name} (generate --resume {result})")
+            notify(
+                f"interrupted: the same run goes on from {keeper.path.name} (generate --resume {result})"
+            )
         raise
     finally:
         _keeper.reset(token)
     if keeper.ours:  # and what a run that was killed in the middle of writing left
-        for left in (keeper.path, *keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}")):
+        for left in (
+            keeper.path,
+            *keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}"),
+        ):
             with suppress(OSError):
                 left.unlink(missing_ok=True)
 
@@ -167,11 +180,12 @@ def identity_in(path: Path) -> str | None:
         return None
 
 
-def resumed(stage: str) -> State | None:
-    """The state that an interrupted run of the same kind left in `stage`, or None: then the loop starts from nothing.
+def resumed(stage: str) -> Checkpoint | None:
+    """The state that an interrupted run of the same kind left in `stage`, or None: then the loop
+    starts from nothing.
 
-    There is one state, the last; with several stages ask for the last stage first. A damaged file is left aside, with a
-    word.
+    There is one state, the last; with several stages ask for the last stage first. A damaged file
+    is left aside, with a word.
     """
     keeper = _keeper.get()
     if keeper is None or keeper.left is None or keeper.left["stage"] != stage:
@@ -180,16 +194,20 @@ def resumed(stage: str) -> State | None:
     try:
         arrays = unpacked(keeper.path, _PREFIX)
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        say(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
+        notify(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
         return None
-    say(f"going on from {keeper.path.name}: {stage}, {number} rounds done")
-    return State(number, arrays)
+    notify(f"going on from {keeper.path.name}: {stage}, {number} rounds done")
+    return Checkpoint(number, arrays)
 
 
 def due() -> bool:
     """Whether `offer` would write now, for a state that is dear to put together."""
     keeper = _keeper.get()
-    return keeper is not None and bool(keeper.identity) and time.monotonic() - keeper.saved >= max(EVERY, keeper.pause)
+    return (
+        keeper is not None
+        and bool(keeper.identity)
+        and time.monotonic() - keeper.saved >= max(EVERY, keeper.pause)
+    )
 
 
 def offer(stage: str, number: int, /, **arrays: Any) -> None:
@@ -206,7 +224,8 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
 
     Notes
     -----
-    Where the place cannot be written (a full disk) the run goes on without keeping states, with a word.
+    Where the place cannot be written (a full disk) the run goes on without keeping states, with a
+    word.
     """
     keeper = _keeper.get()
     if keeper is None or not due():
@@ -216,7 +235,7 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
         about = {"identity": keeper.identity, "stage": stage, "number": number, "step": keeper.step}
         _write(keeper, about, arrays)
     except FileError as error:
-        say(f"the run cannot be resumed if it is interrupted: {error}")
+        notify(f"the run cannot be resumed if it is interrupted: {error}")
         keeper.pause = math.inf
         return
     keeper.left, keeper.ours = None, True
@@ -242,17 +261,21 @@ def _left_by_the_same(keeper: _Keeper) -> dict[str, Any] | None:
         left = {"stage": str(about["stage"]), "number": int(about["number"])}
     except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
         # States are put in place whole, so a file that cannot be read as one is somebody else's.
-        say(f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be resumed")
+        notify(
+            f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be resumed"
+        )
         keeper.pause = math.inf
         return None
     if not same:
-        say(f"{keeper.path.name} was left by another run: starting from the beginning")
+        notify(f"{keeper.path.name} was left by another run: starting from the beginning")
         return None
     keeper.ours = True
     return left
 
 
-def identity_of(method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]) -> str:
+def identity_of(
+    method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]
+) -> str:
     """SHA-256 of all that the voxels depend on."""
     parts = {
         "method": method,
@@ -260,9 +283,13 @@ def identity_of(method: str, settings: Mapping[str, Any], request: Request, exem
         "shape": request.shape,
         "seed": request.seed,
         "periodic": request.periodic,
-        "arrays": [None if part is None else digest(part) for part in (request.mask, request.known)],
+        "arrays": [
+            None if part is None else digest(part) for part in (request.mask, request.known)
+        ],
         "target": {name: digest(np.asarray(value)) for name, value in request.target.items()},
-        "images": [None if image is None else _described(image) for image in (request.fixed, *exemplars)],
+        "images": [
+            None if image is None else _described(image) for image in (request.fixed, *exemplars)
+        ],
         "versions": versions(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=repr).encode()).hexdigest()

@@ -1,8 +1,9 @@
-"""Blocks made, and slabs worked on, by the workers of a Dask cluster: processes of this machine, or a cluster that the user has.
+"""Blocks made, and slabs worked on, by the workers of a Dask cluster: processes of this machine, or
+a cluster that the user has.
 
-Only work leaves this process: what makes the blocks is sent once, the blocks go from the workers straight into the store,
-which they reach by the same path. A block that was lost with its worker is made again by another; one that is in the store
-is not, since a worker looks there first.
+Only work leaves this process: what makes the blocks is sent once, the blocks go from the workers
+straight into the store, which they reach by the same path. A block that was lost with its worker is
+made again by another; one that is in the store is not, since a worker looks there first.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from trabecula.core.errors import ClusterError, InputError
 from trabecula.core.optional import need
 from trabecula.core.recipe import versions
 from trabecula.engine import store
-from trabecula.engine.blocks import Volume, do
-from trabecula.engine.cuts import Box, Task
-from trabecula.engine.locations import Location
-from trabecula.engine.pickling import Places
-from trabecula.engine.tiles import one_blas_thread, thread_count, threads
+from trabecula.engine.blocks import StoredVolume, do
+from trabecula.engine.chunking import Box, Task
+from trabecula.engine.parallel import one_blas_thread, thread_count, threads
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.storage.location import Location
 
 T = TypeVar("T")
 
@@ -60,7 +61,9 @@ class Cluster:
 
     def __post_init__(self) -> None:
         if (self.scheduler is None) == (self.workers is None):
-            raise InputError("give either the address of a scheduler (--scheduler), or a number of workers (--workers)")
+            raise InputError(
+                "give either the address of a scheduler (--scheduler), or a number of workers (--workers)"
+            )
         if self.workers is not None and not 1 <= self.workers <= 4096:
             raise InputError(f"--workers {self.workers} should be from 1 to 4096")
         if self.scheduler is not None and "://" not in self.scheduler:
@@ -81,31 +84,51 @@ class Workers:
     """
 
     def __init__(self, client: Any, *, each: int | None, memory: int | None) -> None:
-        self._client, self._each, self._places = client, each, Places()
+        self._client, self._each, self._places = client, each, ReferencedFiles()
         known = client.scheduler_info(n_workers=-1)["workers"].values()
         self.at_once = sum(worker["nthreads"] for worker in known)
-        limits = [worker["memory_limit"] // worker["nthreads"] for worker in known if worker["memory_limit"]]
+        limits = [
+            worker["memory_limit"] // worker["nthreads"]
+            for worker in known
+            if worker["memory_limit"]
+        ]
         given = [] if memory is None else [memory // self.at_once]
         self.memory = min(limits + given) - _WORKER if limits or given else None
 
     def make(
-        self, volume: Volume, part: Location, tasks: Sequence[Task], sources: Sequence[Sequence[int]]
+        self,
+        volume: StoredVolume,
+        part: Location,
+        tasks: Sequence[Task],
+        sources: Sequence[Sequence[int]],
     ) -> Iterator[None]:
-        """Do the tasks, each after those whose places in the list are its sources; yield once after each."""
+        """Do the tasks, each after those whose places in the list are its sources; yield once after
+        each.
+        """
         job = _Job(str(part), volume.identity, volume.labels, self._each, versions())
         # By a task and not by scatter: what a lost worker alone held is then sent again.
         make = self._client.submit(_kept, volume.make, pure=False)
         futures: list[Any] = []
         for task, before in zip(tasks, sources, strict=True):
-            futures.append(self._client.submit(_done, task, job, make, [futures[n] for n in before], pure=False))
+            futures.append(
+                self._client.submit(
+                    _done, task, job, make, [futures[n] for n in before], pure=False
+                )
+            )
         yield from self._ended(futures)
 
     def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
-        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files go by their places."""
+        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files
+        go by their places.
+        """
         futures: list[Any] = []
         packed = self._client.submit(_kept, self._places.packed(work), pure=False)
         for start, stop in bounds:
-            futures.append(self._client.submit(_worked, packed, start, stop, self._each, versions(), pure=False))
+            futures.append(
+                self._client.submit(
+                    _worked, packed, start, stop, self._each, versions(), pure=False
+                )
+            )
         for _ in self._ended(futures):
             pass
 
@@ -193,7 +216,9 @@ def _check(future: Any) -> None:
 
 
 def _connected(dask: Any, address: Any, wait: float) -> Any:
-    """A client. It is made in a thread, since Dask waits for ever for what takes the call and then says nothing."""
+    """A client. It is made in a thread, since Dask waits for ever for what takes the call and then
+    says nothing.
+    """
     answer: SimpleQueue[Any] = SimpleQueue()
 
     def connect() -> None:
@@ -213,7 +238,9 @@ def _connected(dask: Any, address: Any, wait: float) -> Any:
 
 
 @contextmanager
-def workers_of(cluster: Cluster, *, memory: int | None = None, wait: float = _WAIT) -> Iterator[Workers]:
+def workers_of(
+    cluster: Cluster, *, memory: int | None = None, wait: float = _WAIT
+) -> Iterator[Workers]:
     """The workers of a cluster while the block lasts; those of this machine are started and ended.
 
     Parameters
@@ -232,12 +259,18 @@ def workers_of(cluster: Cluster, *, memory: int | None = None, wait: float = _WA
         Dask is not installed.
     """
     dask = need("distributed", extra="cluster", purpose="making blocks on workers")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes as an exception
+    # what matters comes as an exception
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         each, address = None, cluster.scheduler
         if cluster.workers is not None:
             each = max(1, thread_count() // cluster.workers)
-            local = {"processes": True, "threads_per_worker": 1, "memory_limit": 0, "dashboard_address": "127.0.0.1:0"}
+            local = {
+                "processes": True,
+                "threads_per_worker": 1,
+                "memory_limit": 0,
+                "dashboard_address": "127.0.0.1:0",
+            }
             address = stack.enter_context(
                 dask.LocalCluster(n_workers=cluster.workers, silence_logs=logging.CRITICAL, **local)
             )

@@ -1,8 +1,8 @@
 """`kernel`: the one decorator for compiled functions.
 
-A kernel is a plain function on arrays: no checks, no files, no config. It is compiled at its first call, cached on
-disk, and releases the GIL, so that tiles of work run in threads. `fastmath` stays off: sums keep their order, and the
-same source gives the same bits on every x86-64 machine.
+A kernel is a plain function on arrays: no checks, no files, no config. It is compiled at its first
+call, cached on disk, and releases the GIL, so that tiles of work run in threads. `fastmath` stays
+off: sums keep their order, and the same source gives the same bits on every x86-64 machine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ def inline(function: F) -> F:
 
 
 class _Announcer(event.Listener):
-    """Says once that kernels are being compiled; Numba sends this event only where its cache has nothing."""
+    """Says once that kernels are being compiled; Numba sends this event only where its cache has
+    nothing.
+    """
 
     def __init__(self) -> None:
         self.said = False
@@ -39,7 +41,9 @@ class _Announcer(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self.said:
             self.said = True
-            progress.say("compiling kernels (once on this machine; later runs load them from the cache)")
+            progress.notify(
+                "compiling kernels (once on this machine; later runs load them from the cache)"
+            )
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to say at the end."""

@@ -13,9 +13,11 @@ from trabecula.core.errors import FileError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success it takes the place of `path`, on failure nothing is left.
+    """Yield a temporary name beside `path`; on success it takes the place of `path`, on failure
+    nothing is left.
 
-    The temporary name keeps the suffix, since writers choose their format by it. Works for files and for folders.
+    The temporary name keeps the suffix, since writers choose their format by it. Works for files
+    and for folders.
 
     Raises
     ------
@@ -43,7 +45,8 @@ def put_in_place(temporary: Path, path: Path) -> None:
     if path.is_dir() and not temporary.is_dir():
         raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
     if path.is_dir() and not path.is_symlink():
-        # A folder cannot be replaced in one step: set the old one aside, so that a failure can put it back.
+        # A folder cannot be replaced in one step: set the old one aside, so that a failure can put
+        # it back.
         aside = path.with_name(f".{uuid.uuid4().hex[:8]}-{path.name}")
         path.rename(aside)
         try:
@@ -61,6 +64,7 @@ def remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        # Where the folder never came to be there is nothing to remove, and the first error is the one to tell.
+        # Where the folder never came to be there is nothing to remove, and the first error is the
+        # one to tell.
         with suppress(OSError):
             path.unlink(missing_ok=True)

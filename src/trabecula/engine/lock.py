@@ -1,4 +1,6 @@
-"""One process at a time: a lock on what grows at a path, which ends with its process however that ends."""
+"""One process at a time: a lock on what grows at a path, which ends with its process however that
+ends.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ _TAKEN = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 def locked(path: Path) -> Iterator[None]:
     """Keep others from what grows at `path` while the block lasts.
 
-    The lock is on a file beside it, .NAME.lock, which is removed at the end; one that a killed process left means nothing. A file
-    system without locks, or that cannot be written, locks nothing: whoever writes there tells what is wrong.
+    The lock is on a file beside it, .NAME.lock, which is removed at the end; one that a killed
+    process left means nothing. A file system without locks, or that cannot be written, locks
+    nothing: whoever writes there tells what is wrong.
 
     Raises
     ------
@@ -64,7 +67,8 @@ def _acquired(path: Path, file: Path) -> int | None:
             return None
         try:
             _lock(descriptor)
-            # Who had it may have removed the file after we opened it: then others lock another file of that name.
+            # Who had it may have removed the file after we opened it: then others lock another file
+            # of that name.
             if os.path.samestat(os.fstat(descriptor), file.stat()):
                 _sign(descriptor)
                 return descriptor
@@ -96,7 +100,8 @@ def _lock(descriptor: int) -> None:
     if os.name == "nt":
         import msvcrt
 
-        os.lseek(descriptor, 1 << 20, os.SEEK_SET)  # beyond what is written, which others may then read
+        # beyond what is written, which others may then read
+        os.lseek(descriptor, 1 << 20, os.SEEK_SET)
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
     else:
         import fcntl

@@ -1,4 +1,6 @@
-"""OME-Zarr 0.5: what a store says of its axes, their unit, and the size and place of its voxels at every level."""
+"""OME-Zarr 0.5: what a store says of its axes, their unit, and the size and place of its voxels at
+every level.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +9,24 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def described(axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str, levels: int) -> dict[str, Any]:
+def described(
+    axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str, levels: int
+) -> dict[str, Any]:
     """The attribute "ome" of a store of `levels` arrays, each of half the voxels of the one before."""
     length = {} if unit is None else {"unit": unit}
     named = [
-        {"name": axis, "type": "channel"} if axis == "c" else {"name": axis, "type": "space", **length} for axis in axes
+        {"name": axis, "type": "channel"}
+        if axis == "c"
+        else {"name": axis, "type": "space", **length}
+        for axis in axes
     ]
     before = len(axes) - len(scale)
     datasets = []
     for level in range(levels):
         factors = [1.0] * before + [edge * 2.0**level for edge in scale]
         moves: list[dict[str, Any]] = [{"type": "scale", "scale": factors}]
-        if level:  # OME places the centre of the first voxel, which lies farther in than the finest level's
+        # OME places the centre of the first voxel, which lies farther in than the finest level's
+        if level:
             shift = [0.0] * before + [edge * (2.0**level - 1) / 2 for edge in scale]
             moves.append({"type": "translation", "translation": shift})
         datasets.append({"path": str(level), "coordinateTransformations": moves})
@@ -26,7 +34,8 @@ def described(axes: Sequence[str], scale: Sequence[float], unit: str | None, nam
 
 
 def datasets(ome: Any) -> list[dict[str, Any]] | None:
-    """Return the levels of a multiscale image, the finest first; None where the metadata are of no such image.
+    """Return the levels of a multiscale image, the finest first; None where the metadata are of no
+    such image.
 
     Raises
     ------
@@ -60,7 +69,9 @@ def calibration(ome: Any, level: int) -> tuple[tuple[float, ...], str | None]:
 
 
 def _as(value: Any, kind: type | tuple[type, ...]) -> Any:
-    """Return a part of somebody's JSON, or raise a ValueError where it is not of the type that the format says."""
+    """Return a part of somebody's JSON, or raise a ValueError where it is not of the type that the
+    format says.
+    """
     if not isinstance(value, kind) or isinstance(value, bool):
         raise ValueError(f"its OME metadata hold {value!r:.40} in a wrong place")
     return value

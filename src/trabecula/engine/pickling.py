@@ -1,4 +1,6 @@
-"""Work on its way to another process: arrays in scratch files go by their places, large ones in memory are put there first."""
+"""Work on its way to another process: arrays in scratch files go by their places, large ones in
+memory are put there first.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 
 _LARGE = 1 << 20
 """Bytes of an array in memory that is sent by a file: once, not with every piece of work."""
 
 
-class Places:
+class ReferencedFiles:
     """Where the arrays lie that work was sent with."""
 
     def __init__(self) -> None:
@@ -32,22 +34,25 @@ class Places:
                 if type(sent) is np.ndarray:
                     place = places.place_of(sent)
                     if place is not None:
-                        return scratch.opened, (place,)
+                        return memmap.open_file, (place,)
                 return super().reducer_override(sent)
 
         buffer = io.BytesIO()
         Pickler(buffer).dump(work)
         return buffer.getvalue()
 
-    def place_of(self, array: np.ndarray) -> scratch.Place | None:
+    def place_of(self, array: np.ndarray) -> memmap.MappedFile | None:
         """Where an array lies; None for one that is better sent itself."""
-        place = scratch.place_of(array)
+        place = memmap.place_of(array)
         if place is not None or array.nbytes < _LARGE or array.dtype.hasobject:
             return place
         number = id(array)
         if number not in self._copies:
-            copy = scratch.empty(array.shape, array.dtype)
+            copy = memmap.empty(array.shape, array.dtype)
             copy[...] = array
             # The number is another array's as soon as this one is gone.
-            self._copies[number] = (weakref.ref(array, lambda _: self._copies.pop(number, None)), copy)
-        return scratch.place_of(self._copies[number][1])
+            self._copies[number] = (
+                weakref.ref(array, lambda _: self._copies.pop(number, None)),
+                copy,
+            )
+        return memmap.place_of(self._copies[number][1])

@@ -15,7 +15,9 @@ GIB = 1 << 30
 
 @dataclass(frozen=True)
 class Plan:
-    """Forecast of a run: bytes by what they are for, of the result and of scratch files while it is made, and seconds."""
+    """Forecast of a run: bytes by what they are for, of the result and of scratch files while it is
+    made, and seconds.
+    """
 
     memory: dict[str, int] = field(default_factory=dict)
     disk: int = 0
@@ -41,8 +43,12 @@ class Plan:
 
 
 def available_memory() -> int:
-    """Bytes that this process may still take: the machine's available memory, or a control group's limit if lower."""
-    candidates = [limit for limit in (_meminfo_available(), _cgroup_available()) if limit is not None]
+    """Bytes that this process may still take: the machine's available memory, or a control group's
+    limit if lower.
+    """
+    candidates = [
+        limit for limit in (_meminfo_available(), _cgroup_available()) if limit is not None
+    ]
     if candidates:
         return min(candidates)
     try:
@@ -52,9 +58,13 @@ def available_memory() -> int:
 
 
 def check_budget(
-    plan: Plan, *, budget: int | None = None, advice: str | Callable[[int], str] = "ask for a smaller --shape"
+    plan: Plan,
+    *,
+    budget: int | None = None,
+    advice: str | Callable[[int], str] = "ask for a smaller --shape",
 ) -> None:
-    """Raise `MemoryBudgetError` where the plan's peak exceeds the budget (default: what is available).
+    """Raise `MemoryBudgetError` where the plan's peak exceeds the budget (default: what is
+    available).
 
     Parameters
     ----------
@@ -75,7 +85,8 @@ def check_budget(
 def largest_within(
     shape: Sequence[int], peak_of: Callable[[tuple[int, ...]], int], budget: int
 ) -> tuple[int, ...] | None:
-    """The largest shape of the proportions of `shape`, and not above it, whose peak is within a budget; None for no such.
+    """The largest shape of the proportions of `shape`, and not above it, whose peak is within a
+    budget; None for no such.
 
     Parameters
     ----------

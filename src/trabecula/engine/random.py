@@ -1,6 +1,8 @@
-"""Counter-based random numbers inside kernels: Philox4x32-10 (Salmon et al. 2011, doi:10.1145/2063384.2063405).
+"""Counter-based random numbers inside kernels: Philox4x32-10 (Salmon et al. 2011,
+doi:10.1145/2063384.2063405).
 
-The counter is a coordinate, the key comes from `core.seeds.key`. Any voxel's numbers can be drawn alone, in any order.
+The counter is a coordinate, the key comes from `core.seeds.key`. Any voxel's numbers can be drawn
+alone, in any order.
 """
 
 from __future__ import annotations
@@ -19,7 +21,12 @@ _SHIFT = np.uint64(32)
 def philox(key, c0, c1, c2, c3):
     """Four independent uint32 (as uint64) for one 4 x 32-bit counter under a 64-bit key."""
     k0, k1 = np.uint64(key) & _MASK, np.uint64(key) >> _SHIFT
-    x0, x1, x2, x3 = np.uint64(c0) & _MASK, np.uint64(c1) & _MASK, np.uint64(c2) & _MASK, np.uint64(c3) & _MASK
+    x0, x1, x2, x3 = (
+        np.uint64(c0) & _MASK,
+        np.uint64(c1) & _MASK,
+        np.uint64(c2) & _MASK,
+        np.uint64(c3) & _MASK,
+    )
     for _ in range(10):
         p0, p1 = _M0 * x0, _M1 * x2
         x0, x1, x2, x3 = (p1 >> _SHIFT) ^ x1 ^ k0, p1 & _MASK, (p0 >> _SHIFT) ^ x3 ^ k1, p0 & _MASK

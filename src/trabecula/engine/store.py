@@ -1,11 +1,12 @@
 """Zarr stores: the one home of zarr.
 
-A store is a Zarr v3 group with the voxels as array "0" and coarser levels of them (engine.levels) as "1", "2", ...,
-described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute "trabecula". Its `complete` is
-false until the last chunk is written, so a run that died leaves a store that says so.
+A store is a Zarr v3 group with the voxels as array "0" and coarser levels of them (engine.levels)
+as "1", "2", ..., described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute
+"trabecula". Its `complete` is false until the last chunk is written, so a run that died leaves a
+store that says so.
 
-A file (or object: see engine.locations) of an array holds a cube of `CHUNK` voxels and is the unit of writing (Zarr's shard); the
-cubes of half its edge in it are the unit of reading (Zarr's chunk).
+A file (or object: see engine.locations) of an array holds a cube of `CHUNK` voxels and is the unit
+of writing (Zarr's shard); the cubes of half its edge in it are the unit of reading (Zarr's chunk).
 """
 
 from __future__ import annotations
@@ -19,20 +20,23 @@ import numpy as np
 
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine import ome
-from trabecula.engine.cuts import Box, cells_of, slices_of
-from trabecula.engine.levels import halved, shapes_of
-from trabecula.engine.locations import AnyPath, Location, located
+from trabecula.engine.chunking import Box, cells_of, slices_of
+from trabecula.engine.multiscale import halved, shapes_of
+from trabecula.engine.storage.location import AnyPath, Location, located
 
 KEY = "trabecula"
 CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like
 _OF, _EDGE, _SIDE = "identity", "chunk", "block"
-_EVERY_CHUNK: Any = {"write_empty_chunks": True}  # a chunk that is not there is then a chunk that was lost
+# a chunk that is not there is then a chunk that was lost
+_EVERY_CHUNK: Any = {"write_empty_chunks": True}
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
 
 
 @dataclass(frozen=True)
 class Store:
-    """A store, opened; nothing of its voxels is in memory yet. `fields` is empty and `scale` may be where it is not ours."""
+    """A store, opened; nothing of its voxels is in memory yet. `fields` is empty and `scale` may be
+    where it is not ours.
+    """
 
     place: Location
     array: Any
@@ -72,7 +76,12 @@ class Store:
 
 
 def save(
-    path: AnyPath, values: np.ndarray, *, scale: Sequence[float], unit: str | None, fields: Mapping[str, Any]
+    path: AnyPath,
+    values: np.ndarray,
+    *,
+    scale: Sequence[float],
+    unit: str | None,
+    fields: Mapping[str, Any],
 ) -> None:
     """Write voxels as a store that appears whole or not at all, with its coarser levels.
 
@@ -95,7 +104,13 @@ def save(
     place = located(path)
     with place.appearing() as temporary:
         group, arrays = create(
-            temporary, values.shape, values.dtype, scale=scale, unit=unit, fields=fields, name=place.stem
+            temporary,
+            values.shape,
+            values.dtype,
+            scale=scale,
+            unit=unit,
+            fields=fields,
+            name=place.stem,
         )
         for level, array in enumerate(arrays):
             if level:
@@ -125,7 +140,10 @@ def create(
     shapes = shapes_of(space, 2 * edge)
     group = zarr.create_group(
         str(path),
-        attributes={"ome": ome.described(axes, scale, unit, name, len(shapes)), KEY: {**fields, "complete": False}},
+        attributes={
+            "ome": ome.described(axes, scale, unit, name, len(shapes)),
+            KEY: {**fields, "complete": False},
+        },
     )
     arrays = []
     for level, sides in enumerate(shapes):
@@ -148,7 +166,9 @@ def create(
 
 
 def _to_read(side: int) -> int:
-    """The edge of the cubes that are read alone, for that of a file; smaller ones would cost more than they spare."""
+    """The edge of the cubes that are read alone, for that of a file; smaller ones would cost more
+    than they spare.
+    """
     return side // 2 if side % 2 == 0 and side >= 128 else side
 
 
@@ -193,7 +213,9 @@ class Unfinished:
 
     @property
     def channels(self) -> int:
-        """Numbers of a voxel, along a first axis of the arrays; 0 where it is one number, without that axis."""
+        """Numbers of a voxel, along a first axis of the arrays; 0 where it is one number, without
+        that axis.
+        """
         finest = self.arrays[0]
         return finest.shape[0] if finest.metadata.dimension_names[0] == "c" else 0
 
@@ -229,7 +251,11 @@ class Unfinished:
         """Mark the store as complete, with the fields that nobody knew before the last chunk."""
         # The identity stays, for a run that is killed before the store has its own name.
         with self.place.reached(self._hint):
-            self.group.attrs[KEY] = {**fields, **_asked(self.identity, self.chunk, self.block), "complete": True}
+            self.group.attrs[KEY] = {
+                **fields,
+                **_asked(self.identity, self.chunk, self.block),
+                "complete": True,
+            }
 
 
 def _asked(identity: str, chunk: int, block: int) -> dict[str, Any]:
@@ -255,12 +281,15 @@ def create_unfinished(
         create(temporary, shape, dtype, scale=scale, unit=unit, fields=more, name=name, chunk=chunk)
     made = open_unfinished(path)
     if made is None:
-        raise FileError(f"cannot write {path}: what was written there cannot be read back; check the disk")
+        raise FileError(
+            f"cannot write {path}: what was written there cannot be read back; check the disk"
+        )
     return made
 
 
 def open_unfinished(path: AnyPath) -> Unfinished | None:
-    """What `create_unfinished` left, whether or not it was finished; None where something else is there, or nothing.
+    """What `create_unfinished` left, whether or not it was finished; None where something else is
+    there, or nothing.
 
     Raises
     ------
@@ -276,7 +305,8 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
         group: Any = zarr.open_group(place.zarr(), mode="r+")
         ours = group.attrs[KEY]
         levels = len(group.attrs["ome"]["multiscales"][0]["datasets"])
-        # Which chunks are written is no part of what a store says of itself, and open_array overlooks its config.
+        # Which chunks are written is no part of what a store says of itself, and open_array
+        # overlooks its config.
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
             arrays = tuple(group[str(level)] for level in range(levels))
         return Unfinished(place, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
@@ -285,7 +315,8 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
 
 
 def open_finished(path: AnyPath, level: int = 0) -> Store:
-    """Open a level of a store: of one that this package finished, or of anybody's with one array or a multiscale image in it.
+    """Open a level of a store: of one that this package finished, or of anybody's with one array or
+    a multiscale image in it.
 
     Raises
     ------
@@ -309,7 +340,11 @@ def _opened(place: Location, level: int) -> Store:
         raise FileError(
             f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
         )
-    ours = {name: value for name, value in fields.items() if name != "complete"} if isinstance(fields, Mapping) else {}
+    ours = (
+        {name: value for name, value in fields.items() if name != "complete"}
+        if isinstance(fields, Mapping)
+        else {}
+    )
     found = node.attrs.get("ome", dict(node.attrs))
     datasets = ome.datasets(found)
     if datasets is not None:
@@ -317,7 +352,9 @@ def _opened(place: Location, level: int) -> Store:
         scale, unit = ome.calibration(found, level)
         return Store(place, node[datasets[level]["path"]], ours, scale, unit)
     _check_level(place, level, 1)
-    return Store(place, node if isinstance(node, zarr.Array) else _only_array(place, node), {}, (), None)
+    return Store(
+        place, node if isinstance(node, zarr.Array) else _only_array(place, node), {}, (), None
+    )
 
 
 def _check_level(place: Location, level: int, count: int) -> None:

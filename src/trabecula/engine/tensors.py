@@ -1,9 +1,11 @@
-"""Arrays by name in one file, laid out as safetensors: the length of a header, the header as JSON, the raw numbers.
+"""Arrays by name in one file, laid out as safetensors: the length of a header, the header as JSON,
+the raw numbers.
 
-Nothing in such a file is ever executed. Whatever is in it is checked before a number of it is used: anybody may have
-written it. The same arrays and words give the same bytes.
+Nothing in such a file is ever executed. Whatever is in it is checked before a number of it is used:
+anybody may have written it. The same arrays and words give the same bytes.
 
-Layout: https://github.com/huggingface/safetensors (8 bytes little-endian, JSON of at most that many, data without holes).
+Layout: https://github.com/huggingface/safetensors (8 bytes little-endian, JSON of at most that
+many, data without holes).
 """
 
 from __future__ import annotations
@@ -59,7 +61,9 @@ def encode(arrays: Mapping[str, np.ndarray], words: Mapping[str, str]) -> bytes:
         at += array.nbytes
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % _ALIGNED)
-    return b"".join([struct.pack("<Q", len(text)), text, *(plain[name].tobytes() for name in order)])
+    return b"".join(
+        [struct.pack("<Q", len(text)), text, *(plain[name].tobytes() for name in order)]
+    )
 
 
 def decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -79,7 +83,9 @@ def decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     at = 0
     for name, (_, _, first, last) in sorted(entries.items(), key=lambda item: item[1][2:]):
         if first != at:
-            raise ValueError(f"{name!r} starts at byte {first} where {at} is due: arrays overlap or leave a hole")
+            raise ValueError(
+                f"{name!r} starts at byte {first} where {at} is due: arrays overlap or leave a hole"
+            )
         at = last
     if at != len(body):
         what = "it is cut off" if at > len(body) else "something was added at its end"
@@ -106,9 +112,13 @@ def _header(data: bytes) -> tuple[dict[str, Any], int]:
     if length > _LONGEST or not data[8:9] == b"{":
         raise ValueError("it does not start as one")
     if length > len(data) - 8:
-        raise ValueError(f"its header should have {length} bytes, {len(data) - 8} are there: it is cut off")
+        raise ValueError(
+            f"its header should have {length} bytes, {len(data) - 8} are there: it is cut off"
+        )
     try:
-        header = json.loads(data[8 : 8 + length].decode("utf-8"), object_pairs_hook=_unique, parse_constant=_refused)
+        header = json.loads(
+            data[8 : 8 + length].decode("utf-8"), object_pairs_hook=_unique, parse_constant=_refused
+        )
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"its header is damaged ({error})") from None
     return header, 8 + length
@@ -136,7 +146,9 @@ def _entry(name: str, entry: Any) -> tuple[np.dtype, tuple[int, ...], int, int]:
         raise ValueError(f"the shape or place of {name!r} is damaged")
     dtype = np.dtype(TYPES[kind])
     if offsets[1] - offsets[0] != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"{name!r} of shape {tuple(shape)} and type {kind} does not fit its place {offsets}")
+        raise ValueError(
+            f"{name!r} of shape {tuple(shape)} and type {kind} does not fit its place {offsets}"
+        )
     return dtype, tuple(shape), offsets[0], offsets[1]
 
 

@@ -33,10 +33,15 @@ def crop(image: Image, size: int | Sequence[int], *, corner: Sequence[int] | Non
     else:
         first = tuple(int(start) for start in corner)
     if len(first) != image.ndim or any(
-        start < 0 or start + side > have for start, side, have in zip(first, sides, image.shape, strict=True)
+        start < 0 or start + side > have
+        for start, side, have in zip(first, sides, image.shape, strict=True)
     ):
         at = "" if corner is None else f" at {first}"
-        raise InputError(f"a crop of {sides}{at} does not lie inside the image of {image.shape}: give a smaller one")
+        raise InputError(
+            f"a crop of {sides}{at} does not lie inside the image of {image.shape}: give a smaller one"
+        )
     box = tuple(slice(start, start + side) for start, side in zip(first, sides, strict=True))
     values = np.ascontiguousarray(image.values[box])
-    return with_values(image, values, recipe=image.recipe.then("crop", values, size=sides, corner=first))
+    return with_values(
+        image, values, recipe=image.recipe.then("crop", values, size=sides, corner=first)
+    )

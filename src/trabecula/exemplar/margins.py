@@ -1,4 +1,6 @@
-"""Cut the margins off that hold no material: blank outer planes, frames, what lies beyond a round field of view."""
+"""Cut the margins off that hold no material: blank outer planes, frames, what lies beyond a round
+field of view.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ __all__ = ["Face", "Margins", "crop_margins", "find_margins", "margin_note"]
 
 
 def crop_margins(image: Image) -> Image:
-    """Cut off the margins that `find_margins` finds; of a round field of view the inscribed square is kept.
+    """Cut off the margins that `find_margins` finds; of a round field of view the inscribed square
+    is kept.
 
     Parameters
     ----------
@@ -20,7 +23,8 @@ def crop_margins(image: Image) -> Image:
     Returns
     -------
     image : Image
-        The same one where it has no margins. The crop is a step of the recipe, by its size and corner.
+        The same one where it has no margins. The crop is a step of the recipe, by its size and
+        corner.
 
     Examples
     --------

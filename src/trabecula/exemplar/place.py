@@ -14,7 +14,12 @@ from trabecula.exemplar.views import as_axis, check_plane
 
 
 def place(
-    image: Image, shape: int | Sequence[int], *, corner: Sequence[int], plane: str | None = None, across: float = 1.0
+    image: Image,
+    shape: int | Sequence[int],
+    *,
+    corner: Sequence[int],
+    plane: str | None = None,
+    across: float = 1.0,
 ) -> Image:
     """An image of `shape` that holds `image` at `corner`, and 0 elsewhere.
 
@@ -26,8 +31,8 @@ def place(
     corner : sequence of int
         Where the first voxel of `image` comes to lie.
     plane : str, optional
-        Of a picture that is put into a volume: the volume's axes along its rows and columns, "yx", "zx", "zy", or turned
-        "xy", "xz", "yz".
+        Of a picture that is put into a volume: the volume's axes along its rows and columns, "yx",
+        "zx", "zy", or turned "xy", "xz", "yz".
     across : float
         Edge of a voxel across that plane, in the picture's unit.
 
@@ -50,7 +55,9 @@ def place(
     values[box] = flat.values
     first = [part.start for part in box]
     turned = {} if plane is None else {"plane": plane, "across": across}
-    return with_values(flat, values, recipe=image.recipe.then("place", values, shape=sides, corner=first, **turned))
+    return with_values(
+        flat, values, recipe=image.recipe.then("place", values, shape=sides, corner=first, **turned)
+    )
 
 
 def as_slab(picture: Image, plane: str, *, across: float = 1.0) -> Image:
@@ -65,13 +72,18 @@ def as_slab(picture: Image, plane: str, *, across: float = 1.0) -> Image:
     """
     check_plane(plane)
     if picture.ndim != 2:
-        raise InputError(f"a plane ({plane}) is for a picture, got {picture.ndim} axes of shape {picture.shape}")
+        raise InputError(
+            f"a plane ({plane}) is for a picture, got {picture.ndim} axes of shape {picture.shape}"
+        )
     axis = as_axis(plane)
-    ordered = plane[0] > plane[1]  # z, y, x is the order of the axes: rows along the slower one come first
+    # z, y, x is the order of the axes: rows along the slower one come first
+    ordered = plane[0] > plane[1]
     values = picture.values if ordered else picture.values.swapaxes(0, 1)
     edges = list(picture.spacing if ordered else picture.spacing[::-1])
     edges.insert(axis, across)
-    return with_values(picture, np.ascontiguousarray(np.expand_dims(values, axis)), spacing=tuple(edges))
+    return with_values(
+        picture, np.ascontiguousarray(np.expand_dims(values, axis)), spacing=tuple(edges)
+    )
 
 
 def block(size: Sequence[int], shape: int | Sequence[int], *, corner: Sequence[int]) -> Image:
@@ -88,7 +100,11 @@ def block(size: Sequence[int], shape: int | Sequence[int], *, corner: Sequence[i
     values = np.zeros(sides, np.uint8)
     values[box] = 1
     first = [part.start for part in box]
-    return Image(values, "labels", recipe=Recipe().then("block", values, size=list(size), shape=sides, corner=first))
+    return Image(
+        values,
+        "labels",
+        recipe=Recipe().then("block", values, size=list(size), shape=sides, corner=first),
+    )
 
 
 def _box(
@@ -97,8 +113,13 @@ def _box(
     sides = as_shape(shape, ndim=len(size))
     first = [int(start) for start in corner]
     if len(first) != len(size):
-        raise InputError(f"corner {tuple(corner)} has {len(first)} numbers: give {len(size)}, slowest axis first")
-    if any(start < 0 or start + have > side for start, have, side in zip(first, size, sides, strict=True)):
+        raise InputError(
+            f"corner {tuple(corner)} has {len(first)} numbers: give {len(size)}, slowest axis first"
+        )
+    if any(
+        start < 0 or start + have > side
+        for start, have, side in zip(first, size, sides, strict=True)
+    ):
         raise InputError(
             f"a scan of {tuple(size)} voxels at {tuple(first)} does not lie inside {sides}: "
             "choose another corner (--at), or a larger shape"

@@ -1,7 +1,8 @@
 """Samples that the package makes itself, so that everything can be tried without a file.
 
-They are stand-ins for scans, made from Voronoi cells: right in kind (struts, plates, cells), wrong in detail. Use a real
-scan for anything that is to be believed; `REAL_SCANS` says where some are published.
+They are stand-ins for scans, made from Voronoi cells: right in kind (struts, plates, cells), wrong
+in detail. Use a real scan for anything that is to be believed; `REAL_SCANS` says where some are
+published.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
 from trabecula.core.seeds import key
 from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs
 from trabecula.engine.random import philox
-from trabecula.engine.tiles import for_slabs
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,10 @@ SAMPLES = {
 }
 
 REAL_SCANS = (
-    ("Digital Porous Media (Digital Rocks) Portal", "rock, soil, electrodes: digitalporousmedia.org"),
+    (
+        "Digital Porous Media (Digital Rocks) Portal",
+        "rock, soil, electrodes: digitalporousmedia.org",
+    ),
     ("Imperial College pore-scale group", "Berea, Bentheimer, carbonates"),
     ("BoneBox", "trabecular bone regions of interest (BSD-3-Clause)"),
     ("LHDL collection, through ciclope", "human trabecular bone, grey (MIT)"),
@@ -93,7 +97,9 @@ def sample(name: str) -> Image:
     grow = key(0, f"sample/{name}")
     centres = np.empty((*(int(_SIDE // edge) + 5 for edge in size), 3))
     _centres(centres, size, np.float32(chosen.wander), grow)
-    for_slabs(lambda a, b: _cells(field, centres, size, np.float32(chosen.walls), grow, a, b), _SIDE)
+    for_slabs(
+        lambda a, b: _cells(field, centres, size, np.float32(chosen.walls), grow, a, b), _SIDE
+    )
     field = _rounded(field)
     count = round(field.size * (1 - chosen.porosity))
     level = np.partition(field.ravel(), count)[count]
@@ -103,19 +109,26 @@ def sample(name: str) -> Image:
 
 
 def _rounded(field: np.ndarray) -> np.ndarray:
-    """Blurred twice by (1, 2, 1) / 4 along every axis: struts get round sections and none is thinner than a voxel."""
+    """Blurred twice by (1, 2, 1) / 4 along every axis: struts get round sections and none is
+    thinner than a voxel.
+    """
     for axis in (0, 1, 2) * 2:
         padded = np.pad(field, [(int(a == axis),) * 2 for a in range(3)], mode="edge")
-        first, last = padded.take(range(field.shape[axis]), axis), padded.take(range(2, field.shape[axis] + 2), axis)
+        first, last = (
+            padded.take(range(field.shape[axis]), axis),
+            padded.take(range(2, field.shape[axis] + 2), axis),
+        )
         field = (first + 2 * field + last) * np.float32(0.25)
     return field
 
 
 @kernel
 def _centres(centres, size, wander, grow):
-    """Centres of the cells (voxels): places in a grid, moved at random, every other row by half a cell so that cells pack.
+    """Centres of the cells (voxels): places in a grid, moved at random, every other row by half a
+    cell so that cells pack.
 
-    Cell (i, j, k) of the array is cell (i - 2, j - 2, k - 2) of the grid, since a voxel looks two cells far.
+    Cell (i, j, k) of the array is cell (i - 2, j - 2, k - 2) of the grid, since a voxel looks two
+    cells far.
     """
     unit = np.float32(2.0 / 4294967296.0) * wander
     for i in range(centres.shape[0]):
@@ -131,9 +144,11 @@ def _centres(centres, size, wander, grow):
 
 @kernel
 def _cells(field, centres, size, walls, grow, start, stop):
-    """Distance (about, voxels) to the nearest edge between three cells, or to a wall between two where it is a plate.
+    """Distance (about, voxels) to the nearest edge between three cells, or to a wall between two
+    where it is a plate.
 
-    d1 <= d2 <= d3 are the distances to the nearest centres: d3 - d1 vanishes on edges, d2 - d1 on walls.
+    d1 <= d2 <= d3 are the distances to the nearest centres: d3 - d1 vanishes on edges, d2 - d1 on
+    walls.
     """
     for z in range(start, stop):
         for y in range(field.shape[1]):
@@ -146,7 +161,9 @@ def _cells(field, centres, size, walls, grow, start, stop):
                         for cx in range(bx - 2, bx + 3):
                             centre = centres[cz + 2, cy + 2, cx + 2]
                             dz = (centre[0] - z) * (size[2] / size[0])
-                            d = np.float32(np.sqrt(dz * dz + (centre[1] - y) ** 2 + (centre[2] - x) ** 2))
+                            d = np.float32(
+                                np.sqrt(dz * dz + (centre[1] - y) ** 2 + (centre[2] - x) ** 2)
+                            )
                             name = ((cz + 64) << 32) + ((cy + 64) << 16) + (cx + 64)
                             if d < d1:
                                 d3, d2, d1 = d2, d1, d

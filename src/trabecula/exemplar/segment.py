@@ -30,11 +30,13 @@ def segment(
     image : Image
         Grey.
     threshold : float, pair of float, or {"otsu", "dual"}
-        A number: brighter voxels are solid. A pair (low, high): voxels brighter than `low` that hang together (by faces)
-        with one brighter than `high` are solid, so that thin, dim struts are kept and dim specks are not. "otsu" finds
-        the number (Otsu 1979, doi:10.1109/TSMC.1979.4310076), "dual" the pair, by the same criterion with three classes.
-        Two thresholds are what Buie et al. (2007, doi:10.1016/j.bone.2007.07.007) use and Zhang et al. (2017) cite;
-        Buie's further steps, which split bone into cortical and trabecular compartments, have no use here.
+        A number: brighter voxels are solid. A pair (low, high): voxels brighter than `low` that
+        hang together (by faces) with one brighter than `high` are solid, so that thin, dim struts
+        are kept and dim specks are not. "otsu" finds the number (Otsu 1979,
+        doi:10.1109/TSMC.1979.4310076), "dual" the pair, by the same criterion with three classes.
+        Two thresholds are what Buie et al. (2007, doi:10.1016/j.bone.2007.07.007) use and Zhang et
+        al. (2017) cite; Buie's further steps, which split bone into cortical and trabecular
+        compartments, have no use here.
     phases : pair of str
         Names of the darker and the brighter phase.
 
@@ -57,7 +59,9 @@ def segment(
     found = _thresholds(values, threshold)
     solid = values > np.float64(found[0]) if len(found) == 1 else _hysteresis(values, found)
     if not solid.any() or solid.all():
-        raise InputError(f"threshold {_text(found)} leaves one phase only: the image runs from {low:g} to {high:g}")
+        raise InputError(
+            f"threshold {_text(found)} leaves one phase only: the image runs from {low:g} to {high:g}"
+        )
     labels = solid.astype(np.uint8)
     recorded = found[0] if len(found) == 1 else list(found)
     recipe = image.recipe.then(
@@ -71,7 +75,9 @@ def segment(
 
 
 def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
-    """Thresholds that split values into 2 or 3 classes of greatest between-class variance (Otsu 1979, eq. 18)."""
+    """Thresholds that split values into 2 or 3 classes of greatest between-class variance (Otsu
+    1979, eq. 18).
+    """
     levels, counts = _histogram(values)
     share = counts / counts.sum()
     weight = np.concatenate([[0.0], np.cumsum(share)])
@@ -79,7 +85,8 @@ def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
     moment = np.concatenate([[0.0], np.cumsum(share * (levels - np.sum(share * levels)))])
 
     def spread(first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        # weight times squared mean of the class of bins first..last-1: its part of the between-class variance
+        # weight times squared mean of the class of bins first..last-1: its part of the
+        # between-class variance
         w = weight[last] - weight[first]
         return np.where(w > 0, (moment[last] - moment[first]) ** 2 / np.where(w > 0, w, 1), 0.0)
 
@@ -89,7 +96,11 @@ def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
         best = cut[np.argmax(spread(np.zeros_like(cut), cut) + spread(cut, end))]
         return (_between(levels, best),)
     i, j = np.meshgrid(cut, cut, indexing="ij")
-    score = spread(np.zeros_like(i), i) + spread(i, np.maximum(i, j)) + spread(j, np.full_like(j, len(levels)))
+    score = (
+        spread(np.zeros_like(i), i)
+        + spread(i, np.maximum(i, j))
+        + spread(j, np.full_like(j, len(levels)))
+    )
     score[j <= i] = -np.inf
     a, b = np.unravel_index(np.argmax(score), score.shape)
     return _between(levels, cut[a]), _between(levels, cut[b])
@@ -99,14 +110,20 @@ def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) ->
     if isinstance(threshold, str):
         check_name(threshold, METHODS, name="way to find a threshold")
         if max(abs(float(values.min())), abs(float(values.max()))) > _LARGEST:
-            raise InputError(f"the image holds values beyond {_LARGEST:g}: rescale it, or give a threshold as a number")
+            raise InputError(
+                f"the image holds values beyond {_LARGEST:g}: rescale it, or give a threshold as a number"
+            )
         return otsu(values, classes=2 if threshold == "otsu" else 3)
     try:
         found = tuple(float(number) for number in np.atleast_1d(threshold))
     except (TypeError, ValueError):
-        raise InputError(f"threshold {threshold!r} should be a number, a pair (low, high), 'otsu' or 'dual'") from None
+        raise InputError(
+            f"threshold {threshold!r} should be a number, a pair (low, high), 'otsu' or 'dual'"
+        ) from None
     if len(found) not in (1, 2) or not np.all(np.isfinite(found)) or sorted(found) != list(found):
-        raise InputError(f"threshold {_text(found)} should be one finite number, or a pair (low, high)")
+        raise InputError(
+            f"threshold {_text(found)} should be one finite number, or a pair (low, high)"
+        )
     return found
 
 
@@ -125,7 +142,9 @@ def _histogram(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if levels is not None:
         return levels.astype(np.float64), _counted(values.ravel(), levels)
     # In float16 the edges of 1024 bins would coincide.
-    counts, edges = np.histogram(values.astype(np.float32) if values.dtype == np.float16 else values, bins=_BINS)
+    counts, edges = np.histogram(
+        values.astype(np.float32) if values.dtype == np.float16 else values, bins=_BINS
+    )
     centres = (edges[:-1] + edges[1:]) / 2
     used = np.flatnonzero(counts)
     return centres[used], counts[used]
@@ -134,14 +153,17 @@ def _histogram(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _counted(flat: np.ndarray, levels: np.ndarray) -> np.ndarray:
     total = np.zeros(len(levels), np.int64)
     for start in range(0, flat.size, _PIECE):
-        total += np.bincount(np.searchsorted(levels, flat[start : start + _PIECE]), minlength=len(levels))
+        total += np.bincount(
+            np.searchsorted(levels, flat[start : start + _PIECE]), minlength=len(levels)
+        )
     return total
 
 
 def _between(levels: np.ndarray, cut: int) -> float:
     low, high = float(levels[cut - 1]), float(levels[cut])
     middle = low + (high - low) / 2
-    return middle if middle < high else low  # of two neighbouring numbers the middle rounds to one of them
+    # of two neighbouring numbers the middle rounds to one of them
+    return middle if middle < high else low
 
 
 def _text(thresholds: Sequence[float]) -> str:

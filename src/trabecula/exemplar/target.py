@@ -48,7 +48,8 @@ def check_target_porosity(
     mask: np.ndarray | None = None,
     beyond: float = 0.0,
 ) -> None:
-    """Raise where a target porosity (or 1 - volume_fraction) is not one that the exemplars hold somewhere.
+    """Raise where a target porosity (or 1 - volume_fraction) is not one that the exemplars hold
+    somewhere.
 
     Parameters
     ----------
@@ -58,13 +59,14 @@ def check_target_porosity(
     mask : bool array, optional
         Of the request: a field counts inside it only.
     beyond : float
-        How far outside the exemplars' range is allowed, as a share of the way to 0 and to 1, 0 .. 1.
+        How far outside the exemplars' range is allowed, as a share of the way to 0 and to 1, 0 ..
+        1.
 
     Raises
     ------
     RequestError
-        Exemplars that are not labels; a porosity, or a part of a field, outside every exemplar's `porosity_range`
-        and what is allowed beyond.
+        Exemplars that are not labels; a porosity, or a part of a field, outside every exemplar's
+        `porosity_range` and what is allowed beyond.
     """
     porosity = porosity_of(target)
     if porosity is None:

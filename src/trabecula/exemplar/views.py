@@ -1,7 +1,8 @@
 """Views: the planes of a volume in which it is to look like a picture, and how to name them.
 
-A plane is named by the volume's axes along the picture's rows and columns: "yx" is seen across z, "zx" across y, "zy" across
-x. With the letters the other way round, as in "xy", the picture is transposed first.
+A plane is named by the volume's axes along the picture's rows and columns: "yx" is seen across z,
+"zx" across y, "zy" across x. With the letters the other way round, as in "xy", the picture is
+transposed first.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation, grey_values
@@ -24,11 +25,15 @@ PLANES = ("yx", "zx", "zy")
 _NAMES = (*PLANES, "xy", "xz", "yz")
 _AXES = "zyx"
 
-_FRACTION = 0.2  # by which pictures of one material may differ in a fraction, or in mean grey over its range
-_LINE = 0.75  # by which their covariances along a shared axis may differ, relative; strangers differ by .8 to 1
+# by which pictures of one material may differ in a fraction, or in mean grey over its range
+_FRACTION = 0.2
+# by which their covariances along a shared axis may differ, relative; strangers differ by .8 to 1
+_LINE = 0.75
 _SPACING = 1e-6
 _ALIKE = (
-    0.5  # by which covariances along rows and columns of an isotropic sample may differ, relative; real ones: up to .48
+    # by which covariances along rows and columns of an isotropic sample may differ, relative; real
+    # ones: up to .48
+    0.5
 )
 
 
@@ -69,14 +74,16 @@ def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[Vie
     ----------
     exemplars : sequence of Image, each (Y, X)
     named : sequence of str
-        Planes: two or three that are seen across different axes. One exemplar is for all of them; of several there is one for
-        each. Where none is named: one exemplar is seen in all three planes; of two the first in "yx" and "zx", the second in
-        "zy" (a material that is alike around x); three are seen in "yx", "zx" and "zy".
+        Planes: two or three that are seen across different axes. One exemplar is for all of them;
+        of several there is one for each. Where none is named: one exemplar is seen in all three
+        planes; of two the first in "yx" and "zx", the second in "zy" (a material that is alike
+        around x); three are seen in "yx", "zx" and "zy".
 
     Raises
     ------
     InputError
-        A number of pictures or planes that does not fit; pictures that contradict each other (`check_views`).
+        A number of pictures or planes that does not fit; pictures that contradict each other
+        (`check_views`).
     UnknownNameError
         No such plane.
 
@@ -112,7 +119,9 @@ def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
     planes = tuple(given.replace(",", " ").split()) if isinstance(given, str) else tuple(given)
     for plane in planes:
         check_name(plane, _NAMES, name="view")
-    if planes and (len(planes) not in (2, 3) or len({as_axis(plane) for plane in planes}) < len(planes)):
+    if planes and (
+        len(planes) not in (2, 3) or len({as_axis(plane) for plane in planes}) < len(planes)
+    ):
         raise InputError(
             f"views {list(planes)}: give two or three planes that are seen across different axes, such as [yx, zx, zy]"
         )
@@ -146,21 +155,25 @@ def spacing_of(views: Sequence[View]) -> tuple[float, float, float]:
                     "in another; resample one, turn it (xy instead of yx), or give --spacing"
                 )
     if len({view.image.unit for view in views}) > 1:
-        raise InputError(f"the views are in {' and '.join(sorted({view.image.unit for view in views}))}: give one unit")
+        raise InputError(
+            f"the views are in {' and '.join(sorted({view.image.unit for view in views}))}: give one unit"
+        )
     return found[0], found[1], found[2]
 
 
 def check_views(views: Sequence[View]) -> None:
-    """Raise where different pictures cannot be planes of one material; where one picture contradicts itself, say so.
+    """Raise where different pictures cannot be planes of one material; where one picture
+    contradicts itself, say so.
 
-    Two planes share an axis, along which a material has one covariance, and one amount of every phase. A picture that is not
-    alike along rows and columns contradicts itself in three planes, and is better named in two.
+    Two planes share an axis, along which a material has one covariance, and one amount of every
+    phase. A picture that is not alike along rows and columns contradicts itself in three planes,
+    and is better named in two.
 
     Raises
     ------
     InputError
-        Pictures whose fractions (or mean grey over the range) differ by more than 0.2, or whose covariances along a shared
-        axis differ by more than three quarters: the statistic is named.
+        Pictures whose fractions (or mean grey over the range) differ by more than 0.2, or whose
+        covariances along a shared axis differ by more than three quarters: the statistic is named.
     """
     for first, second in combinations(views, 2):
         found = _contradiction(first, second)
@@ -172,15 +185,16 @@ def check_views(views: Sequence[View]) -> None:
                 "turn a picture (xy instead of yx)"
             )
         shared = _AXES[_shared(first, second)]
-        say(
+        notify(
             f"the picture is not the same along rows and columns, but {first.plane} and {second.plane} share {shared} "
             f"({found}): two views may suit it better (--set views=yx,zx)"
         )
 
 
 def is_isotropic(image: Image) -> bool:
-    """Whether a picture may be alike in all directions: square pixels, and covariances along rows and along columns, and along
-    the two diagonals, that differ no more than those of a sample do."""
+    """Whether a picture may be alike in all directions: square pixels, and covariances along rows
+    and along columns, and along the two diagonals, that differ no more than those of a sample do.
+    """
     if min(image.shape) < 2 or abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
         return False
     reach, phases = max(1, min(image.shape) // 5), sorted(_partly(image))
@@ -213,8 +227,14 @@ def _contradiction(first: View, second: View) -> str | None:
 
 def _amounts(a: Image, b: Image) -> list[tuple[str, float, float]]:
     if a.kind == "labels":
-        shares = [np.bincount(image.values.ravel(), minlength=len(a.phases)) / image.values.size for image in (a, b)]
-        return [(f"the fraction of {name}", float(x), float(y)) for name, x, y in zip(a.phases, *shares, strict=True)]
+        shares = [
+            np.bincount(image.values.ravel(), minlength=len(a.phases)) / image.values.size
+            for image in (a, b)
+        ]
+        return [
+            (f"the fraction of {name}", float(x), float(y))
+            for name, x, y in zip(a.phases, *shares, strict=True)
+        ]
     greys = [grey_values(image) for image in (a, b)]
     low, high = min(grey.min() for grey in greys), max(grey.max() for grey in greys)
     means = [(float(grey.mean(dtype=np.float64)) - low) / max(high - low, 1e-30) for grey in greys]
@@ -233,19 +253,30 @@ def _lines(image: Image, axis: int, reach: int, phases: Sequence[int]) -> np.nda
     """Covariances along an axis, from 1 at distance 0: (phases or 1, reach + 1)."""
     if image.kind != "labels":
         return autocorrelation_lines(image, lags=reach)["yx"[axis]][None]
-    return np.array([covariance_form(two_point(image, r_max=reach, phase=phase, axis=axis)) for phase in phases])
+    return np.array(
+        [covariance_form(two_point(image, r_max=reach, phase=phase, axis=axis)) for phase in phases]
+    )
 
 
 def _diagonals(image: Image, reach: int, phases: Sequence[int]) -> list[np.ndarray]:
     """Autocorrelations along both diagonals, from 1 at distance 0: each (phases or 1, reach + 1)."""
     labels = image.kind == "labels"
-    parts = [Image((image.values == phase).astype(np.uint8), "labels") for phase in phases] if labels else [image]
+    parts = (
+        [Image((image.values == phase).astype(np.uint8), "labels") for phase in phases]
+        if labels
+        else [image]
+    )
     maps = [autocorrelation(part, lags=reach) for part in parts]
-    return [np.array([np.diagonal(each)[reach:] for each in way]) for way in (maps, [each[:, ::-1] for each in maps])]
+    return [
+        np.array([np.diagonal(each)[reach:] for each in way])
+        for way in (maps, [each[:, ::-1] for each in maps])
+    ]
 
 
 def _relative(first: np.ndarray, second: np.ndarray) -> float:
-    return float(np.linalg.norm(first - second) / max(np.linalg.norm(first), np.linalg.norm(second)))
+    return float(
+        np.linalg.norm(first - second) / max(np.linalg.norm(first), np.linalg.norm(second))
+    )
 
 
 def _shared(first: View, second: View) -> int:
@@ -260,7 +291,9 @@ def _checked(views: Sequence[View]) -> tuple[View, ...]:
 
 def _by_count(images: Sequence[Image]) -> list[View]:
     if len(images) > 3:
-        raise InputError(f"{len(images)} exemplars: a volume has three views, give one, two or three pictures")
+        raise InputError(
+            f"{len(images)} exemplars: a volume has three views, give one, two or three pictures"
+        )
     numbers = {1: (0, 0, 0), 2: (0, 0, 1), 3: (0, 1, 2)}[len(images)]
     return [_view(images[n], n, plane) for n, plane in zip(numbers, PLANES, strict=True)]
 

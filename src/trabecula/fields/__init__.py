@@ -1,7 +1,9 @@
-"""Fields: descriptors that vary from place to place, measured, interpolated, drawn, or from topology optimisation.
+"""Fields: descriptors that vary from place to place, measured, interpolated, drawn, or from
+topology optimisation.
 
-A field is a grey Image of float32 with the spacing of its grid; a request takes it as a target where it has the result's
-shape. `windowed` is for those who need the descriptors of every window as arrays.
+A field is a grey Image of float32 with the spacing of its grid; a request takes it as a target
+where it has the result's shape. `windowed` is for those who need the descriptors of every window as
+arrays.
 """
 
 from collections.abc import Callable

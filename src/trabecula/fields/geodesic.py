@@ -1,7 +1,8 @@
 """Distance inside a domain, around what is not in it: the shortest way, not the straight line.
 
-The eikonal equation |grad t| = 1 by fast sweeping: upwind differences of first order, updated in the eight orders in
-which the axes can be run through (Zhao 2005, doi:10.1090/S0025-5718-04-01678-3), until nothing changes.
+The eikonal equation |grad t| = 1 by fast sweeping: upwind differences of first order, updated in
+the eight orders in which the axes can be run through (Zhao 2005,
+doi:10.1090/S0025-5718-04-01678-3), until nothing changes.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 
-_BALL = 4  # voxels around the source in which the straight line is taken, where nothing is in its way
+# voxels around the source in which the straight line is taken, where nothing is in its way
+_BALL = 4
 _SETTLED = 1e-9  # of a voxel's edge
 _MOST = 1000  # rounds; a maze with more turns than this is none that a material is put into
 
 
-def interior_distance(inside: np.ndarray, point: Sequence[float], spacing: Sequence[float]) -> np.ndarray:
+def interior_distance(
+    inside: np.ndarray, point: Sequence[float], spacing: Sequence[float]
+) -> np.ndarray:
     """Length of the shortest way inside a domain from a point to every voxel's middle.
 
     Parameters
@@ -32,7 +36,8 @@ def interior_distance(inside: np.ndarray, point: Sequence[float], spacing: Seque
     Returns
     -------
     distance : float64 array, the domain's shape
-        Infinite outside the domain, and where no way leads. First order: up to some percent long across the grid.
+        Infinite outside the domain, and where no way leads. First order: up to some percent long
+        across the grid.
     """
     deep = np.ascontiguousarray(inside if inside.ndim == 3 else inside[None])
     edges = np.array(spacing if inside.ndim == 3 else (1.0, *spacing), np.float64)
@@ -53,9 +58,12 @@ def _begun(inside: np.ndarray, at: np.ndarray, edges: np.ndarray, time: np.ndarr
         if inside[box].all() or reach == 0:
             break
     grid = np.meshgrid(
-        *(np.arange(s.start, min(s.stop, n)) for s, n in zip(box, inside.shape, strict=True)), indexing="ij"
+        *(np.arange(s.start, min(s.stop, n)) for s, n in zip(box, inside.shape, strict=True)),
+        indexing="ij",
     )
-    apart = [(index + 0.5) * edge - origin for index, edge, origin in zip(grid, edges, at, strict=True)]
+    apart = [
+        (index + 0.5) * edge - origin for index, edge, origin in zip(grid, edges, at, strict=True)
+    ]
     time[box] = np.sqrt(sum(difference**2 for difference in apart))
     held = np.zeros(inside.shape, bool)
     held[box] = True
@@ -64,7 +72,9 @@ def _begun(inside: np.ndarray, at: np.ndarray, edges: np.ndarray, time: np.ndarr
 
 @inline
 def _upwind(a, b, c, p, q, r):
-    """The arrival time behind neighbours that were reached at a, b, c, at steps p, q, r along their axes."""
+    """The arrival time behind neighbours that were reached at a, b, c, at steps p, q, r along their
+    axes.
+    """
     if b < a:
         a, b, p, q = b, a, q, p
     if c < b:
@@ -100,9 +110,16 @@ def _swept(inside, held, edges, time):
                     x = k if order & 1 else width - 1 - k
                     if not inside[z, y, x] or held[z, y, x]:
                         continue
-                    a = min(time[z - 1, y, x] if z else far, time[z + 1, y, x] if z + 1 < depth else far)
-                    b = min(time[z, y - 1, x] if y else far, time[z, y + 1, x] if y + 1 < height else far)
-                    c = min(time[z, y, x - 1] if x else far, time[z, y, x + 1] if x + 1 < width else far)
+                    a = min(
+                        time[z - 1, y, x] if z else far, time[z + 1, y, x] if z + 1 < depth else far
+                    )
+                    b = min(
+                        time[z, y - 1, x] if y else far,
+                        time[z, y + 1, x] if y + 1 < height else far,
+                    )
+                    c = min(
+                        time[z, y, x - 1] if x else far, time[z, y, x + 1] if x + 1 < width else far
+                    )
                     if min(a, b, c) == far:
                         continue
                     t = _upwind(a, b, c, edges[0], edges[1], edges[2])

@@ -18,7 +18,11 @@ AXES = {2: "yx", 3: "zyx"}
 
 def as_sides(shape: int | Sequence[int]) -> tuple[int, ...]:
     """The shape of a field: two or three whole numbers, one means a cube."""
-    several = len(shape) == 2 if isinstance(shape, list | tuple) else getattr(shape, "shape", None) == (2,)
+    several = (
+        len(shape) == 2
+        if isinstance(shape, list | tuple)
+        else getattr(shape, "shape", None) == (2,)
+    )
     return as_shape(shape, ndim=2 if several else 3)
 
 
@@ -27,16 +31,22 @@ def as_region(given: ArrayLike, shape: tuple[int, ...], *, name: str) -> np.ndar
     try:
         region = np.asarray(given)
     except ValueError:
-        raise InputError(f"the rows of {name} differ in length: give a boolean array of shape {shape}") from None
+        raise InputError(
+            f"the rows of {name} differ in length: give a boolean array of shape {shape}"
+        ) from None
     if region.dtype != bool or region.shape != shape:
-        raise InputError(f"{name} is {region.dtype} of shape {region.shape}: give a boolean array of shape {shape}")
+        raise InputError(
+            f"{name} is {region.dtype} of shape {region.shape}: give a boolean array of shape {shape}"
+        )
     if not region.any():
         raise InputError(f"{name} holds no voxel: mark with True what counts")
     return region
 
 
 def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
-    """Positions of the voxels' middles along every axis, from 0 at the first face; arrays that broadcast to `shape`."""
+    """Positions of the voxels' middles along every axis, from 0 at the first face; arrays that
+    broadcast to `shape`.
+    """
     found = []
     for axis, (side, edge) in enumerate(zip(shape, spacing, strict=True)):
         line = (np.arange(side) + 0.5) * edge
@@ -48,8 +58,14 @@ def as_axis(axis: str | int, ndim: int) -> int:
     """An axis by its letter, or counted from 0."""
     if axis in tuple(AXES[ndim]):
         return AXES[ndim].index(str(axis))
-    if isinstance(axis, bool) or not isinstance(axis, (int, np.integer)) or not -ndim <= axis < ndim:
-        raise InputError(f"axis {axis!r} does not exist in {ndim}-D: give one of {', '.join(AXES[ndim])}")
+    if (
+        isinstance(axis, bool)
+        or not isinstance(axis, (int, np.integer))
+        or not -ndim <= axis < ndim
+    ):
+        raise InputError(
+            f"axis {axis!r} does not exist in {ndim}-D: give one of {', '.join(AXES[ndim])}"
+        )
     return int(axis) % ndim
 
 
@@ -63,17 +79,23 @@ def as_field(
     before: Recipe | None = None,
     report: Mapping[str, Any] | None = None,
 ) -> Image:
-    """Values as a grey Image of float32, with the step that made them and what there is to tell of it."""
+    """Values as a grey Image of float32, with the step that made them and what there is to tell of
+    it.
+    """
     check_finite(np.asarray(values), name=f"the field of {make}")
     field = np.ascontiguousarray(values, np.float32)
     told = {} if report is None else {"report": dict(report)}
     recipe = (before or Recipe()).then("field", field, make=make, settings=dict(settings), **told)
-    return Image(field, "grey", spacing=as_spacing(spacing, ndim=field.ndim), unit=unit, recipe=recipe)
+    return Image(
+        field, "grey", spacing=as_spacing(spacing, ndim=field.ndim), unit=unit, recipe=recipe
+    )
 
 
 def of_image(values: np.ndarray, make: str, settings: Mapping[str, Any], image: Image) -> Image:
     """As `as_field`, on the grid of an image and after its recipe."""
-    return as_field(values, make, settings, spacing=image.spacing, unit=image.unit, before=history_of(image))
+    return as_field(
+        values, make, settings, spacing=image.spacing, unit=image.unit, before=history_of(image)
+    )
 
 
 def history_of(image: Image) -> Recipe:

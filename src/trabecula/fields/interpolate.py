@@ -1,8 +1,9 @@
 """Inverse-distance interpolation: values that are known in places, everywhere.
 
-Liu and Shapiro 2016, equation 7 (after Biswas, Shapiro, Tsukanov 2004, doi:10.1016/j.cagd.2003.08.003):
-D(y) = sum_i D(y_i) / d(y, y_i)^p over sum_i 1 / d(y, y_i)^p. In a domain that bends, d may be the way inside it
-(Fryazinov, Sanchez, Pasko 2015, doi:10.1016/j.cag.2014.09.026).
+Liu and Shapiro 2016, equation 7 (after Biswas, Shapiro, Tsukanov 2004,
+doi:10.1016/j.cagd.2003.08.003): D(y) = sum_i D(y_i) / d(y, y_i)^p over sum_i 1 / d(y, y_i)^p. In a
+domain that bends, d may be the way inside it (Fryazinov, Sanchez, Pasko 2015,
+doi:10.1016/j.cag.2014.09.026).
 """
 
 from __future__ import annotations
@@ -42,13 +43,14 @@ def interpolate(
     shape : int or two or three ints
         Voxels along (z, y, x), or (y, x).
     points : (N, 3) or (N, 2) floats
-        Positions from the first voxel's corner in the unit of the spacing: a voxel's middle is at (index + 0.5) * spacing.
+        Positions from the first voxel's corner in the unit of the spacing: a voxel's middle is at
+        (index + 0.5) * spacing.
     values : (N,) floats
     power : float
         p of equation 7, 0.5 .. 16. Higher: more like the nearest point's value.
     mask : bool array of `shape`, optional
-        The domain. Distances are then ways inside it, and points have to lie in it. What no way reaches, and what lies
-        outside, goes by straight lines.
+        The domain. Distances are then ways inside it, and points have to lie in it. What no way
+        reaches, and what lies outside, goes by straight lines.
     spacing, unit
         Of the grid.
 
@@ -102,7 +104,8 @@ def fill(field: Image, known: ArrayLike, *, power: float = 4.0) -> Image:
     known : bool array, the field's shape
         Where it counts, and stays as it is.
     power : float
-        p of equation 7, 0.5 .. 4. The sums are convolutions, so the number of voxels hardly matters.
+        p of equation 7, 0.5 .. 4. The sums are convolutions, so the number of voxels hardly
+        matters.
 
     Returns
     -------
@@ -134,11 +137,15 @@ def _sums(values: np.ndarray, spacing: tuple[float, ...], power: float) -> np.nd
     for axis, (side, full, edge) in enumerate(zip(values.shape, sides, spacing, strict=True)):
         offset = np.minimum(np.arange(full), full - np.arange(full)) * (edge / min(spacing))
         offset[side : full - side + 1] = np.inf  # no two voxels are so far apart
-        squares = squares + (offset**2).reshape([-1 if k == axis else 1 for k in range(values.ndim)])
+        squares = squares + (offset**2).reshape(
+            [-1 if k == axis else 1 for k in range(values.ndim)]
+        )
     squares = np.asarray(squares)
     squares[(0,) * values.ndim] = np.inf
     axes = tuple(range(values.ndim))
-    spectrum = np.fft.rfftn(squares ** (-power / 2), sides, axes) * np.fft.rfftn(values, sides, axes)
+    spectrum = np.fft.rfftn(squares ** (-power / 2), sides, axes) * np.fft.rfftn(
+        values, sides, axes
+    )
     return np.fft.irfftn(spectrum, sides, axes)[tuple(slice(side) for side in values.shape)]
 
 
@@ -146,11 +153,15 @@ def _as_points(points: ArrayLike, values: ArrayLike, ndim: int) -> tuple[np.ndar
     try:
         where, known = np.array(points, np.float64), np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError("points and values are not made of numbers: give (N, 3) positions and N values") from None
+        raise InputError(
+            "points and values are not made of numbers: give (N, 3) positions and N values"
+        ) from None
     if where.ndim != 2 or where.shape[1] != ndim or not len(where):
         raise InputError(f"points have shape {where.shape}: give (N, {ndim}), slowest axis first")
     if known.shape != (len(where),):
-        raise InputError(f"{len(where)} points have values of shape {known.shape}: give one number for each")
+        raise InputError(
+            f"{len(where)} points have values of shape {known.shape}: give one number for each"
+        )
     check_finite(where, name="points")
     check_finite(known, name="values")
     return where, known
@@ -165,5 +176,7 @@ def _as_domain(
     for point in points:
         cell = np.floor(point / np.array(edges)).astype(np.int64)
         if (cell < 0).any() or (cell >= sides).any() or not domain[tuple(cell)]:
-            raise InputError(f"the point {point.tolist()} lies outside the mask: no way inside leads from it")
+            raise InputError(
+                f"the point {point.tolist()} lies outside the mask: no way inside leads from it"
+            )
     return domain

@@ -1,8 +1,10 @@
-"""Descriptors of every neighbourhood of an image, as fields: volume fractions and densities of Minkowski functionals.
+"""Descriptors of every neighbourhood of an image, as fields: volume fractions and densities of
+Minkowski functionals.
 
-Every voxel, and every cube of 2x2x2 voxels, adds a number that a table gives (`measure.cubes`). The sum over a window
-follows from the one beside it: a layer enters, a layer leaves. The tables are made whole numbers first, so the sums are
-exact whatever the order, and a window costs the same at any size.
+Every voxel, and every cube of 2x2x2 voxels, adds a number that a table gives (`measure.cubes`). The
+sum over a window follows from the one beside it: a layer enters, a layer leaves. The tables are
+made whole numbers first, so the sums are exact whatever the order, and a window costs the same at
+any size.
 """
 
 from __future__ import annotations
@@ -16,8 +18,13 @@ from trabecula.core.checks import as_number, as_spacing, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, phase_index
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
-from trabecula.measure.cubes import cube_euler, curvature_table, square_euler, surface_table
+from trabecula.engine.parallel import for_slabs
+from trabecula.measure.configurations import (
+    cube_euler,
+    curvature_table,
+    square_euler,
+    surface_table,
+)
 from trabecula.measure.phases import as_connectivity, indicator
 
 FUNCTIONALS = {2: ("perimeter", "euler"), 3: ("surface", "mean_curvature", "euler")}
@@ -43,8 +50,9 @@ def windowed(
     size : int
         Side s of the windows in voxels, from 2 to the shortest side.
     names : str or sequence of str
-        "volume_fraction" (of `phase`), "porosity" (of the phase void), "volume_fraction:PHASE" (of that phase), and in 3-D
-        "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler" (of `phase`).
+        "volume_fraction" (of `phase`), "porosity" (of the phase void), "volume_fraction:PHASE" (of
+        that phase), and in 3-D "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler"
+        (of `phase`).
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
@@ -55,8 +63,9 @@ def windowed(
     Returns
     -------
     fields : dict of str to (Z - s + 1, Y - s + 1, X - s + 1) float32
-        Element (z, y, x) is of the window whose first voxel is (z, y, x). Fractions are of the s^3 voxels; functionals
-        are densities over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as `measure.minkowski` of the window gives.
+        Element (z, y, x) is of the window whose first voxel is (z, y, x). Fractions are of the s^3
+        voxels; functionals are densities over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as
+        `measure.minkowski` of the window gives.
 
     Raises
     ------
@@ -75,7 +84,9 @@ def windowed(
     image, inside = indicator(values, phase)
     width = int(as_number(size, name="size", low=2, high=1 << 20, whole=True))
     if width > min(image.shape):
-        raise InputError(f"a window of {width} voxels does not fit into {image.shape}: give a smaller size")
+        raise InputError(
+            f"a window of {width} voxels does not fit into {image.shape}: give a smaller size"
+        )
     names = [names] if isinstance(names, str) else [str(name) for name in names]
     for name in names:
         _check_descriptor(name, image)
@@ -103,7 +114,9 @@ def _check_descriptor(name: str, image: Image) -> None:
 
 def _label(name: str, image: Image) -> int:
     """The phase that a fraction is of."""
-    return phase_index(image, None if name == "porosity" else name.partition(":")[2], default="void")
+    return phase_index(
+        image, None if name == "porosity" else name.partition(":")[2], default="void"
+    )
 
 
 def _codes(inside: np.ndarray) -> np.ndarray:
@@ -134,9 +147,13 @@ def _mean_of(codes: np.ndarray, table: np.ndarray, width: int) -> np.ndarray:
     largest = max(1.0, float(np.abs(table).max()))
     unit = _UNIT / largest  # voxels finer than the unit of length make large densities
     whole = np.rint(np.asarray(table, np.float64) * unit).astype(np.int64)
-    means = np.empty((deep.shape[0] - depth + 1, *(side - width + 1 for side in deep.shape[1:])), np.float32)
+    means = np.empty(
+        (deep.shape[0] - depth + 1, *(side - width + 1 for side in deep.shape[1:])), np.float32
+    )
     scale = 1.0 / (unit * width**codes.ndim)
-    for_slabs(lambda start, stop: _slide(deep, whole, depth, width, scale, means, start, stop), len(means))
+    for_slabs(
+        lambda start, stop: _slide(deep, whole, depth, width, scale, means, start, stop), len(means)
+    )
     return means if codes.ndim == 3 else means[0]
 
 

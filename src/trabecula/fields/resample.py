@@ -13,7 +13,8 @@ from trabecula.fields.grid import as_field, history_of, of_image
 
 
 def resample(field: Image, shape: int | Sequence[int]) -> Image:
-    """The same field on a grid of another number of voxels over the same box, by linear interpolation.
+    """The same field on a grid of another number of voxels over the same box, by linear
+    interpolation.
 
     Parameters
     ----------
@@ -34,13 +35,18 @@ def resample(field: Image, shape: int | Sequence[int]) -> Image:
     """
     _check_grey(field)
     sides = as_shape(shape, ndim=field.ndim)
-    spacing = [edge * old / new for edge, old, new in zip(field.spacing, field.shape, sides, strict=True)]
+    spacing = [
+        edge * old / new for edge, old, new in zip(field.spacing, field.shape, sides, strict=True)
+    ]
     values, before = resampled(field.values, sides), history_of(field)
-    return as_field(values, "resample", {"shape": sides}, spacing=spacing, unit=field.unit, before=before)
+    return as_field(
+        values, "resample", {"shape": sides}, spacing=spacing, unit=field.unit, before=before
+    )
 
 
 def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Image:
-    """The field brought into a range: stretched so that its least and greatest values are `low` and `high`, or cut off there.
+    """The field brought into a range: stretched so that its least and greatest values are `low` and
+    `high`, or cut off there.
 
     Parameters
     ----------
@@ -68,7 +74,10 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
     array([[0.2, 0.5, 0.6]], dtype=float32)
     """
     _check_grey(field)
-    least, most = (as_number(value, name=name, low=-1e6, high=1e6) for name, value in (("low", low), ("high", high)))
+    least, most = (
+        as_number(value, name=name, low=-1e6, high=1e6)
+        for name, value in (("low", low), ("high", high))
+    )
     if least > most:
         raise InputError(f"low={least:g} is above high={most:g}: exchange them")
     values = field.values.astype(np.float64)
@@ -76,7 +85,9 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
         own = values.min(), values.max()
         share = (values - own[0]) / max(own[1] - own[0], 1e-300)
         values = least + (most - least) * share
-    return of_image(values.clip(least, most), "rescale", {"low": least, "high": most, "clip": bool(clip)}, field)
+    return of_image(
+        values.clip(least, most), "rescale", {"low": least, "high": most, "clip": bool(clip)}, field
+    )
 
 
 def resampled(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:

@@ -57,7 +57,9 @@ def ramp(
     sides = as_sides(shape)
     along = as_axis(axis, len(sides))
     ends = _values(start=start, end=end)
-    line = np.linspace(ends[0], ends[1], sides[along]).reshape([-1 if k == along else 1 for k in range(len(sides))])
+    line = np.linspace(ends[0], ends[1], sides[along]).reshape(
+        [-1 if k == along else 1 for k in range(len(sides))]
+    )
     settings = {"shape": sides, "axis": AXES[len(sides)][along], "start": ends[0], "end": ends[1]}
     return _drawn(np.broadcast_to(line, sides), "ramp", settings, spacing, unit)
 
@@ -86,7 +88,8 @@ def radial(
     centre : one float per axis, optional
         In the unit of the spacing, from the first voxel's corner. Default: the middle.
     axis : {"z", "y", "x"} or int, optional
-        Distance is counted from the line along this axis (a cylinder). Default: from the point (a ball).
+        Distance is counted from the line along this axis (a cylinder). Default: from the point (a
+        ball).
 
     Returns
     -------
@@ -121,13 +124,22 @@ def radial(
         "centre": middle,
         "axis": None if line is None else AXES[len(sides)][line],
     }
-    return _drawn(np.broadcast_to(ends[0] + (ends[1] - ends[0]) * share, sides), "radial", settings, spacing, unit)
+    return _drawn(
+        np.broadcast_to(ends[0] + (ends[1] - ends[0]) * share, sides),
+        "radial",
+        settings,
+        spacing,
+        unit,
+    )
 
 
 def _centre(centre: Sequence[float] | None, extent: list[float]) -> list[float]:
     if centre is None:
         return [length / 2 for length in extent]
-    found = [as_number(at, name="centre", low=-1e9, high=1e9) for at in np.atleast_1d(np.asarray(centre, object))]
+    found = [
+        as_number(at, name="centre", low=-1e9, high=1e9)
+        for at in np.atleast_1d(np.asarray(centre, object))
+    ]
     if len(found) != len(extent):
         raise InputError(f"centre has {len(found)} numbers: give {len(extent)}, slowest axis first")
     return found
@@ -147,8 +159,9 @@ def formula(
     shape, spacing, unit
         As for `ramp`.
     text : str
-        In z, y, x (position of a voxel's middle, in the unit of the spacing, from the first face) and Z, Y, X (the sides
-        of the whole in that unit), read by `core.expression.Expression`: "0.3 + 0.2 * z / Z".
+        In z, y, x (position of a voxel's middle, in the unit of the spacing, from the first face)
+        and Z, Y, X (the sides of the whole in that unit), read by `core.expression.Expression`:
+        "0.3 + 0.2 * z / Z".
 
     Returns
     -------
@@ -172,11 +185,16 @@ def formula(
     letters = AXES[len(sides)]
     parsed = Expression(text, (*letters, *letters.upper()))
     values = dict(zip(letters, middles(sides, edges), strict=True))
-    extent = {letter.upper(): side * edge for letter, side, edge in zip(letters, sides, edges, strict=True)}
+    extent = {
+        letter.upper(): side * edge
+        for letter, side, edge in zip(letters, sides, edges, strict=True)
+    }
     found = np.broadcast_to(parsed(**values, **extent), sides)
     if not np.isfinite(found).all():
         bad = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
-        raise InputError(f"the formula {text!r} has no finite value at voxel {bad}: give one that has")
+        raise InputError(
+            f"the formula {text!r} has no finite value at voxel {bad}: give one that has"
+        )
     return _drawn(found, "formula", {"shape": sides, "text": text}, spacing, unit)
 
 
@@ -195,8 +213,8 @@ def picture(
     Parameters
     ----------
     image : Image or array, (Y, X) or colour
-        Stretched over the faces across `axis`; of a colour the mean of its channels. Of 0 .. 255 in integers of a byte, else
-        its own least and greatest values are black and white.
+        Stretched over the faces across `axis`; of a colour the mean of its channels. Of 0 .. 255 in
+        integers of a byte, else its own least and greatest values are black and white.
     shape : int or two or three ints
         Of the field; with two numbers the picture is the field.
     low, high : float
@@ -217,13 +235,17 @@ def picture(
     """
     source = image if isinstance(image, Image) else Image(np.asarray(image), "grey")
     if source.ndim != 2:
-        raise InputError(f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice of it")
+        raise InputError(
+            f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice of it"
+        )
     sides = as_sides(shape)
     ends = _values(low=low, high=high)
     grey = source.values.astype(np.float64)
     grey = grey.mean(axis=-1) if source.kind == "colour" else grey
     black, white = (
-        (0.0, 255.0) if source.values.dtype == np.uint8 and source.kind != "labels" else (grey.min(), grey.max())
+        (0.0, 255.0)
+        if source.values.dtype == np.uint8 and source.kind != "labels"
+        else (grey.min(), grey.max())
     )
     share = (grey - black) / max(white - black, 1e-300)
     flat = len(sides) == 2
@@ -232,7 +254,14 @@ def picture(
     drawn = ends[0] + (ends[1] - ends[0]) * resampled(share, face)
     deep = drawn if flat else np.broadcast_to(np.expand_dims(drawn, along), sides)
     edges = as_spacing(spacing, ndim=len(sides))
-    settings = {"shape": sides, "low": ends[0], "high": ends[1], "axis": AXES[3][along], "spacing": edges, "unit": unit}
+    settings = {
+        "shape": sides,
+        "low": ends[0],
+        "high": ends[1],
+        "axis": AXES[3][along],
+        "spacing": edges,
+        "unit": unit,
+    }
     return as_field(deep, "picture", settings, spacing=edges, unit=unit, before=history_of(source))
 
 
@@ -240,6 +269,14 @@ def _values(**given: float) -> list[float]:
     return [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in given.items()]
 
 
-def _drawn(values: np.ndarray, make: str, settings: dict, spacing: float | Sequence[float] | None, unit: str) -> Image:
+def _drawn(
+    values: np.ndarray,
+    make: str,
+    settings: dict,
+    spacing: float | Sequence[float] | None,
+    unit: str,
+) -> Image:
     edges = as_spacing(spacing, ndim=values.ndim)
-    return as_field(values, make, {**settings, "spacing": edges, "unit": unit}, spacing=edges, unit=unit)
+    return as_field(
+        values, make, {**settings, "spacing": edges, "unit": unit}, spacing=edges, unit=unit
+    )

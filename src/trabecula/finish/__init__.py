@@ -1,9 +1,10 @@
-"""Image -> Image: what a material needs before it is printed or simulated. Every operation adds a step to the
-recipe; `trapped` and `print_check` only look."""
+"""Image -> Image: what a material needs before it is printed or simulated. Every operation adds a
+step to the recipe; `trapped` and `print_check` only look."""
 
 from collections.abc import Callable
 
 from trabecula.core.image import Image
+from trabecula.finish.closed_pores import fill_trapped, trapped
 from trabecula.finish.connect import connect
 from trabecula.finish.floaters import remove_floaters
 from trabecula.finish.forms import mask_steps
@@ -12,7 +13,6 @@ from trabecula.finish.prune import prune
 from trabecula.finish.slabs import finish_slabs
 from trabecula.finish.smooth import smooth
 from trabecula.finish.thicken import thicken
-from trabecula.finish.trapped import fill_trapped, trapped
 
 # By the name that stands in a recipe's step, so that the step can be done again.
 OPERATIONS: dict[str, Callable[..., Image]] = {

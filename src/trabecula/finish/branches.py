@@ -1,7 +1,7 @@
 """Struts that end freely, and the cells that they stick into.
 
-Surfaces that are rough and plates have branches with free ends too. One is taken for a strut where the part of the
-phase that is its own
+Surfaces that are rough and plates have branches with free ends too. One is taken for a strut where
+the part of the phase that is its own
 
 - sticks out: the void touches at least twice as much of its surface as the rest of the phase does;
 - is not more than twice as wide as thick;
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.finish.cutting import Territories
+from trabecula.finish.branch_removal import Territories
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph
 from trabecula.measure.skeleton.graph import END_JOINT, JOINT_JOINT
@@ -50,19 +50,26 @@ class Anatomy:
 
     graph: SkeletonGraph
     radius: np.ndarray
-    """The image's shape: distance of every voxel of the phase to the rest, in the unit of the spacing."""
+    """The image's shape: distance of every voxel of the phase to the rest, in the unit of the
+    spacing.
+    """
     territories: Territories
     ends: list[FreeEnd]
     """Shortest first."""
     volume: float
-    """Of the image, or of the form that it fills, without the margin in which ends are not judged; in the unit of the spacing."""
+    """Of the image, or of the form that it fills, without the margin in which ends are not judged;
+    in the unit of the spacing.
+    """
 
 
-def anatomy(inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | None = None) -> Anatomy:
-    """Skeleton, territories and free ends of a phase, a boolean array; lengths are in the unit of `spacing`.
+def anatomy(
+    inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | None = None
+) -> Anatomy:
+    """Skeleton, territories and free ends of a phase, a boolean array; lengths are in the unit of
+    `spacing`.
 
-    Ends nearer to a face, or to the surface of a `form` (bool, of the same shape), than the mean thickness of the struts are not
-    judged: it may have cut a strut there.
+    Ends nearer to a face, or to the surface of a `form` (bool, of the same shape), than the mean
+    thickness of the struts are not judged: it may have cut a strut there.
     """
     graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
     radius = distance_transform(inside, spacing=spacing)
@@ -74,7 +81,9 @@ def anatomy(inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | N
     found = []
     for branch in np.flatnonzero(graph.kind == END_JOINT):
         if room.depth(graph.path(branch)[0]) >= margin:
-            end = _free_end(int(branch), graph, radius, girth[graph.stop[branch]], territories, room)
+            end = _free_end(
+                int(branch), graph, radius, girth[graph.stop[branch]], territories, room
+            )
             found += [] if end is None else [end]
     found.sort(key=lambda end: end.length)  # stable: equal ones stay in the order of the graph
     return Anatomy(graph, radius, territories, found, room.volume(margin))
@@ -87,14 +96,21 @@ class _Room:
     sides: np.ndarray
     spacing: np.ndarray
     deep: np.ndarray | None
-    """Of a form: how far the centre of every voxel lies below its surface, a face of a voxel or of the box."""
+    """Of a form: how far the centre of every voxel lies below its surface, a face of a voxel or of
+    the box.
+    """
 
     @classmethod
-    def of(cls, shape: tuple[int, ...], spacing: tuple[float, ...], form: np.ndarray | None) -> _Room:
+    def of(
+        cls, shape: tuple[int, ...], spacing: tuple[float, ...], form: np.ndarray | None
+    ) -> _Room:
         edge = np.array(spacing)
         deep = None
         if form is not None:
-            deep = distance_transform(np.pad(form, 1), spacing=spacing)[(slice(1, -1),) * form.ndim] - min(spacing) / 2
+            deep = (
+                distance_transform(np.pad(form, 1), spacing=spacing)[(slice(1, -1),) * form.ndim]
+                - min(spacing) / 2
+            )
         return cls(np.array(shape) * edge, edge, deep)
 
     def depth(self, voxel: np.ndarray) -> float:
@@ -119,10 +135,15 @@ class _Room:
 
 
 def _free_end(
-    branch: int, graph: SkeletonGraph, radius: np.ndarray, girth: float, space: Territories, room: _Room
+    branch: int,
+    graph: SkeletonGraph,
+    radius: np.ndarray,
+    girth: float,
+    space: Territories,
+    room: _Room,
 ) -> FreeEnd | None:
-    """The strut that a branch is the middle of; None where it is no strut, or a face cuts it. `girth` is the radius at
-    its root."""
+    """The strut that a branch is the middle of; None where it is no strut, or a face cuts it.
+    `girth` is the radius at its root."""
     edge, root = space.edge, int(graph.stop[branch])
     own = space.of(branch)
     if not len(own) or room.cuts(space, own):
@@ -158,14 +179,18 @@ def _widths(at: np.ndarray, along: np.ndarray, edge: np.ndarray) -> tuple[float,
 
 
 def cell_perimeters(graph: SkeletonGraph, roots: list[int]) -> np.ndarray:
-    """Perimeter of the cell around each joint, in the unit of the spacing; infinite where the graph has no loops at all.
+    """Perimeter of the cell around each joint, in the unit of the spacing; infinite where the graph
+    has no loops at all.
 
-    It is the length of the shortest loop through the joint, but no less than the median of such loops: a small hole in
-    a strut is no cell, and a joint without a loop (on a tree that hangs into a cell) has one around it all the same.
+    It is the length of the shortest loop through the joint, but no less than the median of such
+    loops: a small hole in a strut is no cell, and a joint without a loop (on a tree that hangs into
+    a cell) has one around it all the same.
     """
     edges = _edges(graph)
     every = 1 + len(edges) // _SAMPLED
-    loops = np.array([_shortest_loop(joint, edges) for joint in range(0, len(edges), every)], np.float64)
+    loops = np.array(
+        [_shortest_loop(joint, edges) for joint in range(0, len(edges), every)], np.float64
+    )
     if not np.isfinite(loops).any():
         return np.full(len(roots), np.inf)
     median = float(np.median(loops[np.isfinite(loops)]))
@@ -174,7 +199,9 @@ def cell_perimeters(graph: SkeletonGraph, roots: list[int]) -> np.ndarray:
 
 
 def _edges(graph: SkeletonGraph) -> list[list[tuple[int, float, int]]]:
-    """For every joint the branches to others: the other joint, the length between both centres, the branch's number."""
+    """For every joint the branches to others: the other joint, the length between both centres, the
+    branch's number.
+    """
     edge = np.array(graph.spacing)
     edges: list[list[tuple[int, float, int]]] = [[] for _ in graph.joints]
     for branch in np.flatnonzero(graph.kind == JOINT_JOINT):
@@ -188,7 +215,9 @@ def _edges(graph: SkeletonGraph) -> list[list[tuple[int, float, int]]]:
 
 
 def _shortest_loop(root: int, edges: list[list[tuple[int, float, int]]]) -> float:
-    """Dijkstra from the root. A loop closes where two ways meet that left the root by different branches."""
+    """Dijkstra from the root. A loop closes where two ways meet that left the root by different
+    branches.
+    """
     best = min((length for other, length, _ in edges[root] if other == root), default=np.inf)
     queue = [(length, other, branch) for other, length, branch in edges[root] if other != root]
     heapq.heapify(queue)

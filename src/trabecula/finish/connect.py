@@ -1,14 +1,16 @@
 """Connect: one component out of many, by the cheapest joins; only specks are discarded.
 
 1. Number the components; the largest is the body, those below a stated size are specks.
-2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a reach is given,
-   grow from every component through the background instead until the body is met or `reach` voxels are passed
-   (`finish.joins`), and again, since a component that is joined may bring others within reach.
+2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a
+reach is given,
+   grow from every component through the background instead until the body is met or `reach` voxels
+   are passed (`finish.joins`), and again, since a component that is joined may bring others within
+   reach.
 3. What is still loose becomes background: specks, and with a reach whatever lies farther.
 
-Components are kept as runs along x. With a reach a component is searched from in its own box, and no array of the
-image's size is needed besides the image and the result; without one three of them. The result may lie in a scratch
-file, and they do then as well (see `finish.slabs`).
+Components are kept as runs along x. With a reach a component is searched from in its own box, and
+no array of the image's size is needed besides the image and the result; without one three of them.
+The result may lie in a scratch file, and they do then as well (see `finish.slabs`).
 """
 
 from __future__ import annotations
@@ -21,12 +23,12 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.core.image import Image, as_image, check_labels, phase_index, with_values
-from trabecula.core.progress import say
-from trabecula.engine import scratch
+from trabecula.core.progress import notify
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import sum_slabs
+from trabecula.engine.parallel import sum_slabs
+from trabecula.finish.bridges import shortest_join
 from trabecula.finish.forms import as_form, form_recipe
-from trabecula.finish.joins import shortest_join
 from trabecula.finish.spanning import cheapest_joins
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import Runs, runs_of
@@ -55,7 +57,8 @@ def connect(
     unjoined: str | None = None,
     mask: Image | ArrayLike | None = None,
 ) -> Image:
-    """Make a phase one connected component: join whatever is larger than a speck, discard the specks.
+    """Make a phase one connected component: join whatever is larger than a speck, discard the
+    specks.
 
     Parameters
     ----------
@@ -63,34 +66,36 @@ def connect(
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
     reach : int, optional
-        Longest join, in voxels of background passed from face to face; 0 joins nothing. Default: no limit, components are joined
-        along a minimum spanning tree, which fills the fewest voxels.
+        Longest join, in voxels of background passed from face to face; 0 joins nothing. Default: no
+        limit, components are joined along a minimum spanning tree, which fills the fewest voxels.
     brush : int
         Thickness of a join, in voxels.
     min_size : int, optional
-        Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of the phase's mean
-        chord, but no more than 0.5 % of the phase.
+        Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of
+        the phase's mean chord, but no more than 0.5 % of the phase.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         What counts as connected. Default: voxels that share a face.
     unjoined : {"keep", "remove"}, optional
-        What becomes of components that are no specks and cannot be joined, since they lie farther than `reach` or
-        behind another phase. Default: "remove" where a reach is given, else "keep".
+        What becomes of components that are no specks and cannot be joined, since they lie farther
+        than `reach` or behind another phase. Default: "remove" where a reach is given, else "keep".
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): joins run inside it.
 
     Returns
     -------
     image : Image
-        No voxel of a component that is not removed has changed. Joins take the label they start from, and what is removed becomes
-        void (where the void itself is connected: the other phase). The recipe's step holds a `report`: `joins`, `added` (voxels
-        that the joins fill), `longest` (of the joins, voxels of background on its way), `removed_parts`, `removed` (voxels),
-        `left_parts`, `left` (components that stay loose beside the largest, and their voxels), `min_size`.
+        No voxel of a component that is not removed has changed. Joins take the label they start
+        from, and what is removed becomes void (where the void itself is connected: the other
+        phase). The recipe's step holds a `report`: `joins`, `added` (voxels that the joins fill),
+        `longest` (of the joins, voxels of background on its way), `removed_parts`, `removed`
+        (voxels), `left_parts`, `left` (components that stay loose beside the largest, and their
+        voxels), `min_size`.
 
     Raises
     ------
     InputError
-        The phase is empty; a negative reach or size; a mask of another shape; the void of an image of several phases, where it is
-        open what a removed pore would be filled with.
+        The phase is empty; a negative reach or size; a mask of another shape; the void of an image
+        of several phases, where it is open what a removed pore would be filled with.
 
     References
     ----------
@@ -118,9 +123,13 @@ def connect(
     }
     lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
     form = as_form(mask, image.shape)
-    report = connect_in_place(lifted, image, **settings, inside=None if form is None else form.reshape(lifted.shape))
+    report = connect_in_place(
+        lifted, image, **settings, inside=None if form is None else form.reshape(lifted.shape)
+    )
     made = form_recipe(mask)
-    recipe = image.recipe.then("finish", values, operation="connect", settings=settings, **made, report=report)
+    recipe = image.recipe.then(
+        "finish", values, operation="connect", settings=settings, **made, report=report
+    )
     return with_values(image, values, recipe=recipe)
 
 
@@ -136,7 +145,9 @@ def connect_in_place(
     unjoined: str | None,
     inside: np.ndarray | None = None,
 ) -> dict[str, int]:
-    """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
+    """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The
+    report.
+    """
     background, member = background_of(image, phase), members(image, phase)
     _check_settings(reach, brush, min_size)
     unjoined = ("keep" if reach is None else "remove") if unjoined is None else unjoined
@@ -149,13 +160,19 @@ def connect_in_place(
         found = _join_all(values, runs, background, (brush, least), inside)
         runs = _runs(values, member, neighbours, phase) if found["joins"] else runs
     else:
-        found, runs = _join_near(values, runs, background, (reach, brush, least), inside, (member, neighbours, phase))
+        found, runs = _join_near(
+            values, runs, background, (reach, brush, least), inside, (member, neighbours, phase)
+        )
     loose = np.arange(len(runs.sizes)) != np.argmax(runs.sizes)
     gone = loose & (runs.sizes < least) if unjoined == "keep" else loose
     runs.write(values, gone, background)
     left = loose & ~gone
     found |= {"removed_parts": int(np.count_nonzero(gone)), "removed": int(runs.sizes[gone].sum())}
-    found |= {"left_parts": int(np.count_nonzero(left)), "left": int(runs.sizes[left].sum()), "min_size": int(least)}
+    found |= {
+        "left_parts": int(np.count_nonzero(left)),
+        "left": int(runs.sizes[left].sum()),
+        "min_size": int(least),
+    }
     _say_losses(found, whole)
     return found
 
@@ -170,7 +187,9 @@ def _runs(values: np.ndarray, member: np.ndarray, neighbours: int, phase: str | 
 
 
 def _speck_size(values: np.ndarray, member: np.ndarray, whole: int) -> int:
-    """Voxels of a cube of the mean chord, over all axes that have more than one voxel, but no more than a share of all."""
+    """Voxels of a cube of the mean chord, over all axes that have more than one voxel, but no more
+    than a share of all.
+    """
     chords = sum_slabs(lambda start, stop: _count_chords(values, member, start, stop), len(values))
     axes = [side > 1 for side in values.shape]
     chord = max(1, sum(axes)) * whole / max(1, int(chords[axes].sum()))
@@ -180,21 +199,27 @@ def _speck_size(values: np.ndarray, member: np.ndarray, whole: int) -> int:
 def _say_losses(found: dict[str, int], whole: int) -> None:
     """Say what was discarded where it is much, and what stays loose."""
     if found["removed"] > _MUCH * whole:
-        say(
+        notify(
             f"connect: {found['removed_parts']} components were removed, {found['removed'] / whole:.2%} of the phase; "
             f"those of {found['min_size']} voxels or more are joined where no reach is given (min_size, --min-size)"
         )
     if found["left_parts"]:
-        say(
+        notify(
             f"connect: {found['left_parts']} components of {found['min_size']} voxels or more "
             f"({found['left'] / whole:.2%} of the phase) could not be joined and stay loose"
         )
 
 
 def _join_all(
-    values: np.ndarray, runs: Runs, background: int, settings: tuple[int, int], inside: np.ndarray | None
+    values: np.ndarray,
+    runs: Runs,
+    background: int,
+    settings: tuple[int, int],
+    inside: np.ndarray | None,
 ) -> dict[str, int]:
-    """Join all components but specks along a minimum spanning tree, writing into `values`; what it took."""
+    """Join all components but specks along a minimum spanning tree, writing into `values`; what it
+    took.
+    """
     brush, least = settings
     worth = runs.sizes >= least
     worth[np.argmax(runs.sizes)] = True
@@ -204,7 +229,7 @@ def _join_all(
         filled += int(_fill(values, way, background, brush, _where(inside)))
         longest = max(longest, len(way) - 1)
         if number % _SOME == 0:
-            scratch.let_go()
+            memmap.release_pages()
     return {"joins": len(ways), "added": filled, "longest": longest}
 
 
@@ -216,7 +241,9 @@ def _join_near(
     inside: np.ndarray | None,
     again: tuple[np.ndarray, int, str | int | None],
 ) -> tuple[dict[str, int], Runs]:
-    """Join what is within reach of the largest component, and again until nothing is; what it took, and the components then."""
+    """Join what is within reach of the largest component, and again until nothing is; what it took,
+    and the components then.
+    """
     found = {"joins": 0, "added": 0, "longest": 0}
     while True:
         body = int(np.argmax(runs.sizes)) + 1
@@ -241,7 +268,12 @@ def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None
     for name, value, least in (("reach", reach, 0), ("brush", brush, 1), ("min_size", min_size, 0)):
         if value is None and name != "brush":
             continue
-        if value is None or isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        if (
+            value is None
+            or isinstance(value, bool)
+            or not isinstance(value, (int, np.integer))
+            or value < least
+        ):
             raise InputError(f"{name} {value!r} must be a whole number of voxels, at least {least}")
 
 
@@ -277,7 +309,9 @@ def _join_parts(
     settings: tuple[int, int, int],
     inside: np.ndarray | None,
 ) -> tuple[int, int, int]:
-    """Join every part within reach of the body, writing into `values`; joins, voxels filled, and the longest join."""
+    """Join every part within reach of the body, writing into `values`; joins, voxels filled, and
+    the longest join.
+    """
     reach, brush, min_size = settings
     chosen = runs.sizes >= min_size
     chosen[body - 1] = False
@@ -285,14 +319,16 @@ def _join_parts(
         return 0, 0, 0
     worth = np.concatenate([[False], chosen])
     joins = filled = longest = 0
-    for number, (part, bounds) in enumerate(zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)):
+    for number, (part, bounds) in enumerate(
+        zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
+    ):
         path = shortest_join(values, runs, bounds, part, body, background, worth, reach, inside)
         if len(path):
             joins += 1
             filled += int(_fill(values, path, background, brush, _where(inside)))
             longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
-            scratch.let_go()
+            memmap.release_pages()
     return joins, filled, longest
 
 
@@ -313,8 +349,8 @@ def _count_chords(values, member, start, stop):
 
 @kernel
 def _fill(values, path, background, brush, inside):
-    """Paint the path with a cube of side `brush` in the label of its first voxel; only background is painted over, and nothing
-    outside of a form."""
+    """Paint the path with a cube of side `brush` in the label of its first voxel; only background
+    is painted over, and nothing outside of a form."""
     label = values[path[0, 0], path[0, 1], path[0, 2]]
     before = (brush - 1) // 2
     filled = 0

@@ -37,13 +37,14 @@ def remove_floaters(
     Returns
     -------
     image : Image
-        What is removed becomes void. The recipe's step holds a `report`: `removed_parts`, `removed` (voxels), `left`
-        (parts).
+        What is removed becomes void. The recipe's step holds a `report`: `removed_parts`, `removed`
+        (voxels), `left` (parts).
 
     Raises
     ------
     InputError
-        The phase is empty; a size below 1; another connectivity; the void of an image of several phases.
+        The phase is empty; a size below 1; another connectivity; the void of an image of several
+        phases.
 
     Examples
     --------
@@ -53,9 +54,17 @@ def remove_floaters(
     """
     image = as_image(image)
     values = np.array(image.values, order="C")
-    settings: dict[str, Any] = {"smaller_than": smaller_than, "phase": phase, "connectivity": connectivity}
-    report = remove_floaters_in_place(values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings)
-    recipe = image.recipe.then("finish", values, operation="remove_floaters", settings=settings, report=report)
+    settings: dict[str, Any] = {
+        "smaller_than": smaller_than,
+        "phase": phase,
+        "connectivity": connectivity,
+    }
+    report = remove_floaters_in_place(
+        values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings
+    )
+    recipe = image.recipe.then(
+        "finish", values, operation="remove_floaters", settings=settings, report=report
+    )
     return with_values(image, values, recipe=recipe)
 
 
@@ -67,9 +76,13 @@ def remove_floaters_in_place(
     phase: str | int | None,
     connectivity: int | None,
 ) -> dict[str, int]:
-    """As `remove_floaters`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The report."""
+    """As `remove_floaters`, of labels (Z, Y, X) that are written into; `image` tells what they
+    mean. The report.
+    """
     if smaller_than is not None:
-        smaller_than = int(as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True))
+        smaller_than = int(
+            as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True)
+        )
     background, member = background_of(image, phase), members(image, phase)
     runs = runs_of(values, member, as_connectivity(connectivity, image.ndim))
     sizes = runs.sizes
@@ -81,4 +94,8 @@ def remove_floaters_in_place(
     goes[np.argmax(sizes)] = False
     runs.write(values, goes, background)
     removed = int(np.count_nonzero(goes))
-    return {"removed_parts": removed, "removed": int(sizes[goes].sum()), "left": len(sizes) - removed}
+    return {
+        "removed_parts": removed,
+        "removed": int(sizes[goes].sum()),
+        "left": len(sizes) - removed,
+    }

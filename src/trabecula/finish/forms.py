@@ -25,12 +25,16 @@ def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray 
         return None
     if isinstance(mask, Image):
         if mask.kind != "labels":
-            raise InputError(f"the mask is {mask.kind}: give labels (segment it first), or a boolean array")
+            raise InputError(
+                f"the mask is {mask.kind}: give labels (segment it first), or a boolean array"
+            )
         inside = mask.values != (mask.phases.index("void") if "void" in mask.phases else 0)
     else:
         inside = np.asarray(mask)
         if inside.dtype != bool:
-            raise InputError(f"the mask is {inside.dtype}: give a boolean array, such as volume > 0, or an Image")
+            raise InputError(
+                f"the mask is {inside.dtype}: give a boolean array, such as volume > 0, or an Image"
+            )
     if inside.shape != tuple(shape):
         raise InputError(
             f"the mask has shape {inside.shape}, the image {tuple(shape)}: give the mask that it was made with"

@@ -9,10 +9,11 @@ from trabecula.measure.distance import distance_transform
 
 
 def repainted(image: Image, before: np.ndarray, after: np.ndarray, background: int) -> np.ndarray:
-    """The labels of `image` where a phase that was `before` has become `after` (bool arrays of its shape).
+    """The labels of `image` where a phase that was `before` has become `after` (bool arrays of its
+    shape).
 
-    What the phase has left becomes `background`; where it is new it takes the label of its nearest voxel, the lower one
-    of two at one distance.
+    What the phase has left becomes `background`; where it is new it takes the label of its nearest
+    voxel, the lower one of two at one distance.
     """
     values = np.array(image.values, order="C")
     values[before & ~after] = background
@@ -22,7 +23,8 @@ def repainted(image: Image, before: np.ndarray, after: np.ndarray, background: i
         values[new] = present[0]
     elif new.any():
         away = [
-            distance_transform(~(before & (image.values == label)), spacing=image.spacing)[new] for label in present
+            distance_transform(~(before & (image.values == label)), spacing=image.spacing)[new]
+            for label in present
         ]
         values[new] = present[np.argmin(away, axis=0)]
     return values

@@ -1,7 +1,7 @@
 """What printers can make: typical limits by process, in millimetres.
 
-They are the figures that makers and print services commonly publish for desktop and service machines of the process, not
-those of one machine: give your own where you know them.
+They are the figures that makers and print services commonly publish for desktop and service
+machines of the process, not those of one machine: give your own where you know them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from trabecula.core.errors import InputError
 
 @dataclass(frozen=True)
 class Printer:
-    """Limits of a process; None where it has none. Lengths in millimetres, every one can be given anew.
+    """Limits of a process; None where it has none. Lengths in millimetres, every one can be given
+    anew.
 
     Parameters
     ----------
@@ -31,9 +32,11 @@ class Printer:
     passage : float, optional
         Least width of the way on which powder or resin is cleared out.
     cup : float, optional
-        Largest volume, mm**3, of resin that may be sealed off during the print by what is printed so far.
+        Largest volume, mm**3, of resin that may be sealed off during the print by what is printed
+        so far.
     overhang : float, optional
-        Largest angle from the vertical, degrees, at which a surface carries itself while it is printed.
+        Largest angle from the vertical, degrees, at which a surface carries itself while it is
+        printed.
     bridge : float, optional
         Longest span between two supports.
     """
@@ -69,7 +72,9 @@ def printer_of(process: str, limits: Mapping[str, Any]) -> Printer:
     """
     check_name(process, PRINTERS, name="printer")
     typical = PRINTERS[process]
-    known = [entry.name for entry in fields(Printer)[1:] if getattr(typical, entry.name) is not None]
+    known = [
+        entry.name for entry in fields(Printer)[1:] if getattr(typical, entry.name) is not None
+    ]
     for name in limits:
         check_name(name, known, name=f"limit of {process}")
     return replace(typical, **{name: _limit(name, value) for name, value in limits.items()})

@@ -1,8 +1,8 @@
 """`print_check`: what a printer would refuse, and what its operator would warn of.
 
-It looks at the voxels. The surface that `export` makes of them is closed by construction, whatever they are; what is
-asked here is whether the thing can be made. z is the direction of the layers; the first slice lies on the plate, or on
-supports (sla). The faces of the image are faces of the part.
+It looks at the voxels. The surface that `export` makes of them is closed by construction, whatever
+they are; what is asked here is whether the thing can be made. z is the direction of the layers; the
+first slice lies on the plate, or on supports (sla). The faces of the image are faces of the part.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.plan import Plan, check_budget
-from trabecula.finish import questions
+from trabecula.finish import print_checks
+from trabecula.finish.print_checks import Finding
 from trabecula.finish.printers import Printer, printer_of
-from trabecula.finish.questions import Finding
 from trabecula.io.units import to_metres
 from trabecula.measure.phases import indicator
 
@@ -43,7 +43,9 @@ class PrintCheck:
         return max((finding.verdict for finding in self.findings), key=VERDICTS.index)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values: `verdict`, `printer` (limits), `checks` (name -> verdict, figures and words)."""
+        """Plain values: `verdict`, `printer` (limits), `checks` (name -> verdict, figures and
+        words).
+        """
         checks = {
             finding.name: {"verdict": finding.verdict, **finding.figures, "says": finding.says}
             for finding in self.findings
@@ -55,7 +57,10 @@ class PrintCheck:
     def to_table(self) -> str:
         """A line for each question, and the verdict."""
         width = max(len(finding.name) for finding in self.findings)
-        lines = [f"{finding.name:{width}}  {finding.verdict:6}  {finding.says}" for finding in self.findings]
+        lines = [
+            f"{finding.name:{width}}  {finding.verdict:6}  {finding.says}"
+            for finding in self.findings
+        ]
         return "\n".join([*lines, "", f"{self.printer.process}: {self.verdict}"])
 
 
@@ -80,17 +85,20 @@ def print_check(
     memory : int, optional
         Bytes that may be used. Default: what is available.
     **limits
-        Limits of the printer other than the typical ones (`trabecula.finish.printers.PRINTERS`), in millimetres: box,
-        wall, gap; passage (sls, sla), cup (sla, mm**3), overhang (degrees) and bridge (fdm).
+        Limits of the printer other than the typical ones (`trabecula.finish.printers.PRINTERS`), in
+        millimetres: box, wall, gap; passage (sls, sla), cup (sla, mm**3), overhang (degrees) and
+        bridge (fdm).
 
     Returns
     -------
     PrintCheck
-        `verdict` ("pass", "warn" or "refuse"), `findings`, `to_json()`, `to_table()`. Asked is of every part: size,
-        surface (places where voxels meet in an edge or a corner only), pieces, walls (struts thinner than `wall`), gaps
-        (pores narrower than `gap`); of powder and resin: trapped (pores without a way out), passage (pores that a ball of
-        that width cannot come near); of resin: cups; of resin and filament: islands (what starts in the air); of filament:
-        overhangs (share of the surface facing down that leans more than `overhang` from the vertical), bridges.
+        `verdict` ("pass", "warn" or "refuse"), `findings`, `to_json()`, `to_table()`. Asked is of
+        every part: size, surface (places where voxels meet in an edge or a corner only), pieces,
+        walls (struts thinner than `wall`), gaps (pores narrower than `gap`); of powder and resin:
+        trapped (pores without a way out), passage (pores that a ball of that width cannot come
+        near); of resin: cups; of resin and filament: islands (what starts in the air); of filament:
+        overhangs (share of the surface facing down that leans more than `overhang` from the
+        vertical), bridges.
 
     Raises
     ------
@@ -112,31 +120,39 @@ def print_check(
     machine = printer_of(printer, limits)
     image, solid = indicator(image, phase)
     if image.ndim != 3:
-        raise InputError(f"a print needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)")
+        raise InputError(
+            f"a print needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)"
+        )
     if not solid.any():
-        raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to print")
+        raise InputError(
+            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to print"
+        )
     factor = 1000 * _metres(image.unit)
     solid = np.ascontiguousarray(solid[_box(solid)])
     room = int(np.prod([side * 3 / 2 + 8 for side in solid.shape]))
-    check_budget(Plan({"distances and components": _PER_VOXEL * room}), budget=memory, advice=_SMALLER)
-    part = questions.Part(solid, np.pad(solid, 1), tuple(edge * factor for edge in image.spacing))
+    check_budget(
+        Plan({"distances and components": _PER_VOXEL * room}), budget=memory, advice=_SMALLER
+    )
+    part = print_checks.Part(
+        solid, np.pad(solid, 1), tuple(edge * factor for edge in image.spacing)
+    )
     findings = [
-        questions.size(part, machine),
-        questions.surface(part),
-        questions.pieces(part, machine),
-        questions.walls(part, machine),
-        questions.gaps(part, machine),
+        print_checks.size(part, machine),
+        print_checks.surface(part),
+        print_checks.pieces(part, machine),
+        print_checks.walls(part, machine),
+        print_checks.gaps(part, machine),
     ]
     if machine.passage is not None:
-        findings += [questions.trapped(part), questions.passage(part, machine.passage)]
+        findings += [print_checks.trapped(part), print_checks.passage(part, machine.passage)]
     if machine.cup is not None:
-        findings.append(questions.cups(part, machine.cup))
+        findings.append(print_checks.cups(part, machine.cup))
     if machine.process in ("sla", "fdm"):
-        findings.append(questions.islands(part, machine))
+        findings.append(print_checks.islands(part, machine))
     if machine.overhang is not None:
-        findings.append(questions.overhangs(part, machine.overhang))
+        findings.append(print_checks.overhangs(part, machine.overhang))
     if machine.bridge is not None:
-        findings.append(questions.bridges(part, machine.bridge))
+        findings.append(print_checks.bridges(part, machine.bridge))
     return PrintCheck(machine, tuple(findings))
 
 
@@ -144,7 +160,9 @@ def _box(solid: np.ndarray) -> tuple[slice, ...]:
     """The smallest box that holds all of a part."""
     found = []
     for axis in range(solid.ndim):
-        used = np.flatnonzero(solid.any(axis=tuple(other for other in range(solid.ndim) if other != axis)))
+        used = np.flatnonzero(
+            solid.any(axis=tuple(other for other in range(solid.ndim) if other != axis))
+        )
         found.append(slice(int(used[0]), int(used[-1]) + 1))
     return tuple(found)
 

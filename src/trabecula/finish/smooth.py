@@ -15,10 +15,11 @@ from trabecula.measure.smooth import gaussian
 
 
 def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = None) -> Image:
-    """Smooth the surface of a phase: a Gaussian over its indicator, cut at the level that keeps its volume.
+    """Smooth the surface of a phase: a Gaussian over its indicator, cut at the level that keeps its
+    volume.
 
-    The first of the two operations of Zhang, Chen, Wang and Wang 2017, section 5.4. Struts thinner than about `sigma`
-    vanish: thicken afterwards, and remove what floats.
+    The first of the two operations of Zhang, Chen, Wang and Wang 2017, section 5.4. Struts thinner
+    than about `sigma` vanish: thicken afterwards, and remove what floats.
 
     Parameters
     ----------
@@ -31,8 +32,9 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     Returns
     -------
     image : Image
-        As many voxels of the phase as before (but for voxels of one level, which come or go together). New voxels take
-        the nearest label. The recipe's step holds a `report`: `added`, `removed` (voxels), `level` (of the cut, 0..1).
+        As many voxels of the phase as before (but for voxels of one level, which come or go
+        together). New voxels take the nearest label. The recipe's step holds a `report`: `added`,
+        `removed` (voxels), `level` (of the cut, 0..1).
 
     Raises
     ------
@@ -53,7 +55,9 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     if sigma == 0:
         raise InputError("sigma 0 smooths nothing: give a length above 0, in the image's unit")
     if not inside.any():
-        raise InputError(f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to smooth")
+        raise InputError(
+            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to smooth"
+        )
     level = gaussian(inside, [sigma / edge for edge in image.spacing])
     # Other phases keep their place: only the phase and the background share out what is theirs.
     free = inside | (image.values == background)
@@ -65,12 +69,16 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
         "level": round(float(cut), 6),
     }
     settings = {"sigma": sigma, "phase": phase}
-    recipe = image.recipe.then("finish", values, operation="smooth", settings=settings, report=report)
+    recipe = image.recipe.then(
+        "finish", values, operation="smooth", settings=settings, report=report
+    )
     return with_values(image, values, recipe=recipe)
 
 
 def _largest(level: np.ndarray, free: np.ndarray, count: int) -> tuple[np.ndarray, np.float32]:
-    """The `count` free voxels of highest level, all or none of those that share the last level; and that level."""
+    """The `count` free voxels of highest level, all or none of those that share the last level; and
+    that level.
+    """
     among = level[free]
     cut = np.partition(among, len(among) - count)[len(among) - count]
     above, reach = np.count_nonzero(among > cut), np.count_nonzero(among >= cut)

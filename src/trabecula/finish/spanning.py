@@ -1,11 +1,15 @@
-"""The cheapest joins of several components: a minimum spanning tree of them, by the background voxels that each join fills.
+"""The cheapest joins of several components: a minimum spanning tree of them, by the background
+voxels that each join fills.
 
-1. Number every voxel by the component nearest to it through the background (faces of voxels), with the distance: two sweeps
+1. Number every voxel by the component nearest to it through the background (faces of voxels), with
+the distance: two sweeps
    where the background is all there is besides, more of them around what is closed.
-2. Boruvka's rounds: every component takes the cheapest way to another one, and both belong together from then on. A way runs
-   where two numbers meet; that such ways hold a minimum spanning tree of all ways is theorem 1 of Mehlhorn 1988,
-   doi:10.1016/0020-0190(88)90066-X.
-3. Follow every way to both its ends, and draw it straight between them where that is as short and nothing lies in between.
+2. Boruvka's rounds: every component takes the cheapest way to another one, and both belong together
+from then on. A way runs
+   where two numbers meet; that such ways hold a minimum spanning tree of all ways is theorem 1 of
+   Mehlhorn 1988, doi:10.1016/0020-0190(88)90066-X.
+3. Follow every way to both its ends, and draw it straight between them where that is as short and
+nothing lies in between.
 
 All passes go by slabs along z one after the other, and the arrays may lie in scratch files.
 """
@@ -16,20 +20,25 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import in_order, sum_slabs
+from trabecula.engine.parallel import in_order, sum_slabs
 from trabecula.measure.runs import Runs
-from trabecula.measure.union import root_of
+from trabecula.measure.union_find import root_of
 
 NOWHERE = np.iinfo(np.uint16).max
 """Distance of what no way leads to, and a voxel more than the longest way."""
 
 
 def cheapest_joins(
-    values: np.ndarray, runs: Runs, worth: np.ndarray, background: int, inside: np.ndarray | None = None
+    values: np.ndarray,
+    runs: Runs,
+    worth: np.ndarray,
+    background: int,
+    inside: np.ndarray | None = None,
 ) -> list[np.ndarray]:
-    """Ways (n, 3) that join components at the least number of background voxels, in the order of their cost.
+    """Ways (n, 3) that join components at the least number of background voxels, in the order of
+    their cost.
 
     Parameters
     ----------
@@ -46,7 +55,8 @@ def cheapest_joins(
     Returns
     -------
     ways : list of (n, 3) int64
-        The first voxel is one of the smaller of two components, the others are open; the last one touches the other component.
+        The first voxel is one of the smaller of two components, the others are open; the last one
+        touches the other component.
     """
     numbers = np.zeros(len(runs.sizes) + 1, np.int32)
     numbers[1:][worth] = np.arange(1, np.count_nonzero(worth) + 1)
@@ -54,14 +64,19 @@ def cheapest_joins(
     if count < 2:
         return []
     open_to = _is_open(values, runs, worth, background, inside)
-    owner = scratch.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
-    far = scratch.empty(values.shape, np.uint16)
+    owner = memmap.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
+    far = memmap.empty(values.shape, np.uint16)
     seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
     in_order(lambda start, stop: _seed(*seeds, start, stop), len(values))
-    held = int(runs.sizes[worth].sum()) + sum_slabs(lambda a, b: np.count_nonzero(open_to[a:b]), len(values))
+    held = int(runs.sizes[worth].sum()) + sum_slabs(
+        lambda a, b: np.count_nonzero(open_to[a:b]), len(values)
+    )
     _spread_owners(owner, far, open_to, again=held < values.size)
     sizes = np.concatenate([[0], runs.sizes[worth]])
-    found = [_straight(_follow(owner, far, place, axis, sizes), open_to) for place, axis in _tree(owner, far, count)]
+    found = [
+        _straight(_follow(owner, far, place, axis, sizes), open_to)
+        for place, axis in _tree(owner, far, count)
+    ]
     return sorted(found, key=len)
 
 
@@ -69,7 +84,7 @@ def _is_open(
     values: np.ndarray, runs: Runs, worth: np.ndarray, background: int, inside: np.ndarray | None
 ) -> np.ndarray:
     """(Z, Y, X) bool: where ways may run."""
-    free = scratch.zeros(values.shape, np.bool_)
+    free = memmap.zeros(values.shape, np.bool_)
 
     def mark(start: int, stop: int) -> None:
         free[start:stop] = values[start:stop] == background
@@ -88,8 +103,8 @@ def _is_open(
 def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, again: bool) -> None:
     """Write the nearest component and the distance to it into every open voxel.
 
-    Where nothing is closed, no shortest way turns back along an axis, and one sweep each way finds all of them; else both are
-    done `again` until nothing changes.
+    Where nothing is closed, no shortest way turns back along an axis, and one sweep each way finds
+    all of them; else both are done `again` until nothing changes.
     """
     depth, changed = len(owner), [True]
     while changed[0]:
@@ -108,7 +123,9 @@ def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, a
 
 
 def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int]]:
-    """The ways of the tree: flat place and axis of the two neighbouring voxels at which the two halves of a way meet."""
+    """The ways of the tree: flat place and axis of the two neighbouring voxels at which the two
+    halves of a way meet.
+    """
     parent = np.arange(count + 1, dtype=np.int32)
     ways: list[tuple[int, int]] = []
     while True:
@@ -117,7 +134,8 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
         axis = np.zeros(count + 1, np.int64)
         in_order(partial(_cheapest, owner, far, parent, cost, place, axis), len(owner))
         before = len(ways)
-        # Ways have an order (cost, then place and axis), so that no ring closes; two components may name the same way.
+        # Ways have an order (cost, then place and axis), so that no ring closes; two components may
+        # name the same way.
         for tree in np.flatnonzero(place >= 0):
             if _unite(owner, parent, int(place[tree]), int(axis[tree])):
                 ways.append((int(place[tree]), int(axis[tree])))
@@ -125,7 +143,9 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
             return ways
 
 
-def _follow(owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray) -> np.ndarray:
+def _follow(
+    owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray
+) -> np.ndarray:
     """A way from a voxel of the smaller of its two components to one of the larger."""
     here = np.array(np.unravel_index(place, owner.shape), np.int64)
     there = here.copy()
@@ -137,7 +157,9 @@ def _follow(owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np
 
 
 def _straight(way: np.ndarray, open_to: np.ndarray) -> np.ndarray:
-    """A way without its last voxel: along the straight line between its ends where all of that is open and no longer."""
+    """A way without its last voxel: along the straight line between its ends where all of that is
+    open and no longer.
+    """
     apart = way[-1] - way[0]
     count = int(np.abs(apart).sum())
     if count != len(way) - 1:

@@ -1,9 +1,10 @@
 """Which struts are thinner than asked for: shared by `thicken` and the print check.
 
-Thin is a voxel whose local thickness (the largest sphere of the phase that holds it) is below a length. That is so at
-every sharp corner of a thick part as well, so not all thin voxels count, but the *cores* of what is thin: those that lie
-about as deep as that largest sphere's own centre. At a corner the sphere that holds a voxel is larger than the voxel is
-deep: 1.4 times or more along the edge of a right angle. Along a strut, and at its waist, both are nearly the same.
+Thin is a voxel whose local thickness (the largest sphere of the phase that holds it) is below a
+length. That is so at every sharp corner of a thick part as well, so not all thin voxels count, but
+the *cores* of what is thin: those that lie about as deep as that largest sphere's own centre. At a
+corner the sphere that holds a voxel is larger than the voxel is deep: 1.4 times or more along the
+edge of a right angle. Along a strut, and at its waist, both are nearly the same.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.spheres import paint_largest
 
@@ -47,7 +48,8 @@ class Cores:
 
 
 def thin_cores(inside: np.ndarray, spacing: tuple[float, ...], thickness: float) -> Cores:
-    """The cores of struts and walls whose local thickness is below `thickness` by more than half a voxel, its error.
+    """The cores of struts and walls whose local thickness is below `thickness` by more than half a
+    voxel, its error.
 
     Parameters
     ----------
@@ -69,34 +71,49 @@ def thin_cores(inside: np.ndarray, spacing: tuple[float, ...], thickness: float)
     # The voxels between a sphere and the surface around it belong to the strut as well.
     around = balls(places, depth[found] + 1, inside.shape, steps)
     share = np.count_nonzero((radius > 0) & around) / max(1, np.count_nonzero(inside))
-    return Cores(places, depth[found] * scale, (radius - depth)[found] * scale, thinnest * scale, share)
+    return Cores(
+        places, depth[found] * scale, (radius - depth)[found] * scale, thinnest * scale, share
+    )
 
 
-def _radius_where_thin(inside: np.ndarray, depth: np.ndarray, steps: tuple[float, ...], thickness: float) -> np.ndarray:
-    """Radius of the largest sphere that holds each voxel (as deep as its centre), where it is too small; else 0.
+def _radius_where_thin(
+    inside: np.ndarray, depth: np.ndarray, steps: tuple[float, ...], thickness: float
+) -> np.ndarray:
+    """Radius of the largest sphere that holds each voxel (as deep as its centre), where it is too
+    small; else 0.
 
-    Half a voxel is taken off a diameter (see `measure.thickness.local_thickness`) and allowed to lack, so that a voxel is
-    thin where its sphere's diameter lacks anything. Where most are not, only those spheres are painted that hold a voxel
-    which no sphere of the very size asked for holds.
+    Half a voxel is taken off a diameter (see `measure.thickness.local_thickness`) and allowed to
+    lack, so that a voxel is thin where its sphere's diameter lacks anything. Where most are not,
+    only those spheres are painted that hold a voxel which no sphere of the very size asked for
+    holds.
     """
     deep = depth >= thickness / 2
     if inside.all():
         return np.zeros_like(depth)
     doubtful, needed = inside, depth
-    # Two more distances are worth their time only where they spare most of the spheres; the result is the same.
+    # Two more distances are worth their time only where they spare most of the spheres; the result
+    # is the same.
     if 2 * np.count_nonzero(deep) > np.count_nonzero(inside):
         doubtful = inside & (distance_transform(~deep, spacing=steps) >= thickness / 2)
         if not doubtful.any():
             return np.zeros_like(depth)
-        needed = np.where(distance_transform(~doubtful, spacing=steps) < depth, depth, np.float32(0))
+        needed = np.where(
+            distance_transform(~doubtful, spacing=steps) < depth, depth, np.float32(0)
+        )
     lift = 3 - inside.ndim
     edges = np.array((max(steps),) * lift + steps)
-    diameter = paint_largest(needed.reshape((1,) * lift + needed.shape), edges, (False,) * 3).reshape(inside.shape)
+    diameter = paint_largest(
+        needed.reshape((1,) * lift + needed.shape), edges, (False,) * 3
+    ).reshape(inside.shape)
     return np.where(doubtful & (diameter < thickness - 0.001), diameter / 2, np.float32(0))
 
 
-def balls(places: np.ndarray, radius: np.ndarray, shape: tuple[int, ...], spacing: tuple[float, ...]) -> np.ndarray:
-    """True in every voxel whose centre lies no farther than `radius` from one of `places` (n, 3); `shape` has 2 or 3 axes."""
+def balls(
+    places: np.ndarray, radius: np.ndarray, shape: tuple[int, ...], spacing: tuple[float, ...]
+) -> np.ndarray:
+    """True in every voxel whose centre lies no farther than `radius` from one of `places` (n, 3);
+    `shape` has 2 or 3 axes.
+    """
     lifted = (1,) * (3 - len(shape)) + shape
     edges = np.array((max(spacing),) * (3 - len(shape)) + tuple(spacing))
     painted = np.zeros(lifted, bool)

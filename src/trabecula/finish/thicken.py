@@ -13,32 +13,35 @@ from trabecula.finish.labels import repainted
 from trabecula.finish.struts import balls, thin_cores
 from trabecula.measure.phases import indicator
 
-# Radius of the balls of each round, over half the thickness, in voxels. A ball of voxels is half a voxel wider than its
-# radius, give or take rounding: what is still too thin after a round gets a little more in the next.
+# Radius of the balls of each round, over half the thickness, in voxels. A ball of voxels is half a
+# voxel wider than its
+# radius, give or take rounding: what is still too thin after a round gets a little more in the
+# next.
 _MORE = (-0.5, -0.25, 0.0, 0.25)
 
 
 def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | None = None) -> Image:
     """Grow the struts and walls of a phase to a least thickness, only where they are thinner.
 
-    The second operation of Zhang, Chen, Wang and Wang 2017, section 5.4, which dilates everything alike; here a ball of
-    that diameter is put around the middle of what is thinner than it.
+    The second operation of Zhang, Chen, Wang and Wang 2017, section 5.4, which dilates everything
+    alike; here a ball of that diameter is put around the middle of what is thinner than it.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     thickness : float
-        Least thickness in the image's unit, above 0 and at most the longest side. A strut may come out one and a
-        half voxels thicker, by rounding; one that is thinner by less than half a voxel counts as thick enough.
+        Least thickness in the image's unit, above 0 and at most the longest side. A strut may come
+        out one and a half voxels thicker, by rounding; one that is thinner by less than half a
+        voxel counts as thick enough.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
 
     Returns
     -------
     image : Image
-        No voxel of the phase is lost, and no other phase but the void gives way. New voxels take the nearest label. The
-        recipe's step holds a `report`: `added` (voxels), `thin_before`, `thin_after` (share of the phase that lay, and
-        lies, in struts that are too thin), `rounds`.
+        No voxel of the phase is lost, and no other phase but the void gives way. New voxels take
+        the nearest label. The recipe's step holds a `report`: `added` (voxels), `thin_before`,
+        `thin_after` (share of the phase that lay, and lies, in struts that are too thin), `rounds`.
 
     Raises
     ------
@@ -47,7 +50,8 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
 
     Notes
     -----
-    Pores that are narrower than twice what is added close. Sharp edges of thick parts are no struts and stay sharp.
+    Pores that are narrower than twice what is added close. Sharp edges of thick parts are no struts
+    and stay sharp.
 
     Examples
     --------
@@ -75,14 +79,18 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
         "rounds": len(shares) - 1,
     }
     settings = {"thickness": thickness, "phase": phase}
-    recipe = image.recipe.then("finish", values, operation="thicken", settings=settings, report=report)
+    recipe = image.recipe.then(
+        "finish", values, operation="thicken", settings=settings, report=report
+    )
     return with_values(image, values, recipe=recipe)
 
 
 def _grown(
     inside: np.ndarray, free: np.ndarray, spacing: tuple[float, ...], thickness: float
 ) -> tuple[np.ndarray, list[float]]:
-    """The phase with its thin struts grown into what is free; the share of thin struts before every round and at the end."""
+    """The phase with its thin struts grown into what is free; the share of thin struts before every
+    round and at the end.
+    """
     shares: list[float] = []
     for more in (*_MORE, None):
         if inside.all():

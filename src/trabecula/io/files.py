@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
-from trabecula.engine.locations import Remote, place_of
+from trabecula.engine.storage.location import Remote, place_of
 from trabecula.io.formats import SLICES, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret
@@ -28,24 +28,28 @@ def read(
 ) -> Image:
     """Read a volume or a picture.
 
-    What is not given comes from the metadata that this package wrote into the file; else from the file's own format;
-    else from its content: pictures in red, green, blue are colour; integers of at most 8 levels are labels, the levels
-    in rising order becoming 0..n-1; everything else is grey.
+    What is not given comes from the metadata that this package wrote into the file; else from the
+    file's own format; else from its content: pictures in red, green, blue are colour; integers of
+    at most 8 levels are labels, the levels in rising order becoming 0..n-1; everything else is
+    grey.
 
     Parameters
     ----------
     path : path or address
-        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of slices; of a Zarr store also an
-        address that fsspec knows, such as s3://bucket/rock.zarr (needs the extra remote).
+        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of
+        slices; of a Zarr store also an address that fsspec knows, such as s3://bucket/rock.zarr
+        (needs the extra remote).
     kind : {"labels", "grey", "colour"}, optional
     spacing : float or sequence of float, optional
         Edge of a voxel, one number or one per axis (z, y, x).
     unit : str, optional
-        Of the spacing, in any usual spelling. A file that states a spacing without a unit leaves it "voxel".
+        Of the spacing, in any usual spelling. A file that states a spacing without a unit leaves it
+        "voxel".
     phases : sequence of str, optional
         Names of the labels 0..n-1.
     level : int
-        Of a Zarr store with coarser levels beside the voxels: 0 the finest, each further one of half the voxels along an axis.
+        Of a Zarr store with coarser levels beside the voxels: 0 the finest, each further one of
+        half the voxels along an axis.
 
     Returns
     -------
@@ -79,8 +83,12 @@ def read(
     if level == 0:
         return interpret(form.function("read")(place), source=os.fspath(path), options=options)
     if not form.levels:
-        raise InputError(f"{path} is {form.name}, which has no coarser levels: leave the level out, or write a .zarr")
-    content = form.function("read")(place, as_number(level, name="level", low=0, high=64, whole=True))
+        raise InputError(
+            f"{path} is {form.name}, which has no coarser levels: leave the level out, or write a .zarr"
+        )
+    content = form.function("read")(
+        place, as_number(level, name="level", low=0, high=64, whole=True)
+    )
     return interpret(content, source=os.fspath(path), options={**options, "level": level})
 
 
@@ -90,26 +98,31 @@ def _format_to_read(path: Path | Remote) -> Format:
     if not path.is_dir():
         form = format_of(path)
         if form.folder:
-            raise FileError(f"cannot read {path} as {form.name}: it is a file, a {form.name} store is a folder")
+            raise FileError(
+                f"cannot read {path} as {form.name}: it is a file, a {form.name} store is a folder"
+            )
         return form
     if suffix_of(path) is None:
         return format_of("x.zarr") if (path / "zarr.json").exists() else SLICES
     form = format_of(path)
     if not form.folder:
-        raise FileError(f"cannot read {path} as {form.name}: it is a folder; name a file in it, or rename the folder")
+        raise FileError(
+            f"cannot read {path} as {form.name}: it is a folder; name a file in it, or rename the folder"
+        )
     return form
 
 
 def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remote:
-    """Write an Image with its spacing, unit, phases and recipe; the file appears whole or not at all.
+    """Write an Image with its spacing, unit, phases and recipe; the file appears whole or not at
+    all.
 
     Parameters
     ----------
     image : Image or array
         Plain arrays of bool or of labels 0..n-1 as they are; others need a kind first.
     path : path or address
-        The suffix chooses the format; a path that ends in "/" is a folder of PNG slices. At an address (as for `read`) what is
-        there is not replaced.
+        The suffix chooses the format; a path that ends in "/" is a folder of PNG slices. At an
+        address (as for `read`) what is there is not replaced.
 
     Returns
     -------
@@ -135,7 +148,9 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remo
             f"cannot write {place}: a file of that name is there, a {form.name} is a folder; remove it first"
         )
     if not form.folder and place.is_dir():
-        raise FileError(f"cannot write {place}: a folder of that name is there; choose another name")
+        raise FileError(
+            f"cannot write {place}: a folder of that name is there; choose another name"
+        )
     return form.function("write")(image, place)
 
 

@@ -1,4 +1,6 @@
-"""The table of suffixes. A format is a module of this folder, loaded when one of its suffixes is first met."""
+"""The table of suffixes. A format is a module of this folder, loaded when one of its suffixes is
+first met.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,11 @@ FORMATS: dict[str, Format] = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".zarr": Format(
-        "Zarr", "omezarr", "version 3, sharded, zstd; OME-Zarr 0.5 axes, scale and levels", folder=True, levels=True
+        "Zarr",
+        "omezarr",
+        "version 3, sharded, zstd; OME-Zarr 0.5 axes, scale and levels",
+        folder=True,
+        levels=True,
     ),
     ".npy": Format("NumPy", "npy", "plain array; what it means lies in NAME.npy.json beside it"),
     ".mhd": _META,
@@ -66,7 +72,12 @@ FORMATS: dict[str, Format] = {
     ".bmp": Format("BMP", "raster", "2-D; what it means lies in NAME.bmp.json beside it"),
 }
 
-SLICES = Format("folder of slices", "slices", "one picture per z in natural order; a path that ends in /", folder=True)
+SLICES = Format(
+    "folder of slices",
+    "slices",
+    "one picture per z in natural order; a path that ends in /",
+    folder=True,
+)
 
 
 def suffixes() -> dict[str, Format]:
@@ -77,7 +88,9 @@ def suffixes() -> dict[str, Format]:
 def suffix_of(path: str | os.PathLike[str]) -> str | None:
     """The known suffix of a path, lower case (".nii.gz" before ".gz"), or None."""
     name = Path(path).name.lower()
-    return next((suffix for suffix in sorted(FORMATS, key=len, reverse=True) if name.endswith(suffix)), None)
+    return next(
+        (suffix for suffix in sorted(FORMATS, key=len, reverse=True) if name.endswith(suffix)), None
+    )
 
 
 def format_of(path: str | os.PathLike[str]) -> Format:

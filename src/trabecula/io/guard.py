@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
-from trabecula.engine.locations import Remote
 from trabecula.engine.plan import available_memory, format_bytes
+from trabecula.engine.storage.location import Remote
 
 _OURS = __name__.partition(".")[0]
 
-# What libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and the XML parser's.
+# What libraries and our own parsers raise on bytes that make no sense. SyntaxError is Pillow's and
+# the XML parser's.
 _DAMAGE: tuple[type[Exception], ...] = (
     OSError,
     ValueError,
@@ -38,7 +39,8 @@ _DAMAGE: tuple[type[Exception], ...] = (
     binascii.Error,
 )
 
-# What a mistake in code raises. Libraries stumble so over headers that lie as well, so where it was raised decides.
+# What a mistake in code raises. Libraries stumble so over headers that lie as well, so where it was
+# raised decides.
 _DEFECT: tuple[type[Exception], ...] = (
     AttributeError,
     TypeError,
@@ -55,8 +57,9 @@ def damaged(
 ) -> Iterator[None]:
     """Turn whatever a library raises while it reads `path` into one line.
 
-    A mistake of our own code passes unchanged. Of an error that may be a library's mistake as well as the file's, the
-    message names the library, its version and the error, and does not ask whether the file is whole.
+    A mistake of our own code passes unchanged. Of an error that may be a library's mistake as well
+    as the file's, the message names the library, its version and the error, and does not ask
+    whether the file is whole.
 
     Parameters
     ----------
@@ -66,12 +69,13 @@ def damaged(
     also : tuple of exception types
         The library's own, where they derive from nothing usual.
     checked : bool
-        Our own code checks whatever it takes from the file before it uses it. Where it does not, an error of it may
-        come from either, and the message says so.
+        Our own code checks whatever it takes from the file before it uses it. Where it does not, an
+        error of it may come from either, and the message says so.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # libraries warn of oddities that they then read, or fail on
+            # libraries warn of oddities that they then read, or fail on
+            warnings.simplefilter("ignore")
             yield
     except TrabeculaError:
         raise
@@ -99,13 +103,16 @@ def damaged(
 def library_of(error: BaseException) -> str | None:
     """Return the library that raised an error, with its version; None where our own code did.
 
-    The innermost frame decides. Frames of the standard library are passed over: it does what its caller asks.
+    The innermost frame decides. Frames of the standard library are passed over: it does what its
+    caller asks.
     """
     packages = [
         str(frame.f_globals.get("__name__", "")).partition(".")[0]
         for frame, _ in traceback.walk_tb(error.__traceback__)
     ]
-    package = next((name for name in reversed(packages) if name not in sys.stdlib_module_names), _OURS)
+    package = next(
+        (name for name in reversed(packages) if name not in sys.stdlib_module_names), _OURS
+    )
     if package == _OURS:
         return None
     version = getattr(sys.modules.get(package), "__version__", None)
@@ -119,7 +126,9 @@ def _reason(error: Exception) -> str:
 
 
 def check_there(path: Path | Remote) -> None:
-    """Raise where nothing is at `path` (naming what is near), an empty file, or at an address no store."""
+    """Raise where nothing is at `path` (naming what is near), an empty file, or at an address no
+    store.
+    """
     if isinstance(path, Remote):
         if not path.is_store():
             raise FileError(
@@ -148,7 +157,9 @@ DEFLATE = 1032
 """No deflate stream (zlib, gzip, PNG) unpacks to more than this times its length."""
 
 
-def check_claim(path: Path | Remote, shape: Sequence[int], dtype: np.dtype, *, stored: int | None = None) -> None:
+def check_claim(
+    path: Path | Remote, shape: Sequence[int], dtype: np.dtype, *, stored: int | None = None
+) -> None:
     """Raise, before anything is allocated, where a header claims more than can be.
 
     Parameters
@@ -157,7 +168,8 @@ def check_claim(path: Path | Remote, shape: Sequence[int], dtype: np.dtype, *, s
     shape, dtype :
         What the header says (colour included in the shape).
     stored : int, optional
-        Bytes that the file can hold for it at most; packed ones count as often as the packing can shrink them.
+        Bytes that the file can hold for it at most; packed ones count as often as the packing can
+        shrink them.
 
     Raises
     ------
@@ -168,11 +180,15 @@ def check_claim(path: Path | Remote, shape: Sequence[int], dtype: np.dtype, *, s
     """
     sides = [int(side) for side in shape]
     if not sides or min(sides) < 1:
-        raise FileError(f"cannot read {path}: its header claims the shape {tuple(sides)}: is it whole?")
+        raise FileError(
+            f"cannot read {path}: its header claims the shape {tuple(sides)}: is it whole?"
+        )
     need = math.prod(sides) * dtype.itemsize
     claim = f"its header claims {'x'.join(map(str, sides))} voxels of {dtype}, {format_bytes(need)}"
     if stored is not None and stored < need:
-        raise FileError(f"cannot read {path}: {claim}, the file can hold {format_bytes(max(stored, 0))}: is it whole?")
+        raise FileError(
+            f"cannot read {path}: {claim}, the file can hold {format_bytes(max(stored, 0))}: is it whole?"
+        )
     if need > available_memory():
         raise MemoryBudgetError(
             f"cannot read {path}: {claim}, only {format_bytes(available_memory())} of memory are free: "

@@ -12,13 +12,13 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import MAX_PHASES, Image, distinct_levels
-from trabecula.core.progress import say, track
+from trabecula.core.progress import notify, track
 from trabecula.core.recipe import Recipe, digest_of
 from trabecula.engine import store
-from trabecula.engine.cuts import Box, slices_of
-from trabecula.engine.locations import Remote, located, place_of
+from trabecula.engine.chunking import Box, slices_of
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.plan import available_memory, format_bytes
-from trabecula.engine.slabs import Slabs
+from trabecula.engine.storage.location import Remote, located, place_of
 from trabecula.io.guard import check_there, damaged
 from trabecula.io.meaning import interpret
 from trabecula.io.metadata import Content, checked
@@ -61,26 +61,46 @@ def open_slabs(
     ...     open_slabs(path).planes(1, 3)
     <Image 2x3x2 labels, voxel 1x1x1 voxel, phases void/solid>
     """
-    given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases, "level": level or None}
+    given = {
+        "kind": kind,
+        "spacing": spacing,
+        "unit": unit,
+        "phases": phases,
+        "level": level or None,
+    }
     options = {name: value for name, value in given.items() if value is not None}
     place = place_of(path)
     check_there(place)
     if not located(place).is_store():
-        raise InputError(f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr first")
+        raise InputError(
+            f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr first"
+        )
     with damaged(place, "Zarr"):
         voxels = _open(place, level)
         fields = (
-            {**checked(voxels.opened.fields), "spacing": list(voxels.opened.scale)} if voxels.opened.fields else None
+            {**checked(voxels.opened.fields), "spacing": list(voxels.opened.scale)}
+            if voxels.opened.fields
+            else None
         )
-        ours = fields is not None and fields["kind"] == "labels" and options.get("kind", "labels") == "labels"
-        levels = np.arange(len(fields["phases"]), dtype=np.uint8) if fields and ours else voxels.levels()
+        ours = (
+            fields is not None
+            and fields["kind"] == "labels"
+            and options.get("kind", "labels") == "labels"
+        )
+        levels = (
+            np.arange(len(fields["phases"]), dtype=np.uint8) if fields and ours else voxels.levels()
+        )
     if levels is None:
         raise InputError(
             f"{path} has more than {MAX_PHASES} levels: only labels are read plane by plane; segment it first"
         )
-    # What a file's levels mean is said in one place, and for each alike: they stand for its voxels there.
+    # What a file's levels mean is said in one place, and for each alike: they stand for its voxels
+    # there.
     content = Content(
-        levels.reshape(1, 1, -1), spacing=voxels.opened.scale or None, unit=voxels.opened.unit, fields=fields
+        levels.reshape(1, 1, -1),
+        spacing=voxels.opened.scale or None,
+        unit=voxels.opened.unit,
+        fields=fields,
     )
     meaning = interpret(content, source=os.fspath(path), options=options)
     if meaning.kind != "labels":
@@ -88,12 +108,22 @@ def open_slabs(
             f"{path} is {meaning.kind}: only labels are read plane by plane; segment it first (tb.segment)"
         )
     numbers = meaning.values.ravel()
-    made = _slabs(voxels, meaning, voxels.read if np.array_equal(numbers, levels) else voxels.numbered(levels, numbers))
-    return made if ours and meaning.recipe == Recipe.from_json(fields and fields["recipe"]) else _with_digest(made)
+    made = _slabs(
+        voxels,
+        meaning,
+        voxels.read if np.array_equal(numbers, levels) else voxels.numbered(levels, numbers),
+    )
+    return (
+        made
+        if ours and meaning.recipe == Recipe.from_json(fields and fields["recipe"])
+        else _with_digest(made)
+    )
 
 
 def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, int, int] | None:
-    """Voxels along z, y, x of what lies in a Zarr store; `None` where the path is none, or holds no single volume."""
+    """Voxels along z, y, x of what lies in a Zarr store; `None` where the path is none, or holds no
+    single volume.
+    """
     place = place_of(path)
     if not located(place).is_store():
         return None
@@ -102,9 +132,14 @@ def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, 
 
 
 def slabs_if_large(
-    source: str | os.PathLike[str], *, need: Callable[[tuple[int, ...]], int], memory: int | None = None, **reading: Any
+    source: str | os.PathLike[str],
+    *,
+    need: Callable[[tuple[int, ...]], int],
+    memory: int | None = None,
+    **reading: Any,
 ) -> Slabs | None:
-    """A volume in a Zarr store as `Slabs`, where what is to be done with it would not fit into memory; else `None`.
+    """A volume in a Zarr store as `Slabs`, where what is to be done with it would not fit into
+    memory; else `None`.
 
     Parameters
     ----------
@@ -126,7 +161,7 @@ def slabs_if_large(
     budget = available_memory() if memory is None else memory
     if shape is None or need(shape) <= budget:
         return None
-    say(
+    notify(
         f"{name} needs {format_bytes(need(shape))} as a whole, {format_bytes(budget)} may be used: it is read slab by slab"
     )
     return open_slabs(name, **reading)
@@ -176,7 +211,9 @@ def _open(path: Path | Remote, level: int) -> _Voxels:
     opened.check_whole()
     shape = spatial_shape(opened)
     if shape is None:
-        raise InputError(f"{path} is no single volume, its shape is {opened.array.shape}: give 3 axes (z, y, x)")
+        raise InputError(
+            f"{path} is no single volume, its shape is {opened.array.shape}: give 3 axes (z, y, x)"
+        )
     return _Voxels(path, opened, shape)
 
 
@@ -189,7 +226,9 @@ def spatial_shape(opened: store.Store) -> tuple[int, int, int] | None:
 
 
 def _slabs(voxels: _Voxels, meaning: Image, read: Callable[[Box], np.ndarray]) -> Slabs:
-    fields: dict[str, Any] = {name: getattr(meaning, name) for name in ("spacing", "unit", "phases", "recipe")}
+    fields: dict[str, Any] = {
+        name: getattr(meaning, name) for name in ("spacing", "unit", "phases", "recipe")
+    }
     return Slabs(voxels.shape, read, grain=voxels.grain, **fields)
 
 

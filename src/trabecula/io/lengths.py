@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 from trabecula.core.checks import as_number, as_spacing
 from trabecula.core.image import Image, declared
 from trabecula.core.recipe import Recipe
-from trabecula.engine.slabs import Slabs
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.io.units import canonical, check_unit
 
 Volume = TypeVar("Volume", Image, Slabs)
@@ -47,7 +47,10 @@ def with_lengths(
     if scale is not None:
         factor = as_number(scale, name="scale", low=1e-12, high=1e12)
         edges = tuple(edge * factor for edge in edges)
-    wanted: dict[str, Any] = {"spacing": edges, "unit": image.unit if unit is None else canonical(unit)}
+    wanted: dict[str, Any] = {
+        "spacing": edges,
+        "unit": image.unit if unit is None else canonical(unit),
+    }
     fields = {name: value for name, value in wanted.items() if value != getattr(image, name)}
     if not fields:
         return image

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from trabecula.core.errors import InputError
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.engine import store
-from trabecula.engine.locations import located, place_of
 from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.storage.location import located, place_of
 from trabecula.io.guard import damaged
 from trabecula.io.lazy import spatial_shape
 
@@ -22,7 +22,8 @@ def level_that_fits(
     memory: int | None = None,
     level: int | None = None,
 ) -> int:
-    """The finest level of a volume in a Zarr store that fits into memory, with a word where it is not 0, that of other files.
+    """The finest level of a volume in a Zarr store that fits into memory, with a word where it is
+    not 0, that of other files.
 
     Parameters
     ----------
@@ -45,20 +46,30 @@ def level_that_fits(
     needed = _needed(source, need)
     if level is not None:
         if 0 <= level < len(needed):
-            check_budget(Plan({"volume": needed[level]}), budget=budget, advice="show a coarser --level")
+            check_budget(
+                Plan({"volume": needed[level]}), budget=budget, advice="show a coarser --level"
+            )
         return level
     fits = [number for number, size in enumerate(needed) if size <= budget]
     if needed and not fits:
         coarsest = f", level {len(needed) - 1} is the coarsest" if len(needed) > 1 else ""
-        check_budget(Plan({"volume": needed[-1]}), budget=budget, advice=f"show a smaller box (--crop){coarsest}")
+        check_budget(
+            Plan({"volume": needed[-1]}),
+            budget=budget,
+            advice=f"show a smaller box (--crop){coarsest}",
+        )
     if fits and fits[0]:
         finest = f"{os.fspath(source)} needs {format_bytes(needed[0])}, {format_bytes(budget)} may be used"
         cube = "x".join([str(2 ** fits[0])] * 3)
-        say(f"{finest}: its level {fits[0]} is shown, a voxel for {cube} (--level, --crop or --memory choose)")
+        notify(
+            f"{finest}: its level {fits[0]} is shown, a voxel for {cube} (--level, --crop or --memory choose)"
+        )
     return fits[0] if fits else 0
 
 
-def _needed(source: str | os.PathLike[str], need: Callable[[tuple[int, ...], int], int]) -> list[int]:
+def _needed(
+    source: str | os.PathLike[str], need: Callable[[tuple[int, ...], int], int]
+) -> list[int]:
     """Bytes for every level of a volume in a store; empty where there is none."""
     place, found = place_of(source), list[int]()
     if not located(place).is_store():

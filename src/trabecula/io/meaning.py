@@ -11,7 +11,7 @@ import numpy as np
 from trabecula.core.checks import check_finite, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import KINDS, MAX_PHASES, Image, distinct_levels, labels
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe
 from trabecula.io.metadata import Content
 from trabecula.io.units import canonical, check_unit
@@ -29,7 +29,8 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
     source : str
         The path as the user gave it, for the recipe.
     options : mapping
-        What the caller of `read` gave explicitly, among kind, spacing, unit and phases, which win over the file, and level.
+        What the caller of `read` gave explicitly, among kind, spacing, unit and phases, which win
+        over the file, and level.
     """
     own = content.fields or {}
     values = _plain(content.values)
@@ -59,16 +60,20 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
 
 
 def _say_spacing(image: Image, content: Content, source: str) -> None:
-    """Say which of several places a spacing comes from where it is tags that often mean something else, and what was ignored."""
+    """Say which of several places a spacing comes from where it is tags that often mean something
+    else, and what was ignored.
+    """
     if content.ignored:
-        say(f"{source}: {content.ignored}")
+        notify(f"{source}: {content.ignored}")
     elif content.spacing and content.origin not in ("", "ImageJ metadata", "OME metadata"):
         edges = " x ".join(f"{edge:.6g}" for edge in image.spacing)
-        say(f"{source}: spacing {edges} {image.unit} from {content.origin}")
+        notify(f"{source}: spacing {edges} {image.unit} from {content.origin}")
 
 
 def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
-    """What the step that reads a file says of its spacing: where it comes from, and what was ignored."""
+    """What the step that reads a file says of its spacing: where it comes from, and what was
+    ignored.
+    """
     own = content.fields or {}
     if "spacing" in options:
         found = "given"
@@ -77,28 +82,48 @@ def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
     else:
         found = (content.origin or "the file's header") if content.spacing else ""
     ignored = (
-        {"ignored": content.ignored} if content.ignored and "spacing" not in options and not own.get("spacing") else {}
+        {"ignored": content.ignored}
+        if content.ignored and "spacing" not in options and not own.get("spacing")
+        else {}
     )
     return {**({"spacing_from": found} if found else {}), **ignored}
 
 
-def _recipe(image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None) -> Recipe:
-    """The file's own recipe; with a step "read" after it where this reading said something else than the file."""
+def _recipe(
+    image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None
+) -> Recipe:
+    """The file's own recipe; with a step "read" after it where this reading said something else
+    than the file.
+    """
     own = None if content.lossy else content.fields
     recipe = Recipe.from_json(own["recipe"]) if own else Recipe()
     if own and recipe and "level" not in options:
-        said = {"kind": image.kind, "spacing": list(image.spacing), "unit": image.unit, "phases": list(image.phases)}
+        said = {
+            "kind": image.kind,
+            "spacing": list(image.spacing),
+            "unit": image.unit,
+            "phases": list(image.phases),
+        }
         if all(own[name] == value for name, value in said.items()):
             return recipe
     found: dict[str, Any] = {"levels": levels} if levels is not None else {}
     stated = _stated(content)
     if stated:
         found["stated"] = stated
-    return recipe.then("read", image.values, source=source, options=dict(options), **found, **_origin(content, options))
+    return recipe.then(
+        "read",
+        image.values,
+        source=source,
+        options=dict(options),
+        **found,
+        **_origin(content, options),
+    )
 
 
 def _stated(content: Content) -> list[str]:
-    """The fields that the file itself states, ours or its format's; what is given with the reading wins over them."""
+    """The fields that the file itself states, ours or its format's; what is given with the reading
+    wins over them.
+    """
     if content.fields:
         return [name for name in ("kind", "spacing", "unit", "phases") if content.fields.get(name)]
     format_says = {"kind": content.colour, "spacing": content.spacing, "unit": content.unit}
@@ -132,7 +157,10 @@ def _kind_of(values: np.ndarray, colour: bool) -> str:
 
 
 def _one_channel(values: np.ndarray, kind: str) -> np.ndarray:
-    if not (np.array_equal(values[..., 0], values[..., 1]) and np.array_equal(values[..., 0], values[..., 2])):
+    if not (
+        np.array_equal(values[..., 0], values[..., 1])
+        and np.array_equal(values[..., 0], values[..., 2])
+    ):
         raise InputError(
             f"the file is in colour, kind={kind!r} needs one channel: convert it to grey first, or give kind='colour'"
         )
@@ -145,7 +173,8 @@ def _numbered(values: np.ndarray, phases: Any) -> tuple[np.ndarray, list | None]
     if levels is None:
         return labels(values).values, None  # which says what is wrong
     if phases is not None and len(phases) > len(levels):
-        # A crop may lack a phase. Numbers that already are labels keep their names; other levels would get wrong ones.
+        # A crop may lack a phase. Numbers that already are labels keep their names; other levels
+        # would get wrong ones.
         if values.dtype.kind in "bui" and levels[0] >= 0 and levels[-1] < len(phases):
             return values, None
         if len(levels) > 1 or len(phases) > 2:

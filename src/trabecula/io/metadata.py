@@ -30,7 +30,8 @@ class Content:
     lossy : bool
         The format changes voxels, so that a recipe in it does not describe them.
     origin : str
-        Where in the file the spacing comes from, as words; empty where the format has one place for it.
+        Where in the file the spacing comes from, as words; empty where the format has one place for
+        it.
     ignored : str
         What else the file says of a voxel's size that was left aside, and why.
     """
@@ -71,9 +72,13 @@ def decode(text: str | bytes | None) -> dict[str, Any] | None:
 def checked(fields: Any) -> dict[str, Any]:
     """The fields, or a ValueError where they are not what `encode` wrote."""
     types = {"kind": str, "spacing": list, "unit": str, "phases": list, "recipe": list}
-    if not isinstance(fields, dict) or not all(isinstance(fields.get(name), kind) for name, kind in types.items()):
+    if not isinstance(fields, dict) or not all(
+        isinstance(fields.get(name), kind) for name, kind in types.items()
+    ):
         raise ValueError("its metadata are damaged")
-    if fields["kind"] not in KINDS or not all(isinstance(step, dict) and "verb" in step for step in fields["recipe"]):
+    if fields["kind"] not in KINDS or not all(
+        isinstance(step, dict) and "verb" in step for step in fields["recipe"]
+    ):
         raise ValueError("its metadata are damaged")
     if not all(isinstance(name, str) for name in fields["phases"]):
         raise ValueError("its metadata are damaged")
@@ -89,7 +94,9 @@ def _whole_numbers(value: Any) -> bool:
 
 
 def spread(image: Image) -> tuple[np.ndarray, list[int] | None]:
-    """Labels as greys from black to white, so that pictures show them, and the grey of each; others as they are."""
+    """Labels as greys from black to white, so that pictures show them, and the grey of each; others
+    as they are.
+    """
     if image.kind != "labels":
         return image.values, None
     count = len(image.phases)
@@ -112,5 +119,7 @@ def gathered(values: np.ndarray, fields: dict[str, Any] | None) -> np.ndarray:
     table[levels] = np.arange(len(levels))
     found = table[values]
     if found.max() >= len(levels):
-        raise ValueError(f"it holds greys besides its labels' {levels}, so another program changed it")
+        raise ValueError(
+            f"it holds greys besides its labels' {levels}, so another program changed it"
+        )
     return found

@@ -1,7 +1,8 @@
-"""MetaImage: a text header, `.mhd` with the voxels in `.raw` beside it, or `.mha` with both in one file.
+"""MetaImage: a text header, `.mhd` with the voxels in `.raw` beside it, or `.mha` with both in one
+file.
 
-The header lists axes x first. ITK's reader takes lines of at most 500 characters, so our JSON is cut into numbered
-keys, which it skips.
+The header lists axes x first. ITK's reader takes lines of at most 500 characters, so our JSON is
+cut into numbered keys, which it skips.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ def write(image: Image, path: Path) -> Path:
         try:
             temporary_header.write_text(_header(image, voxels.name), encoding="utf-8")
         except UnicodeEncodeError:
-            raise InputError(f"the name {voxels.name!r} cannot stand in a MetaImage header: choose another") from None
+            raise InputError(
+                f"the name {voxels.name!r} cannot stand in a MetaImage header: choose another"
+            ) from None
     return header
 
 
@@ -102,7 +105,11 @@ def read(path: Path) -> Content:
         values = np.frombuffer(raw, dtype).reshape(shape)
         spacing = _floats(fields.get("ElementSpacing") or fields.get("ElementSize"))
         unit = fields.get("DistanceUnits")
-        pieces = [fields[key].removeprefix("|").removesuffix("|") for key in sorted(fields) if key.startswith(_KEY)]
+        pieces = [
+            fields[key].removeprefix("|").removesuffix("|")
+            for key in sorted(fields)
+            if key.startswith(_KEY)
+        ]
         return Content(
             values,
             colour=channels == 3,
@@ -132,7 +139,9 @@ def _layout(fields: dict[str, str]) -> tuple[tuple[int, ...], np.dtype, int]:
     if element.removesuffix("_ARRAY") not in _ELEMENTS:
         raise ValueError(f"its ElementType {element} is none of {', '.join(_ELEMENTS)}")
     order = fields.get("BinaryDataByteOrderMSB") or fields.get("ElementByteOrderMSB") or "False"
-    dtype = np.dtype(_ELEMENTS[element.removesuffix("_ARRAY")]).newbyteorder(">" if _true(order) else "<")
+    dtype = np.dtype(_ELEMENTS[element.removesuffix("_ARRAY")]).newbyteorder(
+        ">" if _true(order) else "<"
+    )
     if not _true(fields.get("BinaryData", "True")):
         raise ValueError("its voxels are text (BinaryData = False), which is not read")
     sides = [int(side) for side in fields["DimSize"].split()]
@@ -142,10 +151,14 @@ def _layout(fields: dict[str, str]) -> tuple[tuple[int, ...], np.dtype, int]:
     return (*reversed(sides), *([channels] if channels != 1 else [])), dtype, channels
 
 
-def _voxels(path: Path, fields: dict[str, str], local: int, shape: tuple[int, ...], dtype: np.dtype) -> bytes:
+def _voxels(
+    path: Path, fields: dict[str, str], local: int, shape: tuple[int, ...], dtype: np.dtype
+) -> bytes:
     name = fields["ElementDataFile"]
     if name.split()[0] == "LIST" or "%" in name:
-        raise ValueError("its voxels lie in one file per slice, which is not read; read the folder of slices")
+        raise ValueError(
+            "its voxels lie in one file per slice, which is not read; read the folder of slices"
+        )
     voxels = path if name == "LOCAL" else path.parent / name
     check_there(voxels)
     size, start = voxels.stat().st_size, local if name == "LOCAL" else 0
@@ -156,7 +169,9 @@ def _voxels(path: Path, fields: dict[str, str], local: int, shape: tuple[int, ..
     if name != "LOCAL":
         start = size - need if skip < 0 and not packed else max(skip, 0)
     if not packed and size - start != need:
-        raise ValueError(f"its header claims {need} bytes of voxels, {voxels.name} holds {size - start}")
+        raise ValueError(
+            f"its header claims {need} bytes of voxels, {voxels.name} holds {size - start}"
+        )
     with voxels.open("rb") as file:
         file.seek(start)
         return _unpacked(file.read(), need) if packed else file.read(need)
@@ -166,7 +181,11 @@ def _unpacked(packed: bytes, need: int) -> bytes:
     decompressor = zlib.decompressobj(zlib.MAX_WBITS | 32)  # zlib or gzip, by their heads
     raw = decompressor.decompress(packed, need)
     # The check sum comes after the last voxel: ask for a byte more, so that it is read and weighed.
-    if decompressor.decompress(decompressor.unconsumed_tail, 1) or len(raw) != need or not decompressor.eof:
+    if (
+        decompressor.decompress(decompressor.unconsumed_tail, 1)
+        or len(raw) != need
+        or not decompressor.eof
+    ):
         raise ValueError(f"its header claims {need} bytes of voxels, {len(raw)} can be unpacked")
     return raw
 

@@ -1,4 +1,6 @@
-"""NIfTI through nibabel. Its axes are x, y, z; zooms are 32-bit, so our JSON in an extension keeps the exact ones."""
+"""NIfTI through nibabel. Its axes are x, y, z; zooms are 32-bit, so our JSON in an extension keeps
+the exact ones.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,18 @@ from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
-_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
+_TYPES = (
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float32",
+    "float64",
+)
 _RGB = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
 _UNITS = {"m": "meter", "mm": "mm", "um": "micron"}  # all that the header can say
 _COMMENT = 6  # code of an extension that holds text
@@ -39,7 +52,9 @@ def write(image: Image, path: Path) -> Path:
     picture = form(values.T, np.diag([*zooms, *[1.0] * (4 - len(zooms))]), dtype=values.dtype)
     picture.header.set_zooms(zooms)
     picture.header.set_xyzt_units(_UNITS.get(unit, "unknown"))
-    picture.header.extensions.append(nibabel.nifti1.Nifti1Extension(_COMMENT, encode(image).encode("ascii")))
+    picture.header.extensions.append(
+        nibabel.nifti1.Nifti1Extension(_COMMENT, encode(image).encode("ascii"))
+    )
     with replacing(path) as temporary:
         picture.to_filename(temporary)
     return path
@@ -63,7 +78,9 @@ def read(path: Path) -> Content:
         colour = values.dtype == _RGB
         if colour:
             values = np.ascontiguousarray(values)[..., None].view(np.uint8)
-        zooms = tuple(abs(float(zoom)) for zoom in reversed(header.get_zooms()[: values.ndim - colour]))
+        zooms = tuple(
+            abs(float(zoom)) for zoom in reversed(header.get_zooms()[: values.ndim - colour])
+        )
         unit = header.get_xyzt_units()[0]
         return Content(
             values,

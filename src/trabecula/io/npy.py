@@ -16,7 +16,11 @@ from trabecula.io.metadata import Content, encode
 
 def write(image: Image, path: Path) -> Path:
     """Write .npy and .npy.json (see `trabecula.io.files.write`)."""
-    with sidecar.beside(path, image.values, encode(image)), replacing(path) as temporary, temporary.open("wb") as file:
+    with (
+        sidecar.beside(path, image.values, encode(image)),
+        replacing(path) as temporary,
+        temporary.open("wb") as file,
+    ):
         np.save(file, image.values, allow_pickle=False)
     return path
 
@@ -24,7 +28,8 @@ def write(image: Image, path: Path) -> Path:
 def read(path: Path) -> Content:
     """Read .npy, alone or with its sidecar (see `trabecula.io.files.read`)."""
     with damaged(path, "NumPy", also=(TokenError,)):
-        # The map allocates nothing, so that the header's claim can be weighed first; it fails where the file is short.
+        # The map allocates nothing, so that the header's claim can be weighed first; it fails where
+        # the file is short.
         mapped = np.lib.format.open_memmap(path, mode="r")
         check_claim(path, mapped.shape, mapped.dtype)
         values = np.array(mapped, order="C")

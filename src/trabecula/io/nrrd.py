@@ -15,7 +15,18 @@ from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
 from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
-_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
+_TYPES = (
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float32",
+    "float64",
+)
 _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
     "int8": ("signed char", "int8", "int8_t"),
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -86,8 +97,12 @@ def read(path: Path) -> Content:
         shape = tuple(reversed([int(side) for side in header["sizes"]]))
         dtype = _dtype(header["type"])
         detached = "data file" in header or "datafile" in header
-        shrinks = None if detached else {"raw": 1, "gzip": DEFLATE, "gz": DEFLATE}.get(header["encoding"])
-        check_claim(path, shape, dtype, stored=shrinks and (path.stat().st_size - file.tell()) * shrinks)
+        shrinks = (
+            None if detached else {"raw": 1, "gzip": DEFLATE, "gz": DEFLATE}.get(header["encoding"])
+        )
+        check_claim(
+            path, shape, dtype, stored=shrinks and (path.stat().st_size - file.tell()) * shrinks
+        )
         values = nrrd.read_data(header, file, str(path), index_order="C")
         kinds = header.get("kinds", ["domain"] * len(shape))
         colour = kinds[0] in _COLOUR
@@ -96,7 +111,9 @@ def read(path: Path) -> Content:
                 f"{path} holds axes of {', '.join(kinds)}: only grey, labels and RGB in the fastest axis can be read"
             )
         spacing, unit = _calibration(header, kinds)
-        return Content(values, colour=colour, spacing=spacing, unit=unit, fields=decode(header.get(KEY)))
+        return Content(
+            values, colour=colour, spacing=spacing, unit=unit, fields=decode(header.get(KEY))
+        )
 
 
 def _dtype(name: str) -> np.dtype:
@@ -104,18 +121,26 @@ def _dtype(name: str) -> np.dtype:
     return np.dtype(next(dtype for dtype, names in _NAMES.items() if name in names))
 
 
-def _calibration(header: dict[str, Any], kinds: list[str]) -> tuple[tuple[float, ...] | None, str | None]:
+def _calibration(
+    header: dict[str, Any], kinds: list[str]
+) -> tuple[tuple[float, ...] | None, str | None]:
     """Spacing along (z, y, x) and its unit."""
     in_space = [axis for axis, kind in enumerate(kinds) if kind not in _NOT_SPACE]
     if "spacings" in header:
         edges = [abs(float(header["spacings"][axis])) for axis in in_space]
     elif "space directions" in header:
-        # A direction is the step from a voxel to the next along its axis; its length is the voxel's edge.
-        edges = [float(np.linalg.norm(np.asarray(header["space directions"][axis], float))) for axis in in_space]
+        # A direction is the step from a voxel to the next along its axis; its length is the voxel's
+        # edge.
+        edges = [
+            float(np.linalg.norm(np.asarray(header["space directions"][axis], float)))
+            for axis in in_space
+        ]
     else:
         return None, None
     units = [name for name in header.get("units", header.get("space units", [])) if name]
     if len(set(units)) > 1:
-        raise InputError(f"the file's axes have different units ({', '.join(units)}): give spacing= and unit=")
+        raise InputError(
+            f"the file's axes have different units ({', '.join(units)}): give spacing= and unit="
+        )
     good = all(math.isfinite(edge) and edge > 0 for edge in edges)
     return (tuple(reversed(edges)) if good else None), (units[0] if units else None)

@@ -9,7 +9,7 @@ import numpy as np
 from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
-from trabecula.engine.locations import Remote
+from trabecula.engine.storage.location import Remote
 from trabecula.io.guard import check_claim, damaged
 from trabecula.io.metadata import Content, checked
 from trabecula.io.units import long_name
@@ -33,10 +33,16 @@ def read(path: Path | Remote, level: int = 0) -> Content:
     with damaged(path, "Zarr"):
         opened = store.open_finished(path, level)
         check_claim(path, opened.array.shape, opened.array.dtype)
-        fields = {**checked(opened.fields), "spacing": list(opened.scale)} if opened.fields else None
+        fields = (
+            {**checked(opened.fields), "spacing": list(opened.scale)} if opened.fields else None
+        )
         values = opened.load()
         if fields is None:
-            return Content(_spatial(path, values, len(opened.scale)), spacing=opened.scale or None, unit=opened.unit)
+            return Content(
+                _spatial(path, values, len(opened.scale)),
+                spacing=opened.scale or None,
+                unit=opened.unit,
+            )
         colour = fields["kind"] == "colour"
         values = np.moveaxis(values, 0, -1) if colour else values
         return Content(values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields)

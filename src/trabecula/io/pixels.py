@@ -1,4 +1,6 @@
-"""What pixels of pictures stand for: transparency and palettes, the same in every format that has them."""
+"""What pixels of pictures stand for: transparency and palettes, the same in every format that has
+them.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def from_palette(indices: np.ndarray, palette: np.ndarray) -> tuple[np.ndarray, 
     colour : bool
     """
     if indices.size and int(indices.max()) >= len(palette):
-        raise ValueError(f"index {int(indices.max())} is outside its palette of {len(palette)} colours")
+        raise ValueError(
+            f"index {int(indices.max())} is outside its palette of {len(palette)} colours"
+        )
     used = palette[np.unique(indices)]
     if np.all(used == used[:, :1]):
         return palette[:, 0][indices], False

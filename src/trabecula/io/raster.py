@@ -87,17 +87,31 @@ def read(path: Path) -> Content:
     with damaged(path, form):
         with opened(path, _PILLOW[form]) as picture:
             if picture.mode not in _MODES:
-                raise InputError(f"{path} has pixels of type {picture.mode}: save it as grey or RGB")
+                raise InputError(
+                    f"{path} has pixels of type {picture.mode}: save it as grey or RGB"
+                )
             if form == "PNG" and getattr(picture, "n_frames", 1) > 1:
                 raise InputError(f"{path} is an animation of {picture.n_frames} pictures: save one")
             bands = len(picture.getbands())
-            room = path.stat().st_size * 8 * DEFLATE if form != "JPEG" else None  # up to 8 pixels in a byte
-            check_claim(path, (picture.height, picture.width, bands), np.dtype(_MODES[picture.mode]), stored=room)
+            # up to 8 pixels in a byte
+            room = path.stat().st_size * 8 * DEFLATE if form != "JPEG" else None
+            check_claim(
+                path,
+                (picture.height, picture.width, bands),
+                np.dtype(_MODES[picture.mode]),
+                stored=room,
+            )
             values, colour = _pixels(picture)
             text = picture.info.get(KEY) if form == "PNG" else picture.info.get("comment")
             size = _calibration(picture, form)
         fields = sidecar.found(path, values) if form == "BMP" else decode(text)
-        return Content(gathered(values, fields), colour=colour, fields=fields, lossy=form == "JPEG", **size._asdict())
+        return Content(
+            gathered(values, fields),
+            colour=colour,
+            fields=fields,
+            lossy=form == "JPEG",
+            **size._asdict(),
+        )
 
 
 def _calibration(picture: Any, form: str) -> Calibration:
@@ -107,14 +121,17 @@ def _calibration(picture: Any, form: str) -> Calibration:
         return Calibration()
     # Pillow turns a PNG's whole pixels a metre into inches.
     if form == "PNG":
-        return from_resolution(round(y / 0.0254), round(x / 0.0254), "m", what="the PNG's pHYs chunk")
+        return from_resolution(
+            round(y / 0.0254), round(x / 0.0254), "m", what="the PNG's pHYs chunk"
+        )
     return from_resolution(float(y), float(x), "inch", what="the JPEG's density")
 
 
 def opened(path: Path, forms: tuple[str, ...]) -> Any:
     """A picture whose header is read and whose pixels are not.
 
-    Pillow refuses pictures of more than 179 million pixels, whatever memory there is; here `check_claim` weighs them.
+    Pillow refuses pictures of more than 179 million pixels, whatever memory there is; here
+    `check_claim` weighs them.
     """
     from PIL import Image as Picture
 

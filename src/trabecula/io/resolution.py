@@ -1,7 +1,7 @@
 """What a picture's resolution tags say of its voxels: pixels per inch, centimetre or metre.
 
-Most of them are habits of programs (72, 96, 300 dpi, 1 a unit) and tell how large to print. Those are no voxel sizes; which
-were left aside, and why, is kept beside what was found.
+Most of them are habits of programs (72, 96, 300 dpi, 1 a unit) and tell how large to print. Those
+are no voxel sizes; which were left aside, and why, is kept beside what was found.
 """
 
 from __future__ import annotations
@@ -11,9 +11,33 @@ from typing import NamedTuple
 from trabecula.io.units import canonical
 
 PRINTED = 600.0
-"""Pixels per inch up to which an inch is one of paper, or of a screen: specimens are not measured in it."""
+"""Pixels per inch up to which an inch is one of paper, or of a screen: specimens are not measured
+in it.
+"""
 
-_HABITS = (72, 75, 90, 96, 100, 120, 144, 150, 180, 192, 200, 220, 240, 250, 300, 350, 360, 400, 600, 720, 1200)
+_HABITS = (
+    72,
+    75,
+    90,
+    96,
+    100,
+    120,
+    144,
+    150,
+    180,
+    192,
+    200,
+    220,
+    240,
+    250,
+    300,
+    350,
+    360,
+    400,
+    600,
+    720,
+    1200,
+)
 _SMALLEST, _LARGEST = 1e-10, 0.1  # metres a voxel
 _INCHES = {"inch": 1.0, "cm": 2.54, "m": 0.0254}  # to pixels per inch
 _METRES = {"inch": 0.0254, "cm": 0.01, "m": 1.0}
@@ -40,7 +64,8 @@ class Calibration(NamedTuple):
 
 
 def from_resolution(y: float, x: float, unit: str, *, what: str, ndim: int = 2) -> Calibration:
-    """Return the voxels of a picture of y and x pixels a unit, where that is plausible as a voxel size.
+    """Return the voxels of a picture of y and x pixels a unit, where that is plausible as a voxel
+    size.
 
     Parameters
     ----------

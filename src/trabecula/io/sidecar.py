@@ -26,8 +26,8 @@ def place(path: Path) -> Path:
 def beside(path: Path, values: np.ndarray, text: str) -> Iterator[None]:
     """Write the JSON of a file that is written inside the block; both appear, or neither.
 
-    The file's own `replacing` ends first, so it is in place before its JSON is; the digest tells the two apart should
-    a machine stop between the two.
+    The file's own `replacing` ends first, so it is in place before its JSON is; the digest tells
+    the two apart should a machine stop between the two.
     """
     with replacing(place(path)) as temporary:
         whole = json.dumps({**json.loads(text), "sha256": digest(values)})
@@ -53,5 +53,7 @@ def found(path: Path, values: np.ndarray) -> dict[str, Any] | None:
             raise ValueError("not written by this package")
         same = json.loads(text).get("sha256") == digest(values)
     if not same:
-        raise FileError(f"{beside} describes other voxels than {path} holds: one was replaced; remove the old one")
+        raise FileError(
+            f"{beside} describes other voxels than {path} holds: one was replaced; remove the old one"
+        )
     return fields

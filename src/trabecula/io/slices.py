@@ -36,15 +36,23 @@ def write(image: Image, path: Path) -> Path:
         for z, plane in enumerate(track(values, "writing slices", total=len(values))):
             raster.save_png(plane, temporary / f"slice_{z:0{digits}d}.png")
         more = {} if levels is None else {"levels": levels}
-        (temporary / _FIELDS).write_text(encode(image, shape=list(values.shape), **more) + "\n", encoding="ascii")
+        (temporary / _FIELDS).write_text(
+            encode(image, shape=list(values.shape), **more) + "\n", encoding="ascii"
+        )
     return path
 
 
 def _check_replaceable(path: Path) -> None:
     """Raise where a folder holds anything that this module did not write: it would be lost."""
-    others = [entry.name for entry in path.iterdir() if not _OURS.fullmatch(entry.name)] if path.is_dir() else []
+    others = (
+        [entry.name for entry in path.iterdir() if not _OURS.fullmatch(entry.name)]
+        if path.is_dir()
+        else []
+    )
     if others:
-        raise FileError(f"cannot write slices to {path}: it holds other files ({others[0]}); name a new folder")
+        raise FileError(
+            f"cannot write slices to {path}: it holds other files ({others[0]}); name a new folder"
+        )
 
 
 def read(path: Path) -> Content:
@@ -64,20 +72,31 @@ def read(path: Path) -> Content:
                 f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which says nothing of z: ignored; "
                 "give the spacing (--spacing, --unit)"
             )
-        return Content(gathered(values, fields), colour=first.colour, fields=fields, ignored=ignored)
+        return Content(
+            gathered(values, fields), colour=first.colour, fields=fields, ignored=ignored
+        )
 
 
 def _slices(path: Path) -> list[Path]:
-    names = [entry for entry in path.iterdir() if suffix_of(entry) in _SUFFIXES and not entry.name.startswith(".")]
+    names = [
+        entry
+        for entry in path.iterdir()
+        if suffix_of(entry) in _SUFFIXES and not entry.name.startswith(".")
+    ]
     if not names:
-        raise FileError(f"the folder {path} holds no slices ({', '.join(_SUFFIXES)}): name a file or another folder")
+        raise FileError(
+            f"the folder {path} holds no slices ({', '.join(_SUFFIXES)}): name a file or another folder"
+        )
     sorts = Counter(format_of(name).name for name in names)
     if len(sorts) > 1:
         found = ", ".join(f"{count} {form}" for form, count in sorts.most_common())
         raise FileError(f"the folder {path} mixes slices of several formats ({found}): keep one")
     return sorted(
         names,
-        key=lambda name: [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name.name)],
+        key=lambda name: [
+            (int(part), "") if part.isdigit() else (-1, part)
+            for part in re.split(r"(\d+)", name.name)
+        ],
     )
 
 

@@ -1,7 +1,8 @@
 """TIFF: pages along z, with the metadata of ImageJ and OME both ways.
 
-What is written is an ImageJ stack where ImageJ has the type (uint8, uint16, float32, colour) and classic TIFF the room,
-else OME-TIFF, else plain pages. Our own JSON lies in a private tag of the first page, so both kinds of reader skip it.
+What is written is an ImageJ stack where ImageJ has the type (uint8, uint16, float32, colour) and
+classic TIFF the room, else OME-TIFF, else plain pages. Our own JSON lies in a private tag of the
+first page, so both kinds of reader skip it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.parallel import thread_count
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.pixels import from_palette, without_alpha
@@ -31,13 +32,16 @@ _DESCRIPTION = 270
 _IMAGEJ = ("uint8", "uint16", "float32")
 _OME = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32", "float64")
 _PLAIN = (*_OME, "uint64", "int64", "float16")
-_CLASSIC_ROOM = 2**32 - 2**25  # offsets of classic TIFF have 32 bits; leave room for the directories
+# offsets of classic TIFF have 32 bits; leave room for the directories
+_CLASSIC_ROOM = 2**32 - 2**25
 # Codes of compression and of what a page's numbers mean, as the format defines them.
 _NONE, _ADOBE_DEFLATE, _DEFLATE, _PACKBITS, _LZMA = 1, 8, 32946, 32773, 34925
-_DECODED = (_NONE, _ADOBE_DEFLATE, _DEFLATE, _PACKBITS, _LZMA)  # by tifffile alone; the rest goes through Pillow
+# by tifffile alone; the rest goes through Pillow
+_DECODED = (_NONE, _ADOBE_DEFLATE, _DEFLATE, _PACKBITS, _LZMA)
 _WHITE_IS_ZERO, _PALETTE = 0, 3
 
-# tifffile tells what it stumbles over to a logger; here it becomes one error, so a terminal need not show both.
+# tifffile tells what it stumbles over to a logger; here it becomes one error, so a terminal need
+# not show both.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
@@ -56,7 +60,8 @@ def write(image: Image, path: Path) -> Path:
         ) as tiff,
     ):
         values = np.ascontiguousarray(image.values)
-        if flavour == "imagej":  # all its axes, TZCYXS: tifffile would take a last axis of one voxel for samples
+        # all its axes, TZCYXS: tifffile would take a last axis of one voxel for samples
+        if flavour == "imagej":
             y, x = image.shape[-2:]
             values = values.reshape(1, -1, 1, y, x, 3 if image.kind == "colour" else 1)
         tiff.write(
@@ -73,7 +78,9 @@ def write(image: Image, path: Path) -> Path:
 
 
 def _writer_options(flavour: str) -> dict[str, Any]:
-    """Return the options of `TiffWriter` for a flavour: `kind` since tifffile 2026.5, three booleans before."""
+    """Return the options of `TiffWriter` for a flavour: `kind` since tifffile 2026.5, three
+    booleans before.
+    """
     import tifffile
 
     if "kind" in inspect.signature(tifffile.TiffWriter).parameters:
@@ -86,7 +93,9 @@ def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
     axes = ("ZYX" if image.ndim == 3 else "YX") + ("S" if image.kind == "colour" else "")
     name = image.values.dtype.name
     if name in _IMAGEJ and image.values.nbytes <= _CLASSIC_ROOM:
-        metadata: dict[str, Any] = {"unit": canonical(image.unit) if has_length(image.unit) else "pixel"}
+        metadata: dict[str, Any] = {
+            "unit": canonical(image.unit) if has_length(image.unit) else "pixel"
+        }
         if image.ndim == 3:
             metadata["spacing"] = image.spacing[0]
         if image.kind == "labels":  # else a viewer shows labels 0 and 1 both as black
@@ -95,7 +104,10 @@ def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
     if name in _OME:
         metadata = {"axes": axes}
         for axis, edge in zip("ZYX"[-image.ndim :], image.spacing, strict=True):
-            metadata |= {f"PhysicalSize{axis}": edge, f"PhysicalSize{axis}Unit": symbol(image.unit) or "pixel"}
+            metadata |= {
+                f"PhysicalSize{axis}": edge,
+                f"PhysicalSize{axis}Unit": symbol(image.unit) or "pixel",
+            }
         return "ome", metadata
     return "plain", {"axes": axes}
 
@@ -121,18 +133,27 @@ def read(path: Path) -> Content:
         page: Any = tiff.pages.first
         _check_codes(page)
         shrinks = {_NONE: 1, _ADOBE_DEFLATE: DEFLATE, _DEFLATE: DEFLATE}.get(page.compression)
-        check_claim(path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks)
+        check_claim(
+            path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks
+        )
         native = page.compression in _DECODED
         values = series.asarray(maxworkers=thread_count()) if native else _by_pillow(path, tiff)
-        # Versions of tifffile differ in which axes of one voxel they leave out; shape and axes of a series agree in each.
+        # Versions of tifffile differ in which axes of one voxel they leave out; shape and axes of a
+        # series agree in each.
         values = _stacked(values.reshape(series.shape), series.axes, path)
-        values, colour = _meant(values, page, tiff.is_imagej, inverted=native and page.photometric == _WHITE_IS_ZERO)
+        values, colour = _meant(
+            values, page, tiff.is_imagej, inverted=native and page.photometric == _WHITE_IS_ZERO
+        )
         tag = page.tags.get(TAG)
         fields = decode(tag.value if tag else None)
         if fields is not None and len(fields["spacing"]) == 3 and values.ndim - colour == 2:
-            values = values[None]  # a volume of one slice, which TIFF itself cannot tell from a picture
+            # a volume of one slice, which TIFF itself cannot tell from a picture
+            values = values[None]
         return Content(
-            values, colour=colour, fields=fields, **_calibration(tiff, page, ndim=values.ndim - colour)._asdict()
+            values,
+            colour=colour,
+            fields=fields,
+            **_calibration(tiff, page, ndim=values.ndim - colour)._asdict(),
         )
 
 
@@ -144,7 +165,9 @@ def _check_codes(page: Any) -> None:
 
 
 def _check_directories(tiff: Any) -> None:
-    """Raise where a directory of a page lies beyond the end: tifffile would leave such pages out and go on."""
+    """Raise where a directory of a page lies beyond the end: tifffile would leave such pages out
+    and go on.
+    """
     file, form, size = tiff.filehandle, tiff.tiff, tiff.filehandle.size
     file.seek(4 if form.version == 42 else 8)
     pages, offset = 0, _number(file, form.offsetformat)
@@ -165,7 +188,9 @@ def _check_first(entries: bytes, form: Any, size: int) -> None:
     for start in range(0, len(entries) - form.tagsize + 1, form.tagsize):
         (code,) = struct.unpack_from(form.byteorder + "H", entries, start)
         if code in (_DESCRIPTION, TAG):
-            (count,) = struct.unpack_from(form.offsetformat, entries, start + value_at - form.offsetsize)
+            (count,) = struct.unpack_from(
+                form.offsetformat, entries, start + value_at - form.offsetsize
+            )
             (offset,) = struct.unpack_from(form.offsetformat, entries, start + value_at)
             if count > form.offsetsize and offset + count > size:
                 raise ValueError("its description lies beyond its end")
@@ -180,14 +205,21 @@ def _only_series(tiff: Any) -> Any:
         raise ValueError("it holds no picture")
     series = tiff.series[0]
     if len(tiff.series) > 1:
-        raise InputError(f"{tiff.filename} holds {len(tiff.series)} unlike stacks: save the one you mean alone")
+        raise InputError(
+            f"{tiff.filename} holds {len(tiff.series)} unlike stacks: save the one you mean alone"
+        )
     if series.is_multifile:
-        raise InputError(f"{tiff.filename} is one of several files that hold the volume together: save it as one file")
+        raise InputError(
+            f"{tiff.filename} is one of several files that hold the volume together: save it as one file"
+        )
     for page in series:
         if page is None:
             raise ValueError("pages that its metadata name are missing")
         # A count of bytes is asked for in one piece, however little of it the file has.
-        if max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0) > tiff.filehandle.size:
+        if (
+            max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
+            > tiff.filehandle.size
+        ):
             raise ValueError("voxels of a page lie beyond its end")
     images = (tiff.imagej_metadata or {}).get("images", 1) if tiff.is_imagej else 1
     if images * tiff.pages.first.size > series.size:
@@ -196,7 +228,9 @@ def _only_series(tiff: Any) -> Any:
 
 
 def _by_pillow(path: Path, tiff: Any) -> np.ndarray:
-    """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow brings libtiff."""
+    """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow
+    brings libtiff.
+    """
     from trabecula.io.raster import opened
 
     with opened(path, ("TIFF",)) as picture:
@@ -213,8 +247,15 @@ def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
         if values.shape[axis] == 1 and letter not in "YX":
             values, axes = values.take(0, axis), axes[:axis] + axes[axis + 1 :]
     stack = [letter for letter in axes if letter not in "YXS"]
-    if len(stack) > 1 or any(letter not in "ZQI" for letter in stack) or "Y" not in axes or "X" not in axes:
-        sizes = ", ".join(f"{letter} {size}" for letter, size in zip(axes, values.shape, strict=True))
+    if (
+        len(stack) > 1
+        or any(letter not in "ZQI" for letter in stack)
+        or "Y" not in axes
+        or "X" not in axes
+    ):
+        sizes = ", ".join(
+            f"{letter} {size}" for letter, size in zip(axes, values.shape, strict=True)
+        )
         raise InputError(
             f"{path} has the axes {sizes}: only one stack of slices (Z) can be read; save one time and channel alone"
         )
@@ -222,8 +263,12 @@ def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
     return values.transpose(order)
 
 
-def _meant(values: np.ndarray, page: Any, imagej: bool, *, inverted: bool) -> tuple[np.ndarray, bool]:
-    """Values as brightness or colour, and whether they are colour. ImageJ's palettes only show greys, so they go."""
+def _meant(
+    values: np.ndarray, page: Any, imagej: bool, *, inverted: bool
+) -> tuple[np.ndarray, bool]:
+    """Values as brightness or colour, and whether they are colour. ImageJ's palettes only show
+    greys, so they go.
+    """
     samples = page.samplesperpixel
     if samples in (2, 4):
         values = without_alpha(values)
@@ -239,7 +284,9 @@ def _meant(values: np.ndarray, page: Any, imagej: bool, *, inverted: bool) -> tu
 
 
 def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
-    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say, whichever comes first."""
+    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say, whichever
+    comes first.
+    """
     if tiff.is_ome:
         found = _ome_calibration(tiff.ome_metadata, ndim=ndim)
         if found.spacing or found.ignored:
@@ -248,12 +295,15 @@ def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
     if x is None or y is None:
         return Calibration()
     stated = (tiff.imagej_metadata or {}) if tiff.is_imagej else {}
-    if tiff.is_imagej and ("unit" in stated or "spacing" in stated or page.tags.get("ResolutionUnit") is None):
+    if tiff.is_imagej and (
+        "unit" in stated or "spacing" in stated or page.tags.get("ResolutionUnit") is None
+    ):
         z = abs(float(stated.get("spacing", 1.0))) or 1.0  # which ImageJ writes where it is not 1
         unit = str(stated["unit"]) if "unit" in stated else None
         return plausible(_by_imagej((z, y, x)[-ndim:], unit))
     tag = page.tags.get("ResolutionUnit")
-    # A file without this tag is in inches (TIFF 6.0, page 38), but nobody who leaves it out means so.
+    # A file without this tag is in inches (TIFF 6.0, page 38), but nobody who leaves it out means
+    # so.
     unit = None if tag is None else {2: "inch", 3: "cm"}.get(int(tag.value))
     if unit is not None:
         return from_resolution(1 / y, 1 / x, unit, what="the TIFF's resolution tags", ndim=ndim)
@@ -276,7 +326,9 @@ def _edge(resolution: Any) -> float | None:
 
 
 def _ome_calibration(text: str, *, ndim: int) -> Calibration:
-    pixels = next((node for node in ElementTree.fromstring(text).iter() if node.tag.endswith("}Pixels")), None)
+    pixels = next(
+        (node for node in ElementTree.fromstring(text).iter() if node.tag.endswith("}Pixels")), None
+    )
     if pixels is None or "PhysicalSizeX" not in pixels.attrib:
         return Calibration()
     missing = [axis for axis in "ZYX"[-ndim:] if f"PhysicalSize{axis}" not in pixels.attrib]
@@ -292,5 +344,8 @@ def _ome_calibration(text: str, *, ndim: int) -> Calibration:
     unit = units[-1]
     if not has_length(unit):
         return Calibration(tuple(edges), "voxel", "OME metadata")
-    alike = (e if u == unit else e * to_metres(u) / to_metres(unit) for e, u in zip(edges, units, strict=True))
+    alike = (
+        e if u == unit else e * to_metres(u) / to_metres(unit)
+        for e, u in zip(edges, units, strict=True)
+    )
     return Calibration(tuple(alike), unit, "OME metadata")

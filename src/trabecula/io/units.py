@@ -44,7 +44,9 @@ _SPELLINGS[NO_LENGTH] = NO_LENGTH
 
 
 def canonical(unit: str) -> str:
-    """The short name of a unit in any usual spelling ("micron", "µm", "millimetre"); an unknown one as it came."""
+    """The short name of a unit in any usual spelling ("micron", "µm", "millimetre"); an unknown one
+    as it came.
+    """
     return _SPELLINGS.get(unit.strip().lower(), unit.strip())
 
 
@@ -68,7 +70,9 @@ def to_metres(unit: str) -> float:
         "voxel", "pixel" or an unknown unit, which have no length.
     """
     if not has_length(unit):
-        raise InputError(f"unit {unit!r} has no length: give the image a spacing and one of {', '.join(_LENGTHS)}")
+        raise InputError(
+            f"unit {unit!r} has no length: give the image a spacing and one of {', '.join(_LENGTHS)}"
+        )
     return _LENGTHS[canonical(unit)][0]
 
 

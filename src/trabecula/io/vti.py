@@ -1,7 +1,8 @@
 """VTK ImageData (.vti), as ParaView reads it: voxels are cells, axes x first.
 
-Written with zlib blocks as appended raw bytes; read with voxels inline or appended, text, base64 or raw, packed or not.
-Our JSON is a string in the field data. Formats: VTK File Formats, https://docs.vtk.org/en/latest/vtk_file_formats/.
+Written with zlib blocks as appended raw bytes; read with voxels inline or appended, text, base64 or
+raw, packed or not. Our JSON is a string in the field data. Formats: VTK File Formats,
+https://docs.vtk.org/en/latest/vtk_file_formats/.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def write(image: Image, path: Path) -> Path:
 
 
 def _head(image: Image) -> str:
-    sides = [*reversed(image.shape), *[0] * (3 - image.ndim)]  # a flat extent along z is VTK's way to say 2-D
+    # a flat extent along z is VTK's way to say 2-D
+    sides = [*reversed(image.shape), *[0] * (3 - image.ndim)]
     spacing = [*reversed(image.spacing), *[1.0] * (3 - image.ndim)]
     extent = " ".join(f"0 {side}" for side in sides)
     type_name = next(vtk for vtk, name in _TYPES.items() if name == image.values.dtype.name)
@@ -74,7 +76,9 @@ def _head(image: Image) -> str:
 
 
 def _packed(values: np.ndarray) -> list[bytes]:
-    """Counts (blocks, bytes of a block, bytes of a shorter last one, packed bytes of each), then the blocks."""
+    """Counts (blocks, bytes of a block, bytes of a shorter last one, packed bytes of each), then
+    the blocks.
+    """
     raw = values.reshape(-1).view(np.uint8).data
     blocks = [zlib.compress(raw[start : start + _BLOCK], 4) for start in range(0, len(raw), _BLOCK)]
     counts = [len(blocks), _BLOCK, len(raw) % _BLOCK, *map(len, blocks)]
@@ -95,7 +99,9 @@ class _File:
 
     @property
     def count_type(self) -> np.dtype:
-        return np.dtype(self.order + {"UInt32": "u4", "UInt64": "u8"}[self.root.get("header_type", "UInt32")])
+        return np.dtype(
+            self.order + {"UInt32": "u4", "UInt64": "u8"}[self.root.get("header_type", "UInt32")]
+        )
 
     @property
     def packed(self) -> bool:
@@ -115,7 +121,9 @@ def read(path: Path) -> Content:
         pieces = [] if grid is None else grid.findall("Piece")
         if grid is None or len(pieces) != 1:
             raise ValueError(f"it holds {len(pieces)} pieces of ImageData, one is needed")
-        low_high = [int(bound) for bound in pieces[0].get("Extent", grid.get("WholeExtent", "")).split()]
+        low_high = [
+            int(bound) for bound in pieces[0].get("Extent", grid.get("WholeExtent", "")).split()
+        ]
         spans = [high - low for low, high in zip(low_high[::2], low_high[1::2], strict=True)]
         array, cells = _chosen(pieces[0])
         sides = [max(span, 1) if cells else span + 1 for span in reversed(spans)]
@@ -127,7 +135,10 @@ def read(path: Path) -> Content:
         values = _values(whole, array, dtype, int(np.prod(shape, dtype=np.int64))).reshape(shape)
         spacing = [abs(float(edge)) for edge in reversed(grid.get("Spacing", "1 1 1").split())]
         return Content(
-            values, colour=channels == 3, spacing=tuple(spacing if spans[2] else spacing[1:]), fields=_own(grid)
+            values,
+            colour=channels == 3,
+            spacing=tuple(spacing if spans[2] else spacing[1:]),
+            fields=_own(grid),
         )
 
 
@@ -149,7 +160,9 @@ def _opened(path: Path) -> _File:
 
 
 def _chosen(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
-    """The array that is the image: the named scalars, else the only one; and whether it lies on cells."""
+    """The array that is the image: the named scalars, else the only one; and whether it lies on
+    cells.
+    """
     for place in ("CellData", "PointData"):
         node = piece.find(place)
         arrays = [] if node is None else node.findall("DataArray")
@@ -158,7 +171,9 @@ def _chosen(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
         named = [array for array in arrays if array.get("Name") == node.get("Scalars")]
         if len(arrays) > 1 and not named:
             names = ", ".join(str(array.get("Name")) for array in arrays)
-            raise InputError(f"the file holds several arrays ({names}) and names none as scalars: save one")
+            raise InputError(
+                f"the file holds several arrays ({names}) and names none as scalars: save one"
+            )
         return (named or arrays)[0], place == "CellData"
     raise ValueError("it holds no array")
 
@@ -179,19 +194,25 @@ def _values(whole: _File, array: ElementTree.Element, dtype: np.dtype, count: in
 
 
 def _bytes(whole: _File, data: bytes, need: int, *, coded: bool) -> bytes:
-    """The voxels' bytes from `data`, which starts with their counts and may go on with other arrays."""
+    """The voxels' bytes from `data`, which starts with their counts and may go on with other
+    arrays.
+    """
     width = whole.count_type.itemsize
     if not whole.packed:
         raw = _decoded(data, width + need) if coded else data[: width + need]
         count = int(np.frombuffer(raw[:width], whole.count_type)[0])
         if count != need or len(raw) != width + need:
-            raise ValueError(f"it holds {min(count, len(raw) - width)} bytes of voxels, its extent asks for {need}")
+            raise ValueError(
+                f"it holds {min(count, len(raw) - width)} bytes of voxels, its extent asks for {need}"
+            )
         return raw[width:]
     # In base64 the counts and the blocks are coded each on their own.
     start = _decoded(data, 3 * width) if coded else data[: 3 * width]
     blocks, size, last = (int(value) for value in np.frombuffer(start, whole.count_type))
     if (blocks - 1 if last else blocks) * size + last != need:
-        raise ValueError(f"it claims {blocks} blocks of {size} bytes, its extent asks for {need} bytes")
+        raise ValueError(
+            f"it claims {blocks} blocks of {size} bytes, its extent asks for {need} bytes"
+        )
     head = (3 + blocks) * width
     raw_head = _decoded(data, head) if coded else data[:head]
     lengths = [int(value) for value in np.frombuffer(raw_head, whole.count_type)[3:]]

@@ -1,8 +1,8 @@
-"""Image -> numbers. Every measure is a pure function of an Image, or of an array of labels; see each one's
-docstring."""
+"""Image -> numbers. Every measure is a pure function of an Image, or of an array of labels; see
+each one's docstring."""
 
-# Imported plainly, not lazily: several functions bear their module's name, and whichever of the two is set last wins.
-from trabecula.measure.amount import porosity, specific_surface, volume_fractions
+# Imported plainly, not lazily: several functions bear their module's name, and whichever of the two
+# is set last wins.
 from trabecula.measure.blockwise import describe_slabs
 from trabecula.measure.components import (
     component_distance,
@@ -28,8 +28,10 @@ from trabecula.measure.correlation import (
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.distance import distance_transform, signed_distance
 from trabecula.measure.each_phase import describe_phases
+from trabecula.measure.effective_properties import describe_physics
 from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
+from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
@@ -37,10 +39,15 @@ from trabecula.measure.morphometry import connectivity_density, morphometry
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
-from trabecula.measure.physics import describe_physics
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph, thin
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
-from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, tortuosity
+from trabecula.measure.transport import (
+    Effective,
+    conductivity,
+    diffusivity,
+    permeability,
+    tortuosity,
+)
 from trabecula.measure.triple_lines import (
     TripleLine,
     triple_phase_active_share,

@@ -1,4 +1,6 @@
-"""`describe` of a volume that is read some planes at a time: the same figures, without the volume in memory."""
+"""`describe` of a volume that is read some planes at a time: the same figures, without the volume
+in memory.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,19 @@ from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
+from trabecula.engine.lazy_volume import Slabs, depth_within
 from trabecula.engine.plan import Plan
-from trabecula.engine.slabs import Slabs, depth_within
-from trabecula.measure.box import box_sides
-from trabecula.measure.correlation.separations import Radial, steps_of
+from trabecula.measure.centre_crop import box_sides
+from trabecula.measure.correlation.pair_geometry import Radial, steps_of
 from trabecula.measure.correlation.window import Window
 from trabecula.measure.describe import LEVELS, SLOW, figures_from, outline_without_solid, void_notes
 from trabecula.measure.each_phase import drop_redundant, redundant_beside_solid
+from trabecula.measure.effective_properties import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.phases import indicator
-from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.runs import RUN_BYTES
-from trabecula.measure.tallies import Numbers, PieceSizes
-from trabecula.measure.tallies.pairs import pairs_bytes
-from trabecula.measure.tallies.phases import CurveTally, PhaseTallies
+from trabecula.measure.streaming import Numbers, PieceSizes
+from trabecula.measure.streaming.pairs import pairs_bytes
+from trabecula.measure.streaming.phases import CurveTally, PhaseTallies
 
 LEFT_OUT = (*SLOW, "two_point_cluster")
 """What needs the whole volume in memory."""
@@ -32,7 +34,9 @@ PHASES_LEFT_OUT = ("cross_correlation", "triples")
 """What of three phases or more needs it as well."""
 
 _IN_CORE = {"quick": 26, "default": 45, "full": 45}
-"""Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own forecast)."""
+"""Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own
+forecast).
+"""
 
 
 def describe_slabs(
@@ -53,7 +57,8 @@ def describe_slabs(
     r_max : int
         Largest distance of the curves, in voxels; lowered to half the smallest side.
     level : {"quick", "default", "full"}
-        As of `describe`; "full" solves transport and stiffness in a centre `box`, which alone is read for it.
+        As of `describe`; "full" solves transport and stiffness in a centre `box`, which alone is
+        read for it.
     box : int, optional
         Edge of that box, voxels; needed at level "full".
     depth : int, optional
@@ -64,10 +69,11 @@ def describe_slabs(
     Returns
     -------
     descriptors : dict
-        The keys of `describe`, with its values; the radial curve of large volumes within the rounding errors of float32
-        (1e-7 of the pairs). `None` for `pore_size`, `thickness`, `morphometry`, `anisotropy` and `two_point_cluster`, which
-        need the whole volume, and with three phases or more for `triples` and the `cross_correlation` of pairs: `notes`
-        names what was left out.
+        The keys of `describe`, with its values; the radial curve of large volumes within the
+        rounding errors of float32 (1e-7 of the pairs). `None` for `pore_size`, `thickness`,
+        `morphometry`, `anisotropy` and `two_point_cluster`, which need the whole volume, and with
+        three phases or more for `triples` and the `cross_correlation` of pairs: `notes` names what
+        was left out.
 
     Raises
     ------
@@ -87,7 +93,9 @@ def describe_slabs(
         depth = fitting_depth(volume, r_max=reach, memory=memory, phases=True)
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
     if "void" in volume.phases:
-        found = count_slabs(volume, r_max=reach, depth=depth, phases=True)[0] | dict.fromkeys((*LEFT_OUT, *PHYSICS))
+        found = count_slabs(volume, r_max=reach, depth=depth, phases=True)[0] | dict.fromkeys(
+            (*LEFT_OUT, *PHYSICS)
+        )
     else:
         found = _count_phases(volume, r_max=reach, depth=depth)
     known = figures_from(volume.phases, found)
@@ -99,7 +107,9 @@ def describe_slabs(
     return found | {"level": level, "notes": notes}
 
 
-def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None, phases: bool = False) -> int:
+def fitting_depth(
+    volume: Slabs, *, r_max: int, memory: int | None = None, phases: bool = False
+) -> int:
     """Planes of the deepest slab with which `count_slabs` fits into memory.
 
     Raises
@@ -119,7 +129,8 @@ def fitting_depth(volume: Slabs, *, r_max: int, memory: int | None = None, phase
 def count_slabs(
     volume: Slabs, *, r_max: int, depth: int, phases: bool = False, tallies: Sequence[Any] = ()
 ) -> tuple[dict[str, Any], PieceSizes]:
-    """What one pass over all planes tells, by the names of `describe`, and the components of the solid.
+    """What one pass over all planes tells, by the names of `describe`, and the components of the
+    solid.
 
     Parameters
     ----------
@@ -163,7 +174,10 @@ def count_slabs(
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:
     """Count every phase in one pass over all planes, where no phase is named void."""
-    each, counts = _each_phase(volume, _radial(volume, r_max)), np.zeros(len(volume.phases), np.int64)
+    each, counts = (
+        _each_phase(volume, _radial(volume, r_max)),
+        np.zeros(len(volume.phases), np.int64),
+    )
     for slab in _tracked(volume, depth):
         counts += np.bincount(slab.values.ravel(), minlength=len(counts))
         each.add(slab)
@@ -186,7 +200,10 @@ def _radial(volume: Slabs, r_max: int) -> Radial:
 
 
 def _notes(level: str, phases: Sequence[str]) -> list[str]:
-    left_out = [*(LEFT_OUT if level != "quick" else ()), *(PHASES_LEFT_OUT if len(phases) > 2 else ())]
+    left_out = [
+        *(LEFT_OUT if level != "quick" else ()),
+        *(PHASES_LEFT_OUT if len(phases) > 2 else ()),
+    ]
     if not left_out:
         return []
     return [

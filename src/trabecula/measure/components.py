@@ -1,7 +1,7 @@
 """What hangs together: connected components, their sizes, and the parts that float.
 
-Neighbours share a face unless a connectivity is given. Every measure takes a mask, the region that counts: what lies
-beyond it is neither phase, so it joins nothing.
+Neighbours share a face unless a connectivity is given. Every measure takes a mask, the region that
+counts: what lies beyond it is neither phase, so it joins nothing.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ def size_distribution(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The distribution of component sizes: each size that occurs, and the share of components up to it.
+    """The distribution of component sizes: each size that occurs, and the share of components up to
+    it.
 
     Every component counts alike, whatever its size.
 
@@ -105,7 +106,9 @@ def size_distribution(
     >>> sizes.tolist(), share.round(2).tolist()
     ([1, 2], [0.67, 1.0])
     """
-    found = component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
+    found = component_sizes(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    )
     sizes, counts = np.unique(found, return_counts=True)
     return sizes, np.cumsum(counts) / max(1, len(found))
 
@@ -119,11 +122,12 @@ def component_distance(
     relative_to: str = "image",
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Wasserstein distance between the component sizes of two materials: D_w, equation (5) of Zhang, Yang, Li, Wu and
-    Wang 2021 (ScaffoldGAN).
+    """Wasserstein distance between the component sizes of two materials: D_w, equation (5) of
+    Zhang, Yang, Li, Wu and Wang 2021 (ScaffoldGAN).
 
-    A material is the set of its components, each with the same mass, at the place on a line that is its size over the
-    volume of the model; the distance is the area between the two cumulative distributions, 0..1.
+    A material is the set of its components, each with the same mass, at the place on a line that is
+    its size over the volume of the model; the distance is the area between the two cumulative
+    distributions, 0..1.
 
     Parameters
     ----------
@@ -134,8 +138,9 @@ def component_distance(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Default: neighbours share a face.
     relative_to : {"image", "phase"}
-        What "volume of the model" means: the voxels of the whole image, or of the phase alone. The paper does not say;
-        its figures fit the first, in per cent (its table prints 100 times this).
+        What "volume of the model" means: the voxels of the whole image, or of the phase alone. The
+        paper does not say; its figures fit the first, in per cent (its table prints 100 times
+        this).
     periodic : bool or one per axis
         Voxels at opposite faces of these axes are neighbours.
 
@@ -193,7 +198,9 @@ def components(
     InputError
         As `component_sizes`.
     """
-    return len(component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic))
+    return len(
+        component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
+    )
 
 
 def largest_fraction(
@@ -237,15 +244,16 @@ def floating(
 ) -> int:
     """Number of floating parts of a phase (default "solid").
 
-    Parts that touch a face of the image count as well: whether they hold on to something beyond it cannot be known.
+    Parts that touch a face of the image count as well: whether they hold on to something beyond it
+    cannot be known.
 
     Parameters
     ----------
     image, phase, connectivity, mask, periodic
         As for `component_sizes`.
     smaller_than : int, optional
-        A part floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take 10. Default: every
-        component but the largest floats.
+        A part floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take 10.
+        Default: every component but the largest floats.
 
     Returns
     -------
@@ -256,7 +264,9 @@ def floating(
     InputError
         As `component_sizes`, and `smaller_than` below 1.
     """
-    sizes = component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
+    sizes = component_sizes(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    )
     return len(_floating_sizes(sizes, smaller_than))
 
 
@@ -285,7 +295,9 @@ def floating_voxels(
     InputError
         As `floating`.
     """
-    sizes = component_sizes(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
+    sizes = component_sizes(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    )
     return int(_floating_sizes(sizes, smaller_than).sum())
 
 
@@ -298,12 +310,15 @@ def _floating_sizes(sizes: np.ndarray, smaller_than: int | None) -> np.ndarray:
     """Of `sizes`, largest first, those of parts that float."""
     if smaller_than is None:
         return sizes[1:]
-    return sizes[sizes < as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True)]
+    return sizes[
+        sizes < as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True)
+    ]
 
 
 def sizes_distance(a: np.ndarray, b: np.ndarray) -> float:
-    """Wasserstein distance of two samples of sizes: the area between their cumulative distributions, where each value of a
-    sample has the same mass. An empty sample counts as one value of 0."""
+    """Wasserstein distance of two samples of sizes: the area between their cumulative
+    distributions, where each value of a sample has the same mass. An empty sample counts as one
+    value of 0."""
     a, b = (np.sort(sample) if len(sample) else np.zeros(1) for sample in (a, b))
     places = np.sort(np.concatenate([a, b]))
     below = [np.searchsorted(sample, places[:-1], side="right") / len(sample) for sample in (a, b)]

@@ -1,9 +1,10 @@
 """Contact areas: the interface between two phases of several, per volume.
 
-The interface of two phases together is that of the one and that of the other less twice their contact, so
-S_ab = (S_a + S_b - S_a+b) / 2, where S is `specific_surface` (Crofton's formula over 13 directions, 4 in 2-D; Legland,
-Kieu, Devaux 2007, doi:10.5566/ias.v26.p83-92). That counts each pair of voxels of two phases for one contact: the contacts
-of a phase add up to its specific surface, and with three phases S_ab = (S_a + S_b - S_c) / 2.
+The interface of two phases together is that of the one and that of the other less twice their
+contact, so S_ab = (S_a + S_b - S_a+b) / 2, where S is `specific_surface` (Crofton's formula over 13
+directions, 4 in 2-D; Legland, Kieu, Devaux 2007, doi:10.5566/ias.v26.p83-92). That counts each pair
+of voxels of two phases for one contact: the contacts of a phase add up to its specific surface, and
+with three phases S_ab = (S_a + S_b - S_c) / 2.
 """
 
 from __future__ import annotations
@@ -16,15 +17,19 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
-from trabecula.measure.cubes import count_cubes
+from trabecula.measure.configurations import count_cubes
 from trabecula.measure.minkowski import densities, extended
 from trabecula.measure.phases import as_mask, as_periodic, check_sides
 
 
 def contacts(
-    image: Image | ArrayLike, *, mask: ArrayLike | None = None, periodic: bool | Sequence[bool] = False
+    image: Image | ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> dict[tuple[str, str], float]:
-    """Return the contact area per volume of every pair of phases, 1 / length (2-D: length per area).
+    """Return the contact area per volume of every pair of phases, 1 / length (2-D: length per
+    area).
 
     Parameters
     ----------
@@ -37,8 +42,8 @@ def contacts(
     Returns
     -------
     areas : dict
-        (name, name), in the order of the labels -> area; 0 where two phases never meet. The areas of all pairs with a
-        phase add up to its `specific_surface`.
+        (name, name), in the order of the labels -> area; 0 where two phases never meet. The areas
+        of all pairs with a phase add up to its `specific_surface`.
 
     Raises
     ------
@@ -91,37 +96,51 @@ def contact(
     check_labels(image)
     a, b = sorted(phase_index(image, phase, default="") for phase in (first, second))
     if a == b:
-        raise InputError(f"the contact of {image.phases[a]} with itself was asked for: give two phases")
+        raise InputError(
+            f"the contact of {image.phases[a]} with itself was asked for: give two phases"
+        )
     return next(iter(_areas(image, [(a, b)], mask, periodic).values()))
 
 
 def _areas(
-    image: Image, pairs: list[tuple[int, int]], mask: ArrayLike | None, periodic: bool | Sequence[bool]
+    image: Image,
+    pairs: list[tuple[int, int]],
+    mask: ArrayLike | None,
+    periodic: bool | Sequence[bool],
 ) -> dict[tuple[str, str], float]:
     check_sides(image.shape, what="has no surface inside")
     wraps = as_periodic(periodic, image.ndim)
     values, region = extended(image.values, wraps), as_mask(mask, image.shape)
     where = None if region is None else extended(region, wraps)
     counts = {
-        label: count_cubes(values == label, where) for label in sorted({label for pair in pairs for label in pair})
+        label: count_cubes(values == label, where)
+        for label in sorted({label for pair in pairs for label in pair})
     }
     if not next(iter(counts.values())).any():
-        raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
+        raise InputError(
+            "no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one"
+        )
 
     def joint(a: int, b: int) -> np.ndarray:
-        """Count the configurations of two phases together; of three phases they are those of the third, turned over."""
+        """Count the configurations of two phases together; of three phases they are those of the
+        third, turned over.
+        """
         rest = set(counts) - {a, b}
         if len(image.phases) == 3 and len(rest) == 1:
             return counts[rest.pop()][::-1]
         return count_cubes((values == a) | (values == b), where)
 
     return {
-        (image.phases[a], image.phases[b]): contact_area(counts[a], counts[b], joint(a, b), image.spacing)
+        (image.phases[a], image.phases[b]): contact_area(
+            counts[a], counts[b], joint(a, b), image.spacing
+        )
         for a, b in pairs
     }
 
 
-def contact_area(first: np.ndarray, second: np.ndarray, joint: np.ndarray, spacing: tuple[float, ...]) -> float:
+def contact_area(
+    first: np.ndarray, second: np.ndarray, joint: np.ndarray, spacing: tuple[float, ...]
+) -> float:
     """Return the contact area of two phases per volume.
 
     Parameters

@@ -11,10 +11,18 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.core.progress import say
-from trabecula.engine.slabs import Slabs
+from trabecula.core.progress import notify
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
-from trabecula.measure.each_phase import CURVES, LEVELS, NUMBERS, collect_phases, drop_redundant, redundant_beside_solid
+from trabecula.measure.each_phase import (
+    CURVES,
+    LEVELS,
+    NUMBERS,
+    collect_phases,
+    drop_redundant,
+    redundant_beside_solid,
+)
+from trabecula.measure.effective_properties import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.grey import autocorrelation, grey_values, histogram, ten_bins
 from trabecula.measure.margins import margin_note
@@ -22,8 +30,7 @@ from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import check_sides, indicator
-from trabecula.measure.physics import PHYSICS, describe_physics, physics_notes
-from trabecula.measure.tallies.numbers import SOLID_NUMBERS, Numbers, fractions_of
+from trabecula.measure.streaming.numbers import SOLID_NUMBERS, Numbers, fractions_of
 from trabecula.measure.thickness import pore_size, thickness
 
 SLOW = ("pore_size", "thickness", "morphometry", "anisotropy")
@@ -35,8 +42,8 @@ def describe(
 ) -> dict[str, Any]:
     """Every descriptor of a material, as plain JSON values.
 
-    Where one number is needed, it is that of the solid: every phase but "void". Every phase for itself stands under
-    `phases`. Neighbours share a face.
+    Where one number is needed, it is that of the solid: every phase but "void". Every phase for
+    itself stands under `phases`. Neighbours share a face.
 
     Parameters
     ----------
@@ -45,32 +52,36 @@ def describe(
     r_max : int
         Largest distance of the curves, in voxels; lowered to half the smallest side.
     level : {"quick", "default", "full"}
-        "quick" leaves out what needs distances and directions (thickness, pore size, morphometry, anisotropy, the
-        cluster function); "full" adds transport and stiffness, which take minutes.
+        "quick" leaves out what needs distances and directions (thickness, pore size, morphometry,
+        anisotropy, the cluster function); "full" adds transport and stiffness, which take minutes.
     box : int, optional
-        Edge of the centre box, voxels, that transport and stiffness are solved in. Default: the whole image.
+        Edge of the centre box, voxels, that transport and stiffness are solved in. Default: the
+        whole image.
 
     Returns
     -------
     descriptors : dict
-        `porosity`, `fractions` (of every phase), `specific_surface`, `euler` (of the image as an object),
-        `euler_density` and `mean_curvature` (per volume, without what the faces cut), `components`, `floating`,
-        `floating_voxels`, `largest_fraction`, `percolates` and `percolating_fraction` (per axis), `chord_length`,
-        `two_point` (per axis and radial, r = 0 .. r_max voxels), `lineal_path`; from "default" on `pore_size`,
-        `thickness`, `morphometry` (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`; in
-        "full" `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid (each per
-        axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of each whether it converged
-        and what halving the voxel changes. Besides `shape`, `spacing`, `unit`, `r_max`, `level`, and
-        `notes` on margins without material (`find_margins`), and on what is infinite or has not converged. Lengths
-        are in `unit`; the curves run in voxels. `None` where a value does not exist, such as the thickness of a
-        phase that fills the image, or was not asked for.
+        `porosity`, `fractions` (of every phase), `specific_surface`, `euler` (of the image as an
+        object), `euler_density` and `mean_curvature` (per volume, without what the faces cut),
+        `components`, `floating`, `floating_voxels`, `largest_fraction`, `percolates` and
+        `percolating_fraction` (per axis), `chord_length`, `two_point` (per axis and radial, r = 0
+        .. r_max voxels), `lineal_path`; from "default" on `pore_size`, `thickness`, `morphometry`
+        (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`; in "full"
+        `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid
+        (each per axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of
+        each whether it converged and what halving the voxel changes. Besides `shape`, `spacing`,
+        `unit`, `r_max`, `level`, and `notes` on margins without material (`find_margins`), and on
+        what is infinite or has not converged. Lengths are in `unit`; the curves run in voxels.
+        `None` where a value does not exist, such as the thickness of a phase that fills the image,
+        or was not asked for.
 
     Raises
     ------
     InputError
         A side of one voxel, r_max below 1, an unknown level.
     MemoryBudgetError
-        At level "full", transport or stiffness would take more memory than there is: give a smaller `box`.
+        At level "full", transport or stiffness would take more memory than there is: give a smaller
+        `box`.
     """
     image = as_image(image)
     check_name(level, LEVELS, name="level")
@@ -81,14 +92,25 @@ def describe(
     check_sides(image.shape, what="has no surface inside")
     r_max = max(1, min(r_max, min(image.shape) // 2))
     if "void" in image.phases:
-        found = describe_numbers(image, level=level) | describe_curves(image, r_max=r_max, level=level)
-        found |= describe_physics(image, box=box, halving=True) if level == "full" else dict.fromkeys(PHYSICS)
+        found = describe_numbers(image, level=level) | describe_curves(
+            image, r_max=r_max, level=level
+        )
+        found |= (
+            describe_physics(image, box=box, halving=True)
+            if level == "full"
+            else dict.fromkeys(PHYSICS)
+        )
     else:
         counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
         found = outline_without_solid(image, counts, r_max=r_max)
-    found |= collect_phases(image, level=level, r_max=r_max, known=figures_from(image.phases, found))
+    found |= collect_phases(
+        image, level=level, r_max=r_max, known=figures_from(image.phases, found)
+    )
     found["phases"] = drop_redundant(found["phases"], redundant_beside_solid(image.phases))
-    return found | {"level": level, "notes": [*notes, *void_notes(image.phases), *physics_notes(found)]}
+    return found | {
+        "level": level,
+        "notes": [*notes, *void_notes(image.phases), *physics_notes(found)],
+    }
 
 
 def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -99,12 +121,20 @@ def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, d
     if len(phases) == 2:
         solid = next(name for name in phases if name != "void")
         known[solid] = {name: found[name] for name in NUMBERS if name != "fraction"}
-        known[solid] |= {"fraction": found["fractions"][solid], "lineal_path": found["lineal_path"], "two_point": None}
+        known[solid] |= {
+            "fraction": found["fractions"][solid],
+            "lineal_path": found["lineal_path"],
+            "two_point": None,
+        }
     return known
 
 
-def outline_without_solid(image: Image | Slabs, counts: np.ndarray, *, r_max: int) -> dict[str, Any]:
-    """Return the keys of `describe` for an image of which nobody knows what is solid; `counts` are voxels of every phase."""
+def outline_without_solid(
+    image: Image | Slabs, counts: np.ndarray, *, r_max: int
+) -> dict[str, Any]:
+    """Return the keys of `describe` for an image of which nobody knows what is solid; `counts` are
+    voxels of every phase.
+    """
     outline = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
     solid = dict.fromkeys((*SOLID_NUMBERS, *SLOW, *CURVES, "two_point_cluster", *PHYSICS))
     return {**outline, "fractions": fractions_of(counts, image.phases), "r_max": r_max, **solid}
@@ -124,7 +154,7 @@ def margin_notes(image: Image) -> list[str]:
     """Say that an image has margins without material, where it has; the line comes back as well."""
     note = margin_note(image)
     if note is not None:
-        say(note)
+        notify(note)
     return [] if note is None else [note]
 
 
@@ -133,7 +163,12 @@ def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
     image, solid = indicator(image, None)
     numbers = Numbers(image.shape, image.spacing, image.phases)
     numbers.add(image)
-    found = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit, **numbers.result()}
+    found = {
+        "shape": list(image.shape),
+        "spacing": list(image.spacing),
+        "unit": image.unit,
+        **numbers.result(),
+    }
     slow: dict[str, Any] = dict.fromkeys(SLOW)
     if level != "quick":
         slow |= _sizes(image, solid)
@@ -148,7 +183,10 @@ def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
         bones["DA"] = anisotropy(image) if both else None
         thick, pore = bones["Tb.Th"], bones["Tb.Sp"]
     else:
-        thick, pore = (None if solid.all() else thickness(image)), (pore_size(image) if solid.any() else None)
+        thick, pore = (
+            (None if solid.all() else thickness(image)),
+            (pore_size(image) if solid.any() else None),
+        )
     return {
         "pore_size": pore,
         "thickness": thick,
@@ -159,7 +197,10 @@ def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
 
 def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict[str, Any]:
     """The curves of `describe`, r = 0 .. r_max voxels; r_max has to fit every side."""
-    curves = {name: two_point(image, r_max=r_max, axis=axis) for axis, name in enumerate(AXES[3 - image.ndim :])}
+    curves = {
+        name: two_point(image, r_max=r_max, axis=axis)
+        for axis, name in enumerate(AXES[3 - image.ndim :])
+    }
     curves["radial"] = two_point(image, r_max=r_max)
     cluster = None if level == "quick" else two_point_cluster(image, r_max=r_max).tolist()
     return {
@@ -177,14 +218,16 @@ def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, A
     ----------
     image : Image of grey or colour, (Z, Y, X) or (Y, X)
     lags : int
-        Largest lag of the autocorrelation along every axis, voxels; lowered to the smallest side less one.
+        Largest lag of the autocorrelation along every axis, voxels; lowered to the smallest side
+        less one.
 
     Returns
     -------
     descriptors : dict
-        `mean` and `standard_deviation` (of a colour's luminance), `histogram` (256 bins; of a colour one a channel),
-        `ten_bins` (None where values are not bytes), `autocorrelation` (per axis, lag 0 first), `orientation` (the
-        histogram of local orientations); and `shape`, `spacing`, `unit`, `level`.
+        `mean` and `standard_deviation` (of a colour's luminance), `histogram` (256 bins; of a
+        colour one a channel), `ten_bins` (None where values are not bytes), `autocorrelation` (per
+        axis, lag 0 first), `orientation` (the histogram of local orientations); and `shape`,
+        `spacing`, `unit`, `level`.
 
     Raises
     ------
@@ -204,7 +247,9 @@ def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, A
         "standard_deviation": float(values.std(dtype=np.float64)),
         "histogram": histogram(image).tolist(),
         "ten_bins": ten_bins(image).tolist() if bytes_only else None,
-        "autocorrelation": {name: line.tolist() for name, line in autocorrelation_lines(image, lags=lags).items()},
+        "autocorrelation": {
+            name: line.tolist() for name, line in autocorrelation_lines(image, lags=lags).items()
+        },
         "orientation": orientation(image).shares.tolist(),
         "level": "texture",
     }
@@ -215,6 +260,8 @@ def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
     whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) - 1)))
     centre = tuple(side // 2 for side in whole.shape)
     return {
-        name: np.moveaxis(whole, axis, -1)[(*(c for a, c in enumerate(centre) if a != axis), slice(centre[axis], None))]
+        name: np.moveaxis(whole, axis, -1)[
+            (*(c for a, c in enumerate(centre) if a != axis), slice(centre[axis], None))
+        ]
         for axis, name in enumerate(AXES[3 - image.ndim :])
     }

@@ -1,9 +1,10 @@
 """Exact Euclidean distance, one axis after another.
 
-Felzenszwalb and Huttenlocher 2012, "Distance transforms of sampled functions", doi:10.4086/toc.2012.v008a019: the
-squared distance along a line is the lower envelope of parabolas. Here every run of inside voxels is done alone,
-between the two outside voxels that bound it: no parabola from beyond them can be lower, so short runs stay cheap and
-outside voxels cost nothing. A periodic line is cut open at an outside voxel; only one without any is laid out twice.
+Felzenszwalb and Huttenlocher 2012, "Distance transforms of sampled functions",
+doi:10.4086/toc.2012.v008a019: the squared distance along a line is the lower envelope of parabolas.
+Here every run of inside voxels is done alone, between the two outside voxels that bound it: no
+parabola from beyond them can be lower, so short runs stay cheap and outside voxels cost nothing. A
+periodic line is cut open at an outside voxel; only one without any is laid out twice.
 """
 
 from __future__ import annotations
@@ -15,18 +16,22 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_spacing
 from trabecula.core.errors import InputError
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.phases import as_inside, as_periodic
 
 _COLUMNS = 16  # lines gathered at once along y and z: a cache line of float32
 
 
 def distance_transform(
-    inside: ArrayLike, *, spacing: float | Sequence[float] | None = None, periodic: bool | Sequence[bool] = False
+    inside: ArrayLike,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Distance of every inside voxel's centre to the centre of the nearest voxel that is not inside.
+    """Distance of every inside voxel's centre to the centre of the nearest voxel that is not
+    inside.
 
     Parameters
     ----------
@@ -39,8 +44,8 @@ def distance_transform(
     Returns
     -------
     distance : float32 array, the shape of `inside`
-        In the unit of `spacing`; 0 where not inside, infinite everywhere where every voxel is inside. The faces of the
-        array are no boundary.
+        In the unit of `spacing`; 0 where not inside, infinite everywhere where every voxel is
+        inside. The faces of the array are no boundary.
 
     Raises
     ------
@@ -60,12 +65,14 @@ def distance_transform(
     scale = min(edges[3 - np.ndim(inside) :])
     weights = [(edge / scale) ** 2 for edge in edges]
     depth, height, _ = solid.shape
-    square = scratch.empty(solid.shape, np.float32)
+    square = memmap.empty(solid.shape, np.float32)
     for_slabs(lambda a, b: _along_x(solid, square, weights[2], wraps[2], a, b), depth)
     if height > 1:
         for_slabs(lambda a, b: _along_lines(square, weights[1], wraps[1], a, b), depth)
     if depth > 1:
-        for_slabs(lambda a, b: _along_lines(square.transpose(1, 0, 2), weights[0], wraps[0], a, b), height)
+        for_slabs(
+            lambda a, b: _along_lines(square.transpose(1, 0, 2), weights[0], wraps[0], a, b), height
+        )
 
     def root(start: int, stop: int) -> None:
         np.sqrt(square[start:stop], out=square[start:stop])
@@ -83,10 +90,11 @@ def signed_distance(
     clip: float | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Distance to the interface between inside and outside: positive inside, negative outside, 0 on the interface.
+    """Distance to the interface between inside and outside: positive inside, negative outside, 0 on
+    the interface.
 
-    The interface lies half a voxel before the nearest voxel of the other side, so half the smallest edge is taken off
-    `distance_transform` of either side: a voxel at a flat interface has +-h/2.
+    The interface lies half a voxel before the nearest voxel of the other side, so half the smallest
+    edge is taken off `distance_transform` of either side: a voxel at a flat interface has +-h/2.
 
     Parameters
     ----------
@@ -109,13 +117,16 @@ def signed_distance(
         As `distance_transform`; a clip that is not positive.
     """
     if clip is not None and not clip > 0:
-        raise InputError(f"clip {clip} must be positive: give a distance in the unit of the spacing, or None")
+        raise InputError(
+            f"clip {clip} must be positive: give a distance in the unit of the spacing, or None"
+        )
     solid = as_inside(inside)
     half = np.float32(min(as_spacing(spacing, ndim=np.ndim(inside))) / 2)
     solid = solid.reshape(np.shape(inside))
     result = distance_transform(solid, spacing=spacing, periodic=periodic)
     result -= distance_transform(~solid, spacing=spacing, periodic=periodic)
-    # One of the two terms is 0 in every voxel, so half an edge goes off in the direction of the sign.
+    # One of the two terms is 0 in every voxel, so half an edge goes off in the direction of the
+    # sign.
     result -= np.where(solid, half, -half)
     return result if clip is None else np.clip(result, -clip, clip, out=result)
 
@@ -125,7 +136,8 @@ def _along_x(inside, square, weight, wraps, start, stop):
     _, height, width = inside.shape
     for z in range(start, stop):
         for y in range(height):
-            # Steps since the last outside voxel: of a periodic line, seen from beyond its start and its end.
+            # Steps since the last outside voxel: of a periodic line, seen from beyond its start and
+            # its end.
             since = until = np.inf
             if wraps:
                 for x in range(width):
@@ -143,10 +155,11 @@ def _along_x(inside, square, weight, wraps, start, stop):
 
 @inline
 def _envelope(value, vertex, base, bound, first, last, weight):
-    """Replace value[first+1 .. last-1] by the lower envelope of the parabolas with apex value[q] at q in first..last.
+    """Replace value[first+1 .. last-1] by the lower envelope of the parabolas with apex value[q] at
+    q in first..last.
 
-    `vertex` holds the positions of the parabolas in the envelope, `base` their value + weight q^2, `bound` where each
-    begins.
+    `vertex` holds the positions of the parabolas in the envelope, `base` their value + weight q^2,
+    `bound` where each begins.
     """
     count = 0
     for q in range(first, last + 1):
@@ -195,7 +208,8 @@ def _every_run_around(value, turned, vertex, base, bound, length, weight):
     begin = 0
     while begin < length and value[begin] != 0.0:
         begin += 1
-    # From an outside voxel to its own image; without one, half a line more on either side is as far as any way goes.
+    # From an outside voxel to its own image; without one, half a line more on either side is as far
+    # as any way goes.
     count = length + 1
     if begin == length:
         begin = length - (length // 2 + 1)

@@ -1,9 +1,10 @@
 """Every phase for itself, every pair of phases, and the lines where three meet.
 
-What is the same for two phases is told once: with two phases the interface and S2 (its covariance) of the one are those
-of the other, so they stand with the solid (the last phase, where none is named void), and there are neither pairs nor
-triples. Components, percolation, lineal path, chords and thickness differ, and are told of both. The components of a
-phase are found once, for its own figures and for the active share of the triple-phase lines.
+What is the same for two phases is told once: with two phases the interface and S2 (its covariance)
+of the one are those of the other, so they stand with the solid (the last phase, where none is named
+void), and there are neither pairs nor triples. Components, percolation, lineal path, chords and
+thickness differ, and are told of both. The components of a phase are found once, for its own
+figures and for the active share of the triple-phase lines.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.image import Image, as_image, check_labels, phase_index
+from trabecula.measure.configurations import count_cubes
 from trabecula.measure.contacts import contact_area
 from trabecula.measure.correlation import cross_correlation, lineal_path, two_point
-from trabecula.measure.cubes import count_cubes
 from trabecula.measure.minkowski import densities
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import as_inside, check_sides
-from trabecula.measure.tallies import Crossings, phase_figures
+from trabecula.measure.streaming import Crossings, phase_figures
 from trabecula.measure.thickness import thickness
 from trabecula.measure.triple_lines import TripleLine, lines_of, mark_components
 
@@ -34,7 +35,15 @@ SAME_FOR_TWO = ("specific_surface", "two_point")
 CURVES = ("two_point", "lineal_path")
 
 NUMBERS = (
-    *("fraction", "specific_surface", "euler_density", "mean_curvature", "components", "floating", "floating_voxels"),
+    *(
+        "fraction",
+        "specific_surface",
+        "euler_density",
+        "mean_curvature",
+        "components",
+        "floating",
+        "floating_voxels",
+    ),
     *("largest_fraction", "percolates", "percolating_fraction", "chord_length", "thickness"),
 )
 Known = Mapping[str, Mapping[str, Any]]
@@ -65,7 +74,8 @@ def describe_phases(
     r_max: int = 50,
     phase: str | int | None = None,
 ) -> dict[str, Any]:
-    """Describe every phase for itself, every pair of phases, and the triple-phase lines, as plain JSON values.
+    """Describe every phase for itself, every pair of phases, and the triple-phase lines, as plain
+    JSON values.
 
     Parameters
     ----------
@@ -81,15 +91,17 @@ def describe_phases(
     Returns
     -------
     described : dict
-        `phases`: name -> `fraction`, `specific_surface`, `euler_density`, `mean_curvature`, `components`, `floating`,
-        `floating_voxels`, `largest_fraction`, `percolates` and `percolating_fraction` (per axis), `chord_length`,
-        `thickness`, `two_point` (per axis and radial, r = 0 .. r_max voxels), `lineal_path`; neighbours share a face.
-        `pairs`: "name-name" -> `contact` (area per volume, see `contacts`) and `cross_correlation` (radial).
-        `triples`: "name-name-name" -> `line_density` and `active_share` (see `triple_phase_lines`).
-        Names run in the order of the labels; lengths are in the image's unit. `None` where a value does not exist, such
-        as the thickness of a phase that is empty or fills the image, or was left out. With two phases `pairs` and
-        `triples` are empty, and `specific_surface` and `two_point` are told of one phase only (of the other they are the
-        same): the solid, or the last one where none is named void.
+        `phases`: name -> `fraction`, `specific_surface`, `euler_density`, `mean_curvature`,
+        `components`, `floating`, `floating_voxels`, `largest_fraction`, `percolates` and
+        `percolating_fraction` (per axis), `chord_length`, `thickness`, `two_point` (per axis and
+        radial, r = 0 .. r_max voxels), `lineal_path`; neighbours share a face. `pairs`: "name-name"
+        -> `contact` (area per volume, see `contacts`) and `cross_correlation` (radial). `triples`:
+        "name-name-name" -> `line_density` and `active_share` (see `triple_phase_lines`). Names run
+        in the order of the labels; lengths are in the image's unit. `None` where a value does not
+        exist, such as the thickness of a phase that is empty or fills the image, or was left out.
+        With two phases `pairs` and `triples` are empty, and `specific_surface` and `two_point` are
+        told of one phase only (of the other they are the same): the solid, or the last one where
+        none is named void.
 
     Raises
     ------
@@ -99,13 +111,17 @@ def describe_phases(
     image = as_labels(image, level)
     r_max = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     only = None if phase is None else image.phases[phase_index(image, phase, default="")]
-    return collect_phases(image, level=level, r_max=max(1, min(r_max, min(image.shape) // 2)), only=only)
+    return collect_phases(
+        image, level=level, r_max=max(1, min(r_max, min(image.shape) // 2)), only=only
+    )
 
 
 def collect_phases(
     image: Image, *, level: str, r_max: int, known: Known | None = None, only: str | None = None
 ) -> dict[str, Any]:
-    """Describe as `describe_phases` does, taking figures that are `known`; r_max has to fit every side."""
+    """Describe as `describe_phases` does, taking figures that are `known`; r_max has to fit every
+    side.
+    """
     known = known or {}
     numbers = measure_numbers(image, level=level, known=known, only=only)
     curves = measure_curves(image, r_max=r_max, known=known, only=only)
@@ -123,21 +139,37 @@ def collect_phases(
     }
 
 
-def drop_redundant(phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]) -> dict[str, dict[str, Any]]:
-    """Return the figures of phases; those that repeat another's without what two phases have in common."""
+def drop_redundant(
+    phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]
+) -> dict[str, dict[str, Any]]:
+    """Return the figures of phases; those that repeat another's without what two phases have in
+    common.
+    """
     return {
-        name: {key: value for key, value in figures.items() if name not in repeating or key not in SAME_FOR_TWO}
+        name: {
+            key: value
+            for key, value in figures.items()
+            if name not in repeating or key not in SAME_FOR_TWO
+        }
         for name, figures in phases.items()
     }
 
 
 def redundant_beside_solid(image_phases: Sequence[str]) -> Sequence[str]:
-    """Return the phases that repeat another's figures in `describe`, which tells the solid's: of two, both."""
-    return image_phases if len(image_phases) == 2 and "void" in image_phases else redundant_phases(image_phases, None)
+    """Return the phases that repeat another's figures in `describe`, which tells the solid's: of
+    two, both.
+    """
+    return (
+        image_phases
+        if len(image_phases) == 2 and "void" in image_phases
+        else redundant_phases(image_phases, None)
+    )
 
 
 def as_labels(image: Image | ArrayLike, level: str) -> Image:
-    """Return an image of labels that has an interior; raise where it is none, or the level is unknown."""
+    """Return an image of labels that has an interior; raise where it is none, or the level is
+    unknown.
+    """
     image = as_image(image)
     check_labels(image)
     check_name(level, LEVELS, name="level")
@@ -146,13 +178,17 @@ def as_labels(image: Image | ArrayLike, level: str) -> Image:
 
 
 def redundant_phases(phases: Sequence[str], only: str | None) -> Sequence[str]:
-    """Return, of two phases, the one whose interface and S2 are told with the other: the void, or the first."""
+    """Return, of two phases, the one whose interface and S2 are told with the other: the void, or
+    the first.
+    """
     if len(phases) != 2 or only is not None:
         return ()
     return ("void" if "void" in phases else phases[0],)
 
 
-def measure_numbers(image: Image, *, level: str, known: Known, only: str | None = None) -> PhaseFigures:
+def measure_numbers(
+    image: Image, *, level: str, known: Known, only: str | None = None
+) -> PhaseFigures:
     """Measure the numbers; one labelling and one count of configurations a phase."""
     names = image.phases
     wanted = names if only is None else (only,)
@@ -168,7 +204,9 @@ def measure_numbers(image: Image, *, level: str, known: Known, only: str | None 
             inside = image.values == label
             cubes[name] = count_cubes(inside, None)
             if name in wanted:
-                phases[name] = _figures(image, name, inside, cubes[name], spans, level=level, given=given)
+                phases[name] = _figures(
+                    image, name, inside, cubes[name], spans, level=level, given=given
+                )
         elif name in wanted:
             phases[name] = {key: given[key] for key in NUMBERS}
     areas = {pair: _contact(image, pair, cubes) for pair in pairs}
@@ -191,7 +229,10 @@ def _figures(
     crossings.add(as_inside(inside))
     shape = densities(cubes, image.spacing, 6 if image.ndim == 3 else 4)
     fraction = pieces.voxels / inside.size
-    found = {"fraction": fraction, **phase_figures(shape, pieces, crossings.rates(image.spacing), inside.size)}
+    found = {
+        "fraction": fraction,
+        **phase_figures(shape, pieces, crossings.rates(image.spacing), inside.size),
+    }
     thick = None
     if level != "quick" and 0 < fraction < 1:
         thick = given["thickness"] if "thickness" in given else thickness(image, phase=name)
@@ -217,24 +258,33 @@ def measure_curves(
     for name in names if only is None else (only,):
         found = dict(known.get(name, {}))
         if "two_point" not in found:
-            found["two_point"] = None if name in redundant_phases(names, only) else _two_point(image, name, r_max)
+            found["two_point"] = (
+                None if name in redundant_phases(names, only) else _two_point(image, name, r_max)
+            )
         if "lineal_path" not in found:
             found["lineal_path"] = _listed(lineal_path(image, phase=name, r_max=r_max))
         phases[name] = {curve: found[curve] for curve in CURVES}
     pairs = _pairs(names, only) if cross else []
     return PhaseCurves(
-        phases, {pair: cross_correlation(image, first=pair[0], second=pair[1], r_max=r_max) for pair in pairs}
+        phases,
+        {
+            pair: cross_correlation(image, first=pair[0], second=pair[1], r_max=r_max)
+            for pair in pairs
+        },
     )
 
 
 def _pairs(names: Sequence[str], only: str | None) -> list[tuple[str, str]]:
     """Return the pairs to describe: none of two phases, and with `only` those of that one."""
-    return [pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)]
+    return [
+        pair for pair in combinations(names, 2) if len(names) > 2 and (only is None or only in pair)
+    ]
 
 
 def _two_point(image: Image, name: str, r_max: int) -> dict[str, list[float]]:
     curves = {
-        along: two_point(image, phase=name, r_max=r_max, axis=axis) for axis, along in enumerate(AXES[3 - image.ndim :])
+        along: two_point(image, phase=name, r_max=r_max, axis=axis)
+        for axis, along in enumerate(AXES[3 - image.ndim :])
     }
     return {
         along: _listed(curve)

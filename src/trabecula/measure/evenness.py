@@ -1,9 +1,10 @@
 """How even a material is in space: local fraction, surface and direction over windows, and trends.
 
-A mean, a two-point function and a pore size can all be right in a volume that is hollow, graded or made of two halves. What
-shows it is how much the means of *windows* differ. The variance of these means falls with the window's volume as the
-material's covariance says (Lantuejoul 1991, doi:10.1111/j.1365-2818.1991.tb03111.x, "ergodicity and integral range"), so
-windows are compared at equal size, and sizes count in correlation lengths.
+A mean, a two-point function and a pore size can all be right in a volume that is hollow, graded or
+made of two halves. What shows it is how much the means of *windows* differ. The variance of these
+means falls with the window's volume as the material's covariance says (Lantuejoul 1991,
+doi:10.1111/j.1365-2818.1991.tb03111.x, "ergodicity and integral range"), so windows are compared at
+equal size, and sizes count in correlation lengths.
 """
 
 from __future__ import annotations
@@ -21,13 +22,17 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index
 from trabecula.measure.correlation.length import correlation_length
 from trabecula.measure.grey import autocorrelation
-from trabecula.measure.tallies.cells import CELL, CellMeans, cells_of
+from trabecula.measure.streaming.cells import CELL, CellMeans, cells_of
 
 SMALLEST, WIDEST = 3.0, 20.0
-"""Edges of the smallest and of the largest window in correlation lengths; the middle one is their geometric mean."""
+"""Edges of the smallest and of the largest window in correlation lengths; the middle one is their
+geometric mean.
+"""
 
 LARGEST = 0.4
-"""Largest edge of a window, of the shortest side: fewer than two and a half windows a side tell no spread."""
+"""Largest edge of a window, of the shortest side: fewer than two and a half windows a side tell no
+spread.
+"""
 
 AXES = ("z", "y", "x")
 
@@ -54,13 +59,15 @@ class Evenness:
     fraction: tuple[Spread, ...]
     """Volume fraction of the phase; of a grey or colour image the mean value."""
     surface: tuple[Spread, ...]
-    """Interface area per volume (on voxel faces, so the figures compare with each other only), over its mean."""
+    """Interface area per volume (on voxel faces, so the figures compare with each other only), over
+    its mean.
+    """
     direction: tuple[Spread, ...]
-    """Share of the interface that faces each axis: `deviation` is the root of the variances' sum over the axes, `lowest` and
-    `highest` the smallest and largest share of any axis."""
+    """Share of the interface that faces each axis: `deviation` is the root of the variances' sum
+    over the axes, `lowest` and `highest` the smallest and largest share of any axis."""
     trend: dict[str, float]
-    """Change of the local fraction (or value) from one face to the other of a straight line fitted along "z", "y", "x", and
-    from the faces to the centre ("centre")."""
+    """Change of the local fraction (or value) from one face to the other of a straight line fitted
+    along "z", "y", "x", and from the faces to the centre ("centre")."""
     surface_trend: dict[str, float]
     """The same of the interface area per volume, over its mean."""
     extents: tuple[float, ...]
@@ -70,7 +77,10 @@ class Evenness:
 
 
 def evenness(
-    image: Image | ArrayLike, *, phase: str | int | None = None, windows: Sequence[float] | None = None
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    windows: Sequence[float] | None = None,
 ) -> Evenness:
     """Measure how local fraction, surface and direction vary over windows and along the image.
 
@@ -81,8 +91,8 @@ def evenness(
     phase : str or int, optional
         Of labels. Default: "solid", every phase but "void".
     windows : sequence of float, optional
-        Edges of the windows in the image's unit, rounded to whole cells of 4 voxels. Default: 3 and 20 correlation
-        lengths and their geometric mean, at most 0.4 of the shortest side.
+        Edges of the windows in the image's unit, rounded to whole cells of 4 voxels. Default: 3 and
+        20 correlation lengths and their geometric mean, at most 0.4 of the shortest side.
 
     Returns
     -------
@@ -91,7 +101,8 @@ def evenness(
     Raises
     ------
     InputError
-        An image with a side of fewer than 8 voxels, a phase that does not exist, windows that do not fit.
+        An image with a side of fewer than 8 voxels, a phase that does not exist, windows that do
+        not fit.
 
     Examples
     --------
@@ -121,13 +132,15 @@ def cell_for(shape: Sequence[int]) -> int:
 
 
 def windows_for(image: Image, *, shortest: float | None = None) -> list[float]:
-    """Return the edges of three windows in the image's unit, smallest first; fewer where they fall together.
+    """Return the edges of three windows in the image's unit, smallest first; fewer where they fall
+    together.
 
     Parameters
     ----------
     image : Image
     shortest : float, optional
-        Shortest side of everything that is to be compared, in the image's unit. Default: the image's own.
+        Shortest side of everything that is to be compared, in the image's unit. Default: the
+        image's own.
     """
     own = min(side * step for side, step in zip(image.shape, image.spacing, strict=True))
     most = LARGEST * min(own, own if shortest is None else shortest)
@@ -141,7 +154,9 @@ def windows_for(image: Image, *, shortest: float | None = None) -> list[float]:
 
 
 def labels_of(image: Any, phase: str | int | None) -> list[int]:
-    """Return the rows of `CellMeans.shares` that make up a phase of an Image or Slabs; of grey and colour images the only one."""
+    """Return the rows of `CellMeans.shares` that make up a phase of an Image or Slabs; of grey and
+    colour images the only one.
+    """
     if image.kind != "labels":
         return [0]
     if phase is None and "void" in image.phases:
@@ -150,7 +165,8 @@ def labels_of(image: Any, phase: str | int | None) -> list[int]:
 
 
 def window_counts(cells: CellMeans, edges: Sequence[float]) -> list[tuple[int, int, int]]:
-    """Return the cells that a window of each edge has along z, y and x; sizes that round to the same stand once.
+    """Return the cells that a window of each edge has along z, y and x; sizes that round to the
+    same stand once.
 
     Raises
     ------
@@ -164,13 +180,19 @@ def window_counts(cells: CellMeans, edges: Sequence[float]) -> list[tuple[int, i
         if cells.edges[0] == 1 and cells.shape[0] == 1:
             counts[0] = 1
         if any(count > side for count, side in zip(counts, cells.shape, strict=True)):
-            raise InputError(f"a window of {edge:g} does not fit into the image: give a smaller one")
+            raise InputError(
+                f"a window of {edge:g} does not fit into the image: give a smaller one"
+            )
         found.append((counts[0], counts[1], counts[2]))
     return list(dict.fromkeys(found))
 
 
-def evenness_of(cells: CellMeans, windows: Sequence[tuple[int, int, int]], *, labels: Sequence[int]) -> Evenness:
-    """Return the evenness of cells that are summed already; the parameters are those of the functions above."""
+def evenness_of(
+    cells: CellMeans, windows: Sequence[tuple[int, int, int]], *, labels: Sequence[int]
+) -> Evenness:
+    """Return the evenness of cells that are summed already; the parameters are those of the
+    functions above.
+    """
     share = cells.shares[list(labels)].sum(axis=0)
     area = cells.faces.sum(axis=0)
     mean_area = area.mean() or 1.0
@@ -180,8 +202,17 @@ def evenness_of(cells: CellMeans, windows: Sequence[tuple[int, int, int]], *, la
         fraction.append(_spread(edge, window_means(share, counts)))
         surface.append(_spread(edge, window_means(area, counts) / mean_area))
         direction.append(_direction(edge, [window_means(faces, counts) for faces in cells.faces]))
-    extents = tuple(length for length, count in zip(cells.extents, cells.shape, strict=True) if count > 1)
-    return Evenness(tuple(fraction), tuple(surface), tuple(direction), trends(share), trends(area / mean_area), extents)
+    extents = tuple(
+        length for length, count in zip(cells.extents, cells.shape, strict=True) if count > 1
+    )
+    return Evenness(
+        tuple(fraction),
+        tuple(surface),
+        tuple(direction),
+        trends(share),
+        trends(area / mean_area),
+        extents,
+    )
 
 
 def window_means(values: np.ndarray, counts: Sequence[int]) -> np.ndarray:
@@ -191,12 +222,16 @@ def window_means(values: np.ndarray, counts: Sequence[int]) -> np.ndarray:
         running = np.cumsum(sums, axis=axis)
         head = running.take([count - 1], axis)
         rest = running.take(range(count, running.shape[axis]), axis)
-        sums = np.concatenate([head, rest - running.take(range(running.shape[axis] - count), axis)], axis)
+        sums = np.concatenate(
+            [head, rest - running.take(range(running.shape[axis] - count), axis)], axis
+        )
     return sums / math.prod(counts)
 
 
 def trends(share: np.ndarray) -> dict[str, float]:
-    """Return the change of a straight line fitted along every axis of cells, and from the faces to the centre."""
+    """Return the change of a straight line fitted along every axis of cells, and from the faces to
+    the centre.
+    """
     found = {}
     for axis, name in enumerate(AXES):
         count = share.shape[axis]
@@ -249,7 +284,9 @@ def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:
 
 
 def _correlation_length(image: Image) -> float:
-    """Of labels as `correlation_length`; of other images the largest lag at which the autocorrelation is 1/e or more."""
+    """Of labels as `correlation_length`; of other images the largest lag at which the
+    autocorrelation is 1/e or more.
+    """
     if image.kind == "labels":
         named = "void" in image.phases
         return correlation_length(image, phase=None if named else 0)
@@ -257,6 +294,8 @@ def _correlation_length(image: Image) -> float:
     centre = tuple(side // 2 for side in rho.shape)
     longest = 0.0
     for axis, step in enumerate(image.spacing):
-        line = np.moveaxis(rho, axis, 0)[(slice(centre[axis], None), *(c for a, c in enumerate(centre) if a != axis))]
+        line = np.moveaxis(rho, axis, 0)[
+            (slice(centre[axis], None), *(c for a, c in enumerate(centre) if a != axis))
+        ]
         longest = max(longest, float(np.flatnonzero(np.abs(line) >= math.exp(-1))[-1]) * step)
     return longest

@@ -1,9 +1,10 @@
 """Fabric: how far an interface looks one way, by mean intercept lengths.
 
-Whitehouse 1974 (doi:10.1111/j.1365-2818.1974.tb03878.x) counts how often lines of a direction cross the interface.
-Lines through voxels cross a staircase too often where they graze it, so here the count comes from the interface's
-normals: a piece of area dS with normal n is crossed by |n . d| dS lines of direction d per unit of area across d.
-Normals and areas are those of the gradient of the smoothed indicator, gathered in bins of direction.
+Whitehouse 1974 (doi:10.1111/j.1365-2818.1974.tb03878.x) counts how often lines of a direction cross
+the interface. Lines through voxels cross a staircase too often where they graze it, so here the
+count comes from the interface's normals: a piece of area dS with normal n is crossed by |n . d| dS
+lines of direction d per unit of area across d. Normals and areas are those of the gradient of the
+smoothed indicator, gathered in bins of direction.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from trabecula.core.brief import brief
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.phases import check_sides, indicator
 from trabecula.measure.smooth import gaussian
 
@@ -38,7 +39,9 @@ class Fabric:
     directions: np.ndarray
     """(ndim, ndim): row k is the unit vector (z, y, x) of length k."""
     anisotropy: float
-    """1 - smallest / largest eigenvalue of the tensor: 0 for no preferred direction, 1 for layers or straight fibres."""
+    """1 - smallest / largest eigenvalue of the tensor: 0 for no preferred direction, 1 for layers
+    or straight fibres.
+    """
 
     __repr__ = brief
 
@@ -46,9 +49,10 @@ class Fabric:
 def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabric:
     """Mean intercept lengths of a phase and the rest, and their ellipsoid.
 
-    MIL(d) is the length of lines of direction d over the number of times they cross the interface. The ellipsoid is
-    the least-squares fit of 1 / MIL^2 = d . M . d over 500 directions spread evenly (Harrigan and Mann 1984,
-    doi:10.1007/BF00540446); it is exact for aligned ellipsoids, whose MIL are as their axes.
+    MIL(d) is the length of lines of direction d over the number of times they cross the interface.
+    The ellipsoid is the least-squares fit of 1 / MIL^2 = d . M . d over 500 directions spread
+    evenly (Harrigan and Mann 1984, doi:10.1007/BF00540446); it is exact for aligned ellipsoids,
+    whose MIL are as their axes.
 
     Parameters
     ----------
@@ -81,18 +85,21 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
     pieces, volume = _normals(lifted, edges)
     pieces = pieces[:, 3 - image.ndim :]
     if not pieces.any():
-        raise InputError("the image holds no interface: one phase fills it; choose another image or phase")
+        raise InputError(
+            "the image holds no interface: one phase fills it; choose another image or phase"
+        )
     towards = _spread(image.ndim)
     crossings = np.abs(towards @ pieces.T).sum(axis=1) / volume
     return _ellipsoid(towards, crossings)
 
 
 def anisotropy(image: Image | ArrayLike, *, phase: str | int | None = None) -> float:
-    """Degree of anisotropy (DA), 0 isotropic .. 1: 1 - smallest / largest eigenvalue of the MIL tensor (see `fabric`).
+    """Degree of anisotropy (DA), 0 isotropic .. 1: 1 - smallest / largest eigenvalue of the MIL
+    tensor (see `fabric`).
 
-    Eigenvalues are of 1 / MIL^2, as in BoneJ: 1 - (shortest / longest principal MIL)^2 (Harrigan and Mann 1984,
-    doi:10.1007/BF00540446). Few structures in a small image raise it: some tenths are noise where it holds only a
-    handful.
+    Eigenvalues are of 1 / MIL^2, as in BoneJ: 1 - (shortest / longest principal MIL)^2 (Harrigan
+    and Mann 1984, doi:10.1007/BF00540446). Few structures in a small image raise it: some tenths
+    are noise where it holds only a handful.
 
     Parameters
     ----------
@@ -113,7 +120,9 @@ def anisotropy(image: Image | ArrayLike, *, phase: str | int | None = None) -> f
 
 
 def _normals(inside: np.ndarray, edges: tuple[float, ...]) -> tuple[np.ndarray, float]:
-    """Area vectors of the interface summed by direction, (bins, 3), and the volume that they are of."""
+    """Area vectors of the interface summed by direction, (bins, 3), and the volume that they are
+    of.
+    """
     sigma = _SIGMA * max(edges) / np.array(edges)
     smooth = gaussian(inside, sigma)
     # Near the faces the smoothing knows no neighbours and bends normals.

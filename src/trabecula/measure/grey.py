@@ -1,8 +1,8 @@
 """Texture of grey and colour images: histograms, their divergence, and autocorrelation.
 
-What the papers on texture synthesis compare: ten bins (Zhang, Chen, Wang, Wang 2017, section 5.3.2), the
-Kullback-Leibler divergence between histograms and the autocorrelation over 32 x 32 lags (Urs, Da Costa, Germain 2014,
-section VI).
+What the papers on texture synthesis compare: ten bins (Zhang, Chen, Wang, Wang 2017, section
+5.3.2), the Kullback-Leibler divergence between histograms and the autocorrelation over 32 x 32 lags
+(Urs, Da Costa, Germain 2014, section VI).
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ _TEN = (*range(0, 226, 25), 256)
 
 
 def histogram(
-    image: Image | ArrayLike, *, bins: int | Sequence[float] | None = None, mask: ArrayLike | None = None
+    image: Image | ArrayLike,
+    *,
+    bins: int | Sequence[float] | None = None,
+    mask: ArrayLike | None = None,
 ) -> np.ndarray:
     """Share of the voxels in every bin of grey levels; of a colour image, per channel.
 
@@ -32,9 +35,9 @@ def histogram(
     image : Image
         Grey or colour; of labels, the shares of the phases (no `bins`).
     bins : int or rising edges, optional
-        Default: 256. A number of bins divides 0..256 where values are uint8, else the range of the image's own values
-        (such histograms compare only where the ranges agree: give edges). What lies beyond the edges falls into the
-        first or last bin.
+        Default: 256. A number of bins divides 0..256 where values are uint8, else the range of the
+        image's own values (such histograms compare only where the ranges agree: give edges). What
+        lies beyond the edges falls into the first or last bin.
     mask : bool array, the image's shape, optional
         Only these voxels.
 
@@ -64,7 +67,8 @@ def histogram(
 
 
 def ten_bins(image: Image | ArrayLike) -> np.ndarray:
-    """Histogram of the 2017 paper (section 5.3.2): bins of 25 levels of 0..255, the tenth from 225 to 255.
+    """Histogram of the 2017 paper (section 5.3.2): bins of 25 levels of 0..255, the tenth from 225
+    to 255.
 
     Parameters
     ----------
@@ -85,15 +89,18 @@ def ten_bins(image: Image | ArrayLike) -> np.ndarray:
         raise InputError("ten_bins is of grey levels and the image is labels: use volume_fractions")
     low, high = image.values.min(), image.values.max()
     if low < 0 or high >= 256:
-        raise InputError(f"ten_bins is of levels 0..255 and the image runs from {low:g} to {high:g}: rescale it")
+        raise InputError(
+            f"ten_bins is of levels 0..255 and the image runs from {low:g} to {high:g}: rescale it"
+        )
     return histogram(image, bins=_TEN)
 
 
 def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> float:
     """Kullback-Leibler divergence of histogram `p` from `q`: sum of p ln(p / q), in nats.
 
-    Kullback and Leibler 1951, doi:10.1214/aoms/1177729694. A bin that is empty in q alone would make it infinite, so
-    `floor` is added to every bin of both, and both are normalised again; 0 leaves them as they are.
+    Kullback and Leibler 1951, doi:10.1214/aoms/1177729694. A bin that is empty in q alone would
+    make it infinite, so `floor` is added to every bin of both, and both are normalised again; 0
+    leaves them as they are.
 
     Parameters
     ----------
@@ -118,14 +125,23 @@ def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> floa
     """
     first, second = (np.atleast_2d(np.asarray(values, np.float64)) for values in (p, q))
     if first.shape != second.shape:
-        raise InputError(f"the histograms have shapes {np.shape(p)} and {np.shape(q)}: use equal bins for both")
+        raise InputError(
+            f"the histograms have shapes {np.shape(p)} and {np.shape(q)}: use equal bins for both"
+        )
     if not floor >= 0:
         raise InputError(f"floor {floor} must be 0 or more")
     for values in (first, second):
-        if not (values >= 0).all() or not np.isfinite(values).all() or not (values.sum(axis=1) > 0).all():
-            raise InputError("a histogram has finite bins, none negative, and is not empty: give shares or counts")
+        if (
+            not (values >= 0).all()
+            or not np.isfinite(values).all()
+            or not (values.sum(axis=1) > 0).all()
+        ):
+            raise InputError(
+                "a histogram has finite bins, none negative, and is not empty: give shares or counts"
+            )
     first, second = (_normalised(_normalised(values) + floor) for values in (first, second))
-    with np.errstate(divide="ignore", invalid="ignore"):  # bins empty in p count nothing, in q alone infinity
+    # bins empty in p count nothing, in q alone infinity
+    with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(first > 0, first * np.log(first / second), 0.0)
     return max(0.0, float(terms.sum(axis=1).mean()))
 
@@ -133,8 +149,9 @@ def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> floa
 def autocorrelation(image: Image | ArrayLike, *, lags: int = 32) -> np.ndarray:
     """Autocorrelation of the grey level for all offsets up to `lags` along every axis.
 
-    rho(k) = mean of (g(x) - m)(g(x + k) - m) over the variance, over the pairs that fit into the image; m and the
-    variance are those of the whole image. Colour counts by its luminance, labels of two phases as 0 and 1.
+    rho(k) = mean of (g(x) - m)(g(x + k) - m) over the variance, over the pairs that fit into the
+    image; m and the variance are those of the whole image. Colour counts by its luminance, labels
+    of two phases as 0 and 1.
 
     Parameters
     ----------
@@ -185,7 +202,9 @@ def grey_values(image: Image) -> np.ndarray:
 
 
 def near_one(values: np.ndarray) -> np.ndarray:
-    """Values times the power of two that makes the largest less than 1: exact, and their squares fit into float32."""
+    """Values times the power of two that makes the largest less than 1: exact, and their squares
+    fit into float32.
+    """
     return np.ldexp(values, -int(np.frexp(np.abs(values).max())[1]))
 
 

@@ -1,7 +1,7 @@
 """Connected components, numbered: a label for every voxel.
 
-Voxels are visited twice: to find the runs (see `measure.runs`), and to write the labels. Where an axis is periodic,
-labels that meet across its faces are joined afterwards.
+Voxels are visited twice: to find the runs (see `measure.runs`), and to write the labels. Where an
+axis is periodic, labels that meet across its faces are joined afterwards.
 """
 
 from __future__ import annotations
@@ -62,22 +62,31 @@ def _wrapped(
     found = []
     for axis in (axis for axis, wrap in enumerate(wraps) if wrap):
         lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
-        found.append(meeting(labels.take(-1, axis=axis), labels.take(0, axis=axis), connectivity, lateral))
+        found.append(
+            meeting(labels.take(-1, axis=axis), labels.take(0, axis=axis), connectivity, lateral)
+        )
     number, merged = merged_pieces(sizes, np.concatenate(found))
     return np.concatenate([[0], number]).astype(np.int32)[labels], merged
 
 
-def meeting(far: np.ndarray, near: np.ndarray, connectivity: int, lateral: Sequence[bool]) -> np.ndarray:
-    """(n, 2) int64: pairs of labels that are neighbours from a layer to the one behind it; `lateral` says which axes
-    wrap."""
+def meeting(
+    far: np.ndarray, near: np.ndarray, connectivity: int, lateral: Sequence[bool]
+) -> np.ndarray:
+    """(n, 2) int64: pairs of labels that are neighbours from a layer to the one behind it;
+    `lateral` says which axes wrap."""
     for other, wrap in enumerate(lateral):
         margin = [(int(other == at),) * 2 for at in range(far.ndim)]
         near = np.pad(near, margin, mode="wrap" if wrap else "constant")
-    reach = {4: 0, 6: 0, 8: 1, 18: 1, 26: 2}[connectivity]  # steps aside that a neighbour may take in all
+    # steps aside that a neighbour may take in all
+    reach = {4: 0, 6: 0, 8: 1, 18: 1, 26: 2}[connectivity]
     found = [np.empty(0, np.int64)]
     for step in product((-1, 0, 1), repeat=far.ndim):
         if sum(map(abs, step)) <= reach:
-            beside = near[tuple(slice(1 + by, 1 + by + side) for by, side in zip(step, far.shape, strict=True))]
+            beside = near[
+                tuple(
+                    slice(1 + by, 1 + by + side) for by, side in zip(step, far.shape, strict=True)
+                )
+            ]
             both = (far > 0) & (beside > 0)
             # A pair as one number: quick to sort.
             found.append(np.unique(far[both].astype(np.int64) << 32 | beside[both]))

@@ -1,4 +1,6 @@
-"""Margins of a scan that hold no material: blank outer planes, planes unlike all others, and a round field of view."""
+"""Margins of a scan that hold no material: blank outer planes, planes unlike all others, and a
+round field of view.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +15,26 @@ from trabecula.core.image import Image, as_image
 from trabecula.measure.grey import grey_values
 
 BLANK_STEP, STEP = 1.5, 3.0
-"""How many times the largest step of the interior ends a margin, of blank planes and of others. In 2,960 Gaussian fields without
-a margin (volumes and pictures, fractions .05 to .9) none was found; blank planes alone are rare enough to need less."""
+"""How many times the largest step of the interior ends a margin, of blank planes and of others. In
+2,960 Gaussian fields without a margin (volumes and pictures, fractions .05 to .9) none was found;
+blank planes alone are rare enough to need less."""
 SURE = 3.0
-"""Standard errors of the interior's mean, from that of its quarters, by which blank planes have to differ from it."""
+"""Standard errors of the interior's mean, from that of its quarters, by which blank planes have to
+differ from it.
+"""
 FAR = 6.0
 """Standard errors of a plane's fraction by which blank planes have to lie beyond the interior."""
 MOST = 1 / 3
 """Of a side: the widest margin."""
 FLAT = 0.25
-"""Of the interior's least contrast (standard deviation of a plane): a grey plane below it holds noise alone."""
+"""Of the interior's least contrast (standard deviation of a plane): a grey plane below it holds
+noise alone.
+"""
 LEAST = 16
 """Planes along an axis below which nothing can be said of it."""
 ROUND = 1.15
-"""In half sides: where nothing but one value lies farther than this from the middle the field of view is round. Corners lie
-at 1.41; beyond 1.15 lie the outer 9 percent."""
+"""In half sides: where nothing but one value lies farther than this from the middle the field of
+view is round. Corners lie at 1.41; beyond 1.15 lie the outer 9 percent."""
 TINY = 1e-9
 """A step that counts as none."""
 CORNER = 0.15
@@ -58,10 +65,14 @@ class Face:
     value: str
 
     def __str__(self) -> str:
-        count = f"the {self.end} plane" if self.planes == 1 else f"the {self.end} {self.planes} planes"
+        count = (
+            f"the {self.end} plane" if self.planes == 1 else f"the {self.end} {self.planes} planes"
+        )
         verb = "holds" if self.planes == 1 else "hold"
         return f"{count} along {self.axis} " + (
-            f"{verb} {self.value} alone" if self.blank else f"{'is' if self.planes == 1 else 'are'} unlike all others"
+            f"{verb} {self.value} alone"
+            if self.blank
+            else f"{'is' if self.planes == 1 else 'are'} unlike all others"
         )
 
 
@@ -75,7 +86,8 @@ class Margins:
         Of the image.
     faces : tuple of Face
     round_axis : str or None
-        The axis of a round field of view (a cylinder); "z" for a disc in a picture, which has no such axis.
+        The axis of a round field of view (a cylinder); "z" for a disc in a picture, which has no
+        such axis.
     corner, size : tuple of int
         The box without the margins; within a round field the inscribed square.
     """
@@ -124,19 +136,26 @@ def find_margins(image: Image | ArrayLike) -> Margins:
 
     Notes
     -----
-    A plane is described by one number for each phase, its fraction (grey and colour: the mean grey). The *interior* is the
-    middle half of the planes that are not blank. Outer planes are a margin where one of these holds:
+    A plane is described by one number for each phase, its fraction (grey and colour: the mean
+    grey). The *interior* is the middle half of the planes that are not blank. Outer planes are a
+    margin where one of these holds:
 
-    1. They are blank (one value alone; grey: less than a quarter of the interior's least contrast), and the material begins
-       abruptly behind them: by a step of more than `BLANK_STEP` times the largest step between neighbouring planes of the
-       interior, which fills its quarters evenly enough (`SURE`) to be no single body on blank ground.
-    2. They are blank and far from the interior: beyond its range by more than the range itself and by more than `FAR` standard
-       errors of a plane, which the spread of its quarters gives. A specimen whose rough surface lies in the scan has such planes.
-    3. They are not blank, but each lies outside the interior's range, and they end by a step of more than `STEP` times the
+    1. They are blank (one value alone; grey: less than a quarter of the interior's least contrast),
+    and the material begins
+       abruptly behind them: by a step of more than `BLANK_STEP` times the largest step between
+       neighbouring planes of the interior, which fills its quarters evenly enough (`SURE`) to be no
+       single body on blank ground.
+    2. They are blank and far from the interior: beyond its range by more than the range itself and
+    by more than `FAR` standard
+       errors of a plane, which the spread of its quarters gives. A specimen whose rough surface
+       lies in the scan has such planes.
+    3. They are not blank, but each lies outside the interior's range, and they end by a step of
+    more than `STEP` times the
        largest: a bar with text, a frame.
 
-    So a layer of a layered material, thin walls and an open foam are none: where the interior has such steps or such planes as
-    well nothing is found. More than `MOST` of a side is never called a margin, since then it is open what is the material.
+    So a layer of a layered material, thin walls and an open foam are none: where the interior has
+    such steps or such planes as well nothing is found. More than `MOST` of a side is never called a
+    margin, since then it is open what is the material.
 
     Examples
     --------
@@ -156,11 +175,16 @@ def find_margins(image: Image | ArrayLike) -> Margins:
             before = faces.get((axis, end))
             faces[axis, end] = face if before is None else _joined(before, face)
             start, stop = box[axis]
-            box[axis] = (start + face.planes, stop) if end == "first" else (start, stop - face.planes)
+            box[axis] = (
+                (start + face.planes, stop) if end == "first" else (start, stop - face.planes)
+            )
         across = None if rounded else _round_axis(values, box)
         if across is not None:
             rounded = "zyx"[across + 3 - image.ndim] if image.ndim == 3 else "z"
-            box = [_inscribed(*span) if image.ndim == 2 or n != across else span for n, span in enumerate(box)]
+            box = [
+                _inscribed(*span) if image.ndim == 2 or n != across else span
+                for n, span in enumerate(box)
+            ]
         if not found and across is None:
             break
     corner, size = tuple(start for start, _ in box), tuple(stop - start for start, stop in box)
@@ -168,7 +192,9 @@ def find_margins(image: Image | ArrayLike) -> Margins:
 
 
 def margin_note(image: Image | ArrayLike) -> str | None:
-    """Say in a line that an image has margins without material, and what they do to its figures; None where it has none."""
+    """Say in a line that an image has margins without material, and what they do to its figures;
+    None where it has none.
+    """
     image = as_image(image)
     margins = find_margins(image)
     if not margins:
@@ -177,8 +203,13 @@ def margin_note(image: Image | ArrayLike) -> str | None:
     if image.kind != "labels":
         return advice
     phase = image.phases.index("void") if "void" in image.phases else 0
-    box = tuple(slice(start, start + side) for start, side in zip(margins.corner, margins.size, strict=True))
-    shares = [np.count_nonzero(values == phase) / values.size for values in (image.values, image.values[box])]
+    box = tuple(
+        slice(start, start + side) for start, side in zip(margins.corner, margins.size, strict=True)
+    )
+    shares = [
+        np.count_nonzero(values == phase) / values.size
+        for values in (image.values, image.values[box])
+    ]
     name = "porosity" if "void" in image.phases else f"fraction of {image.phases[phase]}"
     return f"{advice}; {name} {shares[0]:.3f} with them, {shares[1]:.3f} without"
 
@@ -187,7 +218,9 @@ def _alike(faces: tuple[Face, ...]) -> list[Any]:
     """The faces in words, those that differ in nothing but their end or axis together."""
     groups: dict[tuple[int, bool, str], list[Face]] = {}
     for face in faces:
-        groups.setdefault((face.planes, face.blank, face.value if face.blank else ""), []).append(face)
+        groups.setdefault((face.planes, face.blank, face.value if face.blank else ""), []).append(
+            face
+        )
     return [members[0] if len(members) == 1 else _Several(members) for members in groups.values()]
 
 
@@ -206,8 +239,14 @@ class _Several:
         for axis, found in ends.items():
             where.setdefault(" and the ".join(found), []).append(axis)
         count = "plane" if first.planes == 1 else f"{first.planes} planes"
-        places = " and ".join(f"the {end} {count} along {', '.join(axes)}" for end, axes in where.items())
-        return f"{places} hold {first.value} alone" if first.blank else f"{places} are unlike all others"
+        places = " and ".join(
+            f"the {end} {count} along {', '.join(axes)}" for end, axes in where.items()
+        )
+        return (
+            f"{places} hold {first.value} alone"
+            if first.blank
+            else f"{places} are unlike all others"
+        )
 
 
 def _joined(before: Face, more: Face) -> Face:
@@ -215,7 +254,9 @@ def _joined(before: Face, more: Face) -> Face:
     return Face(before.axis, before.end, before.planes + more.planes, same, before.value)
 
 
-def _faces(values: np.ndarray, box: list[tuple[int, int]], image: Image) -> Iterator[tuple[tuple[int, str], Face]]:
+def _faces(
+    values: np.ndarray, box: list[tuple[int, int]], image: Image
+) -> Iterator[tuple[tuple[int, str], Face]]:
     """The margins of a box along every axis."""
     part = values[tuple(slice(*span) for span in box)]
     labels = range(len(image.phases)) if image.kind == "labels" else None
@@ -273,7 +314,9 @@ class _Planes:
             sure = np.abs(last - planes.mean(axis=0)) > SURE * _error(inside.mean(axis=0))
             abrupt = outside[:begin].all(axis=0) & (steps[begin - 1] > BLANK_STEP)
             beyond = np.maximum(low - last, last - high)
-            far = beyond > np.maximum(high - low, FAR * np.sqrt(np.mean(_error(inside) ** 2, axis=0)))
+            far = beyond > np.maximum(
+                high - low, FAR * np.sqrt(np.mean(_error(inside) ** 2, axis=0))
+            )
             if ((abrupt & sure) | far).any():
                 return begin, True
         # The widest run whose every plane lies outside the range, and that ends by a step.
@@ -300,7 +343,9 @@ def _fractions(part: np.ndarray, axis: int, labels: range) -> _Planes:
 
 def _greys(part: np.ndarray, axis: int) -> _Planes:
     quarters = _quarters(part, axis, None)[..., None]
-    contrast = part.std(axis=tuple(other for other in range(part.ndim) if other != axis), dtype=np.float64)
+    contrast = part.std(
+        axis=tuple(other for other in range(part.ndim) if other != axis), dtype=np.float64
+    )
     quarter = len(contrast) // 4
     inside = contrast[quarter : len(contrast) - quarter]
     blank = contrast < FLAT * inside[inside > 0].min(initial=np.inf)
@@ -308,30 +353,45 @@ def _greys(part: np.ndarray, axis: int) -> _Planes:
 
 
 def _error(quarters: np.ndarray) -> np.ndarray:
-    """Return the standard error of a mean of quarters (..., 4, figures): their spread over the root of their number."""
+    """Return the standard error of a mean of quarters (..., 4, figures): their spread over the root
+    of their number.
+    """
     return np.asarray(quarters.std(axis=-2, ddof=1) / 2)
 
 
 def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
-    """Return the mean (or a label's share) of the quarters of every plane, (N, 4), of a picture's lines (N, 4) as well."""
+    """Return the mean (or a label's share) of the quarters of every plane, (N, 4), of a picture's
+    lines (N, 4) as well.
+    """
     lines = np.moveaxis(part, axis, 0)
     if lines.ndim == 2:
         pieces = np.array_split(lines, 4, axis=1)
     else:
-        pieces = [piece for half in np.array_split(lines, 2, axis=1) for piece in np.array_split(half, 2, axis=2)]
+        pieces = [
+            piece
+            for half in np.array_split(lines, 2, axis=1)
+            for piece in np.array_split(half, 2, axis=2)
+        ]
     others = tuple(range(1, lines.ndim))
     if label is None:
         return np.stack([piece.mean(axis=others, dtype=np.float64) for piece in pieces], axis=1)
-    return np.stack([np.count_nonzero(piece == label, axis=others) / piece[0].size for piece in pieces], axis=1)
+    return np.stack(
+        [np.count_nonzero(piece == label, axis=others) / piece[0].size for piece in pieces], axis=1
+    )
 
 
 def _round_axis(values: np.ndarray, box: list[tuple[int, int]]) -> int | None:
-    """Return the axis along which all beyond a circle is one value, as no square of a corner's size within it is."""
+    """Return the axis along which all beyond a circle is one value, as no square of a corner's size
+    within it is.
+    """
     part = values[tuple(slice(*span) for span in box)]
     for axis in range(part.ndim) if part.ndim == 3 else (0,):
         lines = np.moveaxis(part, axis, 0) if part.ndim == 3 else part[None]
         corner = lines[0, 0, 0]
-        if min(lines.shape[1:]) < LEAST or not (lines[:, [0, 0, -1, -1], [0, -1, 0, -1]] == corner).all():
+        if (
+            min(lines.shape[1:]) < LEAST
+            or not (lines[:, [0, 0, -1, -1], [0, -1, 0, -1]] == corner).all()
+        ):
             continue
         filled = (lines != corner).any(axis=0)
         y, x = (np.abs(2 * np.arange(side) + 1 - side) / side for side in filled.shape)
@@ -342,7 +402,9 @@ def _round_axis(values: np.ndarray, box: list[tuple[int, int]]) -> int | None:
 
 
 def _filled_within(filled: np.ndarray, radius: np.ndarray) -> bool:
-    """Return whether every square within the circle, as large as what is left of a corner, holds something."""
+    """Return whether every square within the circle, as large as what is left of a corner, holds
+    something.
+    """
     edge = [max(2, int(CORNER * side)) for side in filled.shape]
     for y in range(0, filled.shape[0] - edge[0] + 1, edge[0]):
         for x in range(0, filled.shape[1] - edge[1] + 1, edge[1]):

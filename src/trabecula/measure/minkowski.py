@@ -1,20 +1,25 @@
-"""Minkowski functionals from 2x2x2 (2x2) configurations: volume, surface, mean curvature, Euler number.
+"""Minkowski functionals from 2x2x2 (2x2) configurations: volume, surface, mean curvature, Euler
+number.
 
-One pass counts how often each of the 256 black-and-white cubes of eight voxels occurs; every functional is then a
-sum over 256 entries of a table (`measure.cubes`).
+One pass counts how often each of the 256 black-and-white cubes of eight voxels occurs; every
+functional is then a sum over 256 entries of a table (`measure.cubes`).
 
-- Surface: Crofton's formula over the 13 directions between the eight voxels, each weighted with its share of the
+- Surface: Crofton's formula over the 13 directions between the eight voxels, each weighted with its
+share of the
   sphere for the given spacing (Legland, Kieu, Devaux 2007, doi:10.5566/ias.v26.p83-92).
-- Integral of mean curvature: Euler numbers of the plane sections across the three axes (the same paper; Ohser and
+- Integral of mean curvature: Euler numbers of the plane sections across the three axes (the same
+paper; Ohser and
   Muecklich 2000, "Statistical Analysis of Microstructures in Materials Science", section 4.2).
-- Euler number: vertices - edges + faces - cells of the complex of voxels: with 26 neighbours every cell that touches
-  a voxel belongs to it, with 6 only those whose voxels are all inside. With 18 it is the complex of 26 in which two
-  voxels that meet in nothing but a vertex are cut apart there, so that vertex counts twice; the void's neighbours are
-  then 6, as with 26 (the pair (18, 6) of digital topology; Kong and Rosenfeld 1989, doi:10.1016/0734-189X(89)90147-3).
+- Euler number: vertices - edges + faces - cells of the complex of voxels: with 26 neighbours every
+cell that touches
+  a voxel belongs to it, with 6 only those whose voxels are all inside. With 18 it is the complex of
+  26 in which two voxels that meet in nothing but a vertex are cut apart there, so that vertex
+  counts twice; the void's neighbours are then 6, as with 26 (the pair (18, 6) of digital topology;
+  Kong and Rosenfeld 1989, doi:10.1016/0734-189X(89)90147-3).
 
-Densities are taken over the cubes inside the image (or its mask), so its faces are no surface. Numbers of an object
-are taken with a margin of outside voxels, so its cut faces are surface. A periodic image has neither: it goes on
-beyond its last voxel with its first.
+Densities are taken over the cubes inside the image (or its mask), so its faces are no surface.
+Numbers of an object are taken with a margin of outside voxels, so its cut faces are surface. A
+periodic image has neither: it goes on beyond its last voxel with its first.
 """
 
 from __future__ import annotations
@@ -27,7 +32,14 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.cubes import bits, count_cubes, cube_euler, curvature_table, square_euler, surface_table
+from trabecula.measure.configurations import (
+    bits,
+    count_cubes,
+    cube_euler,
+    curvature_table,
+    square_euler,
+    surface_table,
+)
 from trabecula.measure.phases import as_connectivity, as_periodic, check_sides, masked_indicator
 
 
@@ -35,15 +47,20 @@ from trabecula.measure.phases import as_connectivity, as_periodic, check_sides, 
 class Minkowski:
     """The functionals of a phase, in the image's unit of length.
 
-    In 2-D `surface` is the boundary's length per area, and `mean_curvature` the integral of its curvature per area.
+    In 2-D `surface` is the boundary's length per area, and `mean_curvature` the integral of its
+    curvature per area.
     """
 
     volume: float
-    """Fraction of the phase, 0..1, over the cubes counted: voxels at the faces count less (`porosity` is exact)."""
+    """Fraction of the phase, 0..1, over the cubes counted: voxels at the faces count less
+    (`porosity` is exact).
+    """
     surface: float
     """Area of the interface per volume, 1 / length."""
     mean_curvature: float
-    """Integral of the mean curvature over the interface per volume, 1 / length^2; positive for a convex phase."""
+    """Integral of the mean curvature over the interface per volume, 1 / length^2; positive for a
+    convex phase.
+    """
     euler_density: float
     """Euler number per volume, 1 / length^3."""
 
@@ -81,21 +98,28 @@ def minkowski(
 
     Notes
     -----
-    Surface is exact on average for isotropic structures and within some percent for curved ones; a flat interface
-    along an axis comes out 8 % low (13 directions). Mean curvature is unbiased for isotropic structures.
+    Surface is exact on average for isotropic structures and within some percent for curved ones; a
+    flat interface along an axis comes out 8 % low (13 directions). Mean curvature is unbiased for
+    isotropic structures.
     """
     image, inside, region = masked_indicator(image, phase, mask)
     neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     check_sides(image.shape, what="has no surface inside")
-    counts = count_cubes(extended(inside, wraps), None if region is None else extended(region, wraps))
+    counts = count_cubes(
+        extended(inside, wraps), None if region is None else extended(region, wraps)
+    )
     if not counts.any():
-        raise InputError("no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one")
+        raise InputError(
+            "no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one"
+        )
     return densities(counts, image.spacing, neighbours)
 
 
 def densities(counts: np.ndarray, spacing: tuple[float, ...], connectivity: int) -> Minkowski:
-    """The functionals from how often each of the 256 cubes occurs inside an image of as many axes as `spacing` has."""
+    """The functionals from how often each of the 256 cubes occurs inside an image of as many axes
+    as `spacing` has.
+    """
     weights = counts / counts.sum()
     cell = float(np.prod(spacing))
     volume = float(weights @ bits()[:, : 2 ** len(spacing)].mean(axis=1))
@@ -104,11 +128,15 @@ def densities(counts: np.ndarray, spacing: tuple[float, ...], connectivity: int)
         length = float(weights @ surface_table((1.0, *spacing), flat=True))
         return Minkowski(volume, length, 2 * np.pi * density, density)
     surface = float(weights @ surface_table(spacing, flat=False))
-    return Minkowski(volume, surface, float(weights @ curvature_table(spacing, connectivity)), density)
+    return Minkowski(
+        volume, surface, float(weights @ curvature_table(spacing, connectivity)), density
+    )
 
 
 def euler_of(counts: np.ndarray, connectivity: int) -> int:
-    """The Euler number of an object from how often each of the 256 cubes occurs in it and a margin around it."""
+    """The Euler number of an object from how often each of the 256 cubes occurs in it and a margin
+    around it.
+    """
     # Tables hold eighths, so the sum of whole counts is exact.
     return round(float(counts @ _euler_table(connectivity)))
 
@@ -121,7 +149,8 @@ def mean_curvature(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Integral of the mean curvature over the interface per volume, from plane sections (see the note on `minkowski`).
+    """Integral of the mean curvature over the interface per volume, from plane sections (see the
+    note on `minkowski`).
 
     Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92).
 
@@ -133,14 +162,17 @@ def mean_curvature(
     Returns
     -------
     curvature : float
-        1 / length^2; positive for a convex phase. In 2-D the integral of the boundary's curvature per area.
+        1 / length^2; positive for a convex phase. In 2-D the integral of the boundary's curvature
+        per area.
 
     Raises
     ------
     InputError
         As `minkowski`.
     """
-    return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).mean_curvature
+    return minkowski(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    ).mean_curvature
 
 
 def euler(
@@ -151,7 +183,8 @@ def euler(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Euler number of a phase: components - tunnels + cavities; what lies beyond the faces is outside.
+    """Euler number of a phase: components - tunnels + cavities; what lies beyond the faces is
+    outside.
 
     Parameters
     ----------
@@ -196,9 +229,11 @@ def euler_density(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Euler number of a phase per volume, free of what the faces cut (`euler` is of the image as an object).
+    """Euler number of a phase per volume, free of what the faces cut (`euler` is of the image as an
+    object).
 
-    Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92), from 2x2x2 configurations wholly inside the image.
+    Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92), from 2x2x2 configurations wholly inside
+    the image.
 
     Parameters
     ----------
@@ -215,7 +250,9 @@ def euler_density(
     InputError
         As `minkowski`.
     """
-    return minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic).euler_density
+    return minkowski(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    ).euler_density
 
 
 def extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
@@ -227,4 +264,8 @@ def extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
 
 def _euler_table(connectivity: int) -> np.ndarray:
     """(256,): share of a cube, or of its lower square for 4 and 8 neighbours."""
-    return cube_euler(connectivity) if connectivity in (6, 18, 26) else square_euler(connectivity)[np.arange(256) & 15]
+    return (
+        cube_euler(connectivity)
+        if connectivity in (6, 18, 26)
+        else square_euler(connectivity)[np.arange(256) & 15]
+    )

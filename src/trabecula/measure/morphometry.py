@@ -1,7 +1,7 @@
 """Bone morphometry by its names: the 3-D figures that a micro-CT report of trabecular bone gives.
 
-Names after Parfitt et al. 1987 (doi:10.1002/jbmr.5650020617), definitions after Bouxsein et al. 2010
-(doi:10.1002/jbmr.141). All are model-free: none assumes plates or rods.
+Names after Parfitt et al. 1987 (doi:10.1002/jbmr.5650020617), definitions after Bouxsein et al.
+2010 (doi:10.1002/jbmr.141). All are model-free: none assumes plates or rods.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ def morphometry(
     -------
     figures : dict
         "BV/TV": bone volume over total volume, 0..1.
-        "BS/BV": bone surface over bone volume, 1 / length (`specific_surface` over the bone's share of the same
-        voxels).
-        "Tb.Th", "Tb.Sp": trabecular thickness and separation, mean diameter of the largest spheres in the bone and
-        outside it (`thickness`).
-        "Tb.N": trabecular number, 1 / length: the inverse of the mean distance between the trabeculae's mid-axes,
-        itself the mean diameter of the largest spheres between those (Hildebrand et al. 1999,
-        doi:10.1359/jbmr.1999.14.7.1167).
+        "BS/BV": bone surface over bone volume, 1 / length (`specific_surface` over the bone's share
+        of the same voxels).
+        "Tb.Th", "Tb.Sp": trabecular thickness and separation, mean diameter of the largest spheres
+        in the bone and outside it (`thickness`).
+        "Tb.N": trabecular number, 1 / length: the inverse of the mean distance between the
+        trabeculae's mid-axes, itself the mean diameter of the largest spheres between those
+        (Hildebrand et al. 1999, doi:10.1359/jbmr.1999.14.7.1167).
         "Conn.D": connectivity density, 1 / length^3 (`connectivity_density`).
         None where a value does not exist: no bone, or nothing else.
 
@@ -65,11 +65,14 @@ def morphometry(
 
     Notes
     -----
-    A mid-axis is made of the voxels whose own sphere is the largest that holds them. It is one or two voxels wide, so
-    one and a half are added to the space between; layers come out right within a voxel.
+    A mid-axis is made of the voxels whose own sphere is the largest that holds them. It is one or
+    two voxels wide, so one and a half are added to the space between; layers come out right within
+    a voxel.
     """
     if as_image(image).ndim != 3:
-        raise InputError("morphometry is of a volume: the image is 2-D; measure porosity, chord_length or thickness")
+        raise InputError(
+            "morphometry is of a volume: the image is 2-D; measure porosity, chord_length or thickness"
+        )
     image, bone, region = masked_indicator(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)
     shape = minkowski(image, phase=phase, mask=mask, periodic=wraps)
@@ -95,9 +98,9 @@ def connectivity_density(
 ) -> float:
     """Connectivity density Conn.D of a phase: redundant struts per volume, 1 / length^3.
 
-    Odgaard and Gundersen 1993 (doi:10.1016/8756-3282(93)90245-6): (1 - dX) / V, where dX is what the volume V adds to
-    the Euler number of the boundless structure, so that nothing depends on where the faces cut: here `euler_density`
-    times V.
+    Odgaard and Gundersen 1993 (doi:10.1016/8756-3282(93)90245-6): (1 - dX) / V, where dX is what
+    the volume V adds to the Euler number of the boundless structure, so that nothing depends on
+    where the faces cut: here `euler_density` times V.
 
     Parameters
     ----------
@@ -123,13 +126,17 @@ def connectivity_density(
 
     Notes
     -----
-    It counts struts only where the phase is one component without closed pores: every further component and every
-    cavity lowers it, so clean the image first.
+    It counts struts only where the phase is one component without closed pores: every further
+    component and every cavity lowers it, so clean the image first.
     """
     if as_image(image).ndim != 3:
-        raise InputError("connectivity density is of a volume: the image is 2-D; measure euler_density")
+        raise InputError(
+            "connectivity density is of a volume: the image is 2-D; measure euler_density"
+        )
     image, inside, region = masked_indicator(image, phase, mask)
-    functionals = minkowski(image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic)
+    functionals = minkowski(
+        image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
+    )
     voxels = inside.size if region is None else int(np.count_nonzero(region))
     return 1 / (voxels * float(np.prod(image.spacing))) - functionals.euler_density
 
@@ -151,7 +158,10 @@ def _sphere_figures(
     if region is not None:
         rest &= region
     edge = min(spacing)
-    distance = _mean(sphere_diameters(rest, region, spacing, wraps, what="space between mid-axes"), rest) + 1.5 * edge
+    distance = (
+        _mean(sphere_diameters(rest, region, spacing, wraps, what="space between mid-axes"), rest)
+        + 1.5 * edge
+    )
     return {"Tb.Th": thickness, "Tb.Sp": separation, "Tb.N": 1 / distance}
 
 
@@ -163,7 +173,9 @@ def _mid_axis(
     wraps: tuple[bool, ...],
 ) -> np.ndarray:
     """Voxels of the bone that no sphere larger than their own holds."""
-    own = distance_transform(bone if region is None else bone | ~region, spacing=spacing, periodic=wraps)
+    own = distance_transform(
+        bone if region is None else bone | ~region, spacing=spacing, periodic=wraps
+    )
     # `diameter` is less half an edge, and float32 keeps seven digits.
     return bone & (2 * own >= (diameter + np.float32(min(spacing) / 2)) * np.float32(1 - 1e-5))
 

@@ -1,9 +1,9 @@
 """Local orientation by the structure tensor: which way grey levels change least.
 
-The structure tensor is the product of the gradient with itself, averaged over a window (Bigun and Granlund 1987;
-Jaehne 1993, "Spatio-Temporal Image Processing", doi:10.1007/3-540-57418-2). Its eigenvector of the smallest
-eigenvalue is the local orientation: along a stripe or a fibre. Urs, Da Costa and Germain 2014 (section VI) compare
-textures by the histogram of these.
+The structure tensor is the product of the gradient with itself, averaged over a window (Bigun and
+Granlund 1987; Jaehne 1993, "Spatio-Temporal Image Processing", doi:10.1007/3-540-57418-2). Its
+eigenvector of the smallest eigenvalue is the local orientation: along a stripe or a fibre. Urs, Da
+Costa and Germain 2014 (section VI) compare textures by the histogram of these.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.phases import check_sides
 from trabecula.measure.smooth import gaussian
@@ -30,16 +30,21 @@ class Orientation:
     """Histogram of local orientations."""
 
     shares: np.ndarray
-    """(bins,) in 2-D, (rings, sectors) in 3-D; sums to 1, or is 0 where nothing has an orientation."""
+    """(bins,) in 2-D, (rings, sectors) in 3-D; sums to 1, or is 0 where nothing has an orientation.
+    """
     directions: np.ndarray
-    """(..., ndim): unit vector in the middle of every bin, in the order of the axes, (y, x) or (z, y, x)."""
+    """(..., ndim): unit vector in the middle of every bin, in the order of the axes, (y, x) or (z,
+    y, x).
+    """
     coherence: float
     """Mean weight of a voxel, 0..1: 0 no orientation anywhere, 1 perfect stripes or fibres."""
 
     __repr__ = brief
 
 
-def structure_tensor(image: Image | ArrayLike, *, sigma: float = 1.0, window: float = 2.0) -> np.ndarray:
+def structure_tensor(
+    image: Image | ArrayLike, *, sigma: float = 1.0, window: float = 2.0
+) -> np.ndarray:
     """Gradient times gradient, averaged over a Gaussian window.
 
     Parameters
@@ -52,7 +57,8 @@ def structure_tensor(image: Image | ArrayLike, *, sigma: float = 1.0, window: fl
     Returns
     -------
     tensor : float32 array, (ndim, ndim, ...)
-        In the order of the axes; grey levels squared per length squared, lengths in the image's unit.
+        In the order of the axes; grey levels squared per length squared, lengths in the image's
+        unit.
 
     Raises
     ------
@@ -84,17 +90,18 @@ def orientation(
 ) -> Orientation:
     """Histogram of the local orientation, the direction of least change.
 
-    Every voxel counts by how clear its orientation is: in 2-D by the coherence (l1 - l2) / (l1 + l2) of the tensor's
-    eigenvalues l1 >= l2, in 3-D by (l2 - l3) / l1, which is 0 in a plate, since a plate has no single direction.
+    Every voxel counts by how clear its orientation is: in 2-D by the coherence (l1 - l2) / (l1 +
+    l2) of the tensor's eigenvalues l1 >= l2, in 3-D by (l2 - l3) / l1, which is 0 in a plate, since
+    a plate has no single direction.
 
     Parameters
     ----------
     image, sigma, window
         As for `structure_tensor`.
     bins : int or (rings, sectors), optional
-        2-D: bins of the angle to the x axis, towards rising y, over 0 .. pi; default 36; bin 0 has its middle at 0.
-        3-D: bins of equal area over half the sphere about the z axis; default (6, 12): ring 0 is next to the plane of
-        y and x, sector 0 has its middle along x.
+        2-D: bins of the angle to the x axis, towards rising y, over 0 .. pi; default 36; bin 0 has
+        its middle at 0. 3-D: bins of equal area over half the sphere about the z axis; default (6,
+        12): ring 0 is next to the plane of y and x, sector 0 has its middle along x.
 
     Returns
     -------
@@ -114,7 +121,9 @@ def orientation(
         for y in range(len(sums)):
             sums[y, 0] = _angles(tensor[:, :, y].astype(np.float64), counts[1])
     else:
-        zz, yy, xx, zy, zx, yx = (tensor[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+        zz, yy, xx, zy, zx, yx = (
+            tensor[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        )
         for_slabs(lambda a, b: _axes(zz, yy, xx, zy, zx, yx, sums, a, b), len(sums))
     total = sums.sum(axis=0)
     weight = float(total.sum())
@@ -166,8 +175,8 @@ def _angles(tensor: np.ndarray, bins: int) -> np.ndarray:
 
 @inline
 def _least(a, b, c, d, e, f):
-    """(l2 - l3) / l1 and the unit eigenvector of l3 of [[a, d, e], [d, b, f], [e, f, c]], by the closed form; weight 0
-    where it has none."""
+    """(l2 - l3) / l1 and the unit eigenvector of l3 of [[a, d, e], [d, b, f], [e, f, c]], by the
+    closed form; weight 0 where it has none."""
     mean = (a + b + c) / 3.0
     if mean <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -180,7 +189,8 @@ def _least(a, b, c, d, e, f):
     det = a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)
     turn = np.arccos(min(1.0, max(-1.0, det / (2.0 * p * p * p)))) / 3.0
     low, high = 2.0 * p * np.cos(turn + 2.0 * np.pi / 3.0), 2.0 * p * np.cos(turn)
-    # Rows of the matrix less `low` span the plane across the axis; the largest of their products is safest.
+    # Rows of the matrix less `low` span the plane across the axis; the largest of their products is
+    # safest.
     a, b, c = a - low, b - low, c - low
     nz, ny, nx = d * f - e * b, e * d - a * f, a * b - d * d
     best = nz * nz + ny * ny + nx * nx

@@ -32,10 +32,11 @@ def percolates(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
     mask : bool array, the image's shape, optional
-        Ways lead through the mask alone; its end faces are the first and the last layer that it has along the axis.
+        Ways lead through the mask alone; its end faces are the first and the last layer that it has
+        along the axis.
     periodic : bool or one per axis
-        Ways may leave through the sides of such axes and come back at the opposite one; never through the end faces of
-        the axis that is asked about.
+        Ways may leave through the sides of such axes and come back at the opposite one; never
+        through the end faces of the axis that is asked about.
 
     Returns
     -------
@@ -51,12 +52,15 @@ def percolates(
     wraps = as_periodic(periodic, image.ndim)
     if any(wraps):
         found = [
-            _spanning(_labels_along(inside, connectivity, wraps, axis), axis, region) for axis in range(image.ndim)
+            _spanning(_labels_along(inside, connectivity, wraps, axis), axis, region)
+            for axis in range(image.ndim)
         ]
     else:
         labels = label_components(inside, connectivity=connectivity)[0]
         found = [_spanning(labels, axis, region) for axis in range(image.ndim)]
-    return {name: len(labels) > 0 for name, labels in zip(AXES[3 - image.ndim :], found, strict=True)}
+    return {
+        name: len(labels) > 0 for name, labels in zip(AXES[3 - image.ndim :], found, strict=True)
+    }
 
 
 def percolating_fraction(
@@ -68,7 +72,8 @@ def percolating_fraction(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Share of a phase's voxels that lie in components which connect the two end faces of an axis, 0..1.
+    """Share of a phase's voxels that lie in components which connect the two end faces of an axis,
+    0..1.
 
     Parameters
     ----------
@@ -107,17 +112,23 @@ def spanning_voxels(labels: np.ndarray, axis: int, region: np.ndarray | None = N
     return through[labels]
 
 
-def _labels_along(inside: np.ndarray, connectivity: int | None, wraps: tuple[bool, ...], axis: int) -> np.ndarray:
+def _labels_along(
+    inside: np.ndarray, connectivity: int | None, wraps: tuple[bool, ...], axis: int
+) -> np.ndarray:
     """Components that do not pass the end faces of `axis`."""
     sideways = tuple(wrap and other != axis for other, wrap in enumerate(wraps))
     return label_components(inside, connectivity=connectivity, periodic=sideways)[0]
 
 
 def _spanning(labels: np.ndarray, axis: int, region: np.ndarray | None) -> np.ndarray:
-    """Labels that occur in the first and in the last layer of the image, or of the region that counts."""
+    """Labels that occur in the first and in the last layer of the image, or of the region that
+    counts.
+    """
     ends = (0, -1)
     if region is not None:
-        layers = np.flatnonzero(region.any(axis=tuple(other for other in range(labels.ndim) if other != axis)))
+        layers = np.flatnonzero(
+            region.any(axis=tuple(other for other in range(labels.ndim) if other != axis))
+        )
         ends = (int(layers[0]), int(layers[-1]))
     near, far = (np.unique(labels.take(at, axis=axis)) for at in ends)
     both = np.intersect1d(near, far, assume_unique=True)

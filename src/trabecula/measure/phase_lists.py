@@ -20,17 +20,20 @@ from trabecula.measure.each_phase import (
 )
 
 VOID_TOLD = ("specific_surface", "mean_curvature", "thickness", "two_point")
-"""What is told of the void already where the solid phases are taken together: their interface, S2, and `pore_size`."""
+"""What is told of the void already where the solid phases are taken together: their interface, S2,
+and `pore_size`.
+"""
 DERIVED_FROM_OTHER = ("fraction", "mean_curvature", "chord_length", *SAME_FOR_TWO)
 """Of two phases, what follows from the figures of the other."""
 
 
 def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[str, Any]:
-    """Return the numbers of every phase, pair and triple by flat names, to stand beside those of `describe`.
+    """Return the numbers of every phase, pair and triple by flat names, to stand beside those of
+    `describe`.
 
-    Nothing comes twice. Where a phase is named void, `describe` tells its interface, curvature and thickness
-    (`pore_size`) already. Of two phases, one of them void, only what the void has for itself is left: components,
-    percolation and Euler number.
+    Nothing comes twice. Where a phase is named void, `describe` tells its interface, curvature and
+    thickness (`pore_size`) already. Of two phases, one of them void, only what the void has for
+    itself is left: components, percolation and Euler number.
 
     Parameters
     ----------
@@ -41,10 +44,11 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     Returns
     -------
     numbers : dict
-        `NAME_PHASE` for `fraction`, `specific_surface`, `mean_curvature`, `euler_density`, `components`, `floating`,
-        `floating_voxels`, `largest_fraction`, `percolates` (a dict, per axis), `percolating_fraction` (mean over the
-        axes), `chord_length`, `thickness`; `contact_PHASE_PHASE`; `triple_line_density` and `triple_line_active`, with
-        more than three phases `..._PHASE_PHASE_PHASE` of each three. `None` as in `describe_phases`.
+        `NAME_PHASE` for `fraction`, `specific_surface`, `mean_curvature`, `euler_density`,
+        `components`, `floating`, `floating_voxels`, `largest_fraction`, `percolates` (a dict, per
+        axis), `percolating_fraction` (mean over the axes), `chord_length`, `thickness`;
+        `contact_PHASE_PHASE`; `triple_line_density` and `triple_line_active`, with more than three
+        phases `..._PHASE_PHASE_PHASE` of each three. `None` as in `describe_phases`.
 
     Raises
     ------
@@ -59,21 +63,30 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     for phase, figures in found.phases.items():
         kept = {name: value for name, value in figures.items() if name not in told.get(phase, ())}
         if "percolating_fraction" in kept:
-            kept["percolating_fraction"] = float(np.mean(list(kept["percolating_fraction"].values())))
+            kept["percolating_fraction"] = float(
+                np.mean(list(kept["percolating_fraction"].values()))
+            )
         if level == "quick":
             kept.pop("thickness", None)
         numbers |= {f"{name}_{phase}": value for name, value in kept.items()}
     numbers |= {f"contact_{'_'.join(pair)}": area for pair, area in found.contacts.items()}
     for triple, line in found.lines.items():
         suffix = "" if len(found.lines) == 1 else "_" + "_".join(triple)
-        numbers |= {f"triple_line_density{suffix}": line.density, f"triple_line_active{suffix}": line.active}
+        numbers |= {
+            f"triple_line_density{suffix}": line.density,
+            f"triple_line_active{suffix}": line.active,
+        }
     return numbers
 
 
-def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) -> dict[str, np.ndarray]:
-    """Return the curves of every phase and pair by flat names, r = 0 .. r_max voxels, to stand beside those of `describe`.
+def phase_curves(
+    image: Image | ArrayLike, *, r_max: int, cross: bool = True
+) -> dict[str, np.ndarray]:
+    """Return the curves of every phase and pair by flat names, r = 0 .. r_max voxels, to stand
+    beside those of `describe`.
 
-    Nothing comes twice: S2 of a phase named void, or of one of two phases, follows from that of the others together.
+    Nothing comes twice: S2 of a phase named void, or of one of two phases, follows from that of the
+    others together.
 
     Parameters
     ----------
@@ -81,14 +94,14 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) ->
     r_max : int
         Largest distance, below every side.
     cross : bool
-        Tell cross-correlations, which take longer than all else. Of the two solid phases of three it is half of what S2
-        of both together is above the sum of theirs.
+        Tell cross-correlations, which take longer than all else. Of the two solid phases of three
+        it is half of what S2 of both together is above the sum of theirs.
 
     Returns
     -------
     curves : dict
-        `two_point_PHASE` (radial), `two_point_PHASE_AXIS` (z, y, x), `lineal_path_PHASE`, and with three phases or more
-        `cross_PHASE_PHASE` (radial).
+        `two_point_PHASE` (radial), `two_point_PHASE_AXIS` (z, y, x), `lineal_path_PHASE`, and with
+        three phases or more `cross_PHASE_PHASE` (radial).
 
     Raises
     ------
@@ -102,14 +115,18 @@ def phase_curves(image: Image | ArrayLike, *, r_max: int, cross: bool = True) ->
     curves: dict[str, np.ndarray] = {}
     for phase, figures in found.phases.items():
         for along, curve in (figures["two_point"] or {}).items():
-            curves[f"two_point_{phase}" + ("" if along == "radial" else f"_{along}")] = np.array(curve)
+            curves[f"two_point_{phase}" + ("" if along == "radial" else f"_{along}")] = np.array(
+                curve
+            )
         if figures["lineal_path"] is not None:
             curves[f"lineal_path_{phase}"] = np.array(figures["lineal_path"])
     return curves | {f"cross_{'_'.join(pair)}": curve for pair, curve in found.pairs.items()}
 
 
 def _redundant_figures(phases: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the figures of each phase that follow from those of the other, or of the solid phases together."""
+    """Return the figures of each phase that follow from those of the other, or of the solid phases
+    together.
+    """
     if len(phases) != 2:
         return {"void": VOID_TOLD} if "void" in phases else {}
     first = redundant_phases(phases, None)[0]

@@ -1,7 +1,8 @@
 """Which voxels a measure is about: the one place where "solid" and "void" get their meaning.
 
-Without a phase, "void" is the phase of that name and "solid" is everything else: with two phases the phase named
-solid, with more of them their union. A phase that is given, by name or number, is that phase alone.
+Without a phase, "void" is the phase of that name and "solid" is everything else: with two phases
+the phase named solid, with more of them their union. A phase that is given, by name or number, is
+that phase alone.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
 
 
-def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str = "solid") -> tuple[Image, np.ndarray]:
+def indicator(
+    image: Image | ArrayLike, phase: str | int | None, *, default: str = "solid"
+) -> tuple[Image, np.ndarray]:
     """The image, and a boolean array that is True in the phase.
 
     Parameters
@@ -37,7 +40,9 @@ def indicator(image: Image | ArrayLike, phase: str | int | None, *, default: str
 
 
 def members(image: Image, phase: str | int | None, *, default: str = "solid") -> np.ndarray:
-    """(256,) bool: whether voxels of a label belong to the phase; as `indicator`, without an array of the image's size."""
+    """(256,) bool: whether voxels of a label belong to the phase; as `indicator`, without an array
+    of the image's size.
+    """
     label, without = _meant(image, phase, default)
     return (np.arange(256) != label) if without else (np.arange(256) == label)
 
@@ -55,16 +60,26 @@ def _meant(image: Image, phase: str | int | None, default: str) -> tuple[int, bo
 def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     """Whether the image repeats beyond its faces, for every axis; one bool means all of them."""
     wraps = (value,) * ndim if isinstance(value, (bool, np.bool_)) else value
-    if not isinstance(wraps, (Sequence, np.ndarray)) or not all(wrap in (False, True) for wrap in wraps):
-        raise InputError(f"periodic is {value!r}: give True or False, or one of them for each of the {ndim} axes")
+    if not isinstance(wraps, (Sequence, np.ndarray)) or not all(
+        wrap in (False, True) for wrap in wraps
+    ):
+        raise InputError(
+            f"periodic is {value!r}: give True or False, or one of them for each of the {ndim} axes"
+        )
     if len(wraps) != ndim:
-        raise InputError(f"periodic has {len(wraps)} values: give one, or one for each of the {ndim} axes")
+        raise InputError(
+            f"periodic has {len(wraps)} values: give one, or one for each of the {ndim} axes"
+        )
     return tuple(bool(wrap) for wrap in wraps)
 
 
 def as_axis(axis: int, ndim: int) -> int:
     """An axis counted from 0; negative ones count from the last."""
-    if isinstance(axis, bool) or not isinstance(axis, (int, np.integer)) or not -ndim <= axis < ndim:
+    if (
+        isinstance(axis, bool)
+        or not isinstance(axis, (int, np.integer))
+        or not -ndim <= axis < ndim
+    ):
         names = "0 (y) or 1 (x)" if ndim == 2 else "0 (z), 1 (y) or 2 (x)"
         raise InputError(f"axis {axis!r} does not exist: the image has {ndim} axes, give {names}")
     return int(axis) % ndim
@@ -76,14 +91,20 @@ def as_connectivity(connectivity: int | None, ndim: int) -> int:
     if connectivity is None:
         return allowed[0]
     if connectivity not in allowed:
-        raise InputError(f"connectivity {connectivity} does not exist in {ndim}-D: give {', '.join(map(str, allowed))}")
+        raise InputError(
+            f"connectivity {connectivity} does not exist in {ndim}-D: give {', '.join(map(str, allowed))}"
+        )
     return connectivity
 
 
 def check_sides(shape: tuple[int, ...], *, least: int = 2, what: str) -> None:
     """Raise where a side is shorter than `what` needs."""
     if min(shape) < least:
-        slice_of = "; give a single slice as a 2-D image (values[0])" if len(shape) == 3 and min(shape) == 1 else ""
+        slice_of = (
+            "; give a single slice as a 2-D image (values[0])"
+            if len(shape) == 3 and min(shape) == 1
+            else ""
+        )
         raise InputError(
             f"an image of shape {shape} {what}: at least {least} voxels along every axis are needed{slice_of}"
         )
@@ -92,7 +113,9 @@ def check_sides(shape: tuple[int, ...], *, least: int = 2, what: str) -> None:
 def check_mask(mask: np.ndarray, shape: tuple[int, ...]) -> None:
     """Raise where a mask is not a boolean array of `shape`, or holds no voxel."""
     if mask.dtype != bool or mask.shape != shape:
-        raise InputError(f"the mask is {mask.dtype} of shape {mask.shape}: a boolean array of shape {shape} is needed")
+        raise InputError(
+            f"the mask is {mask.dtype} of shape {mask.shape}: a boolean array of shape {shape} is needed"
+        )
     if not mask.any():
         raise InputError("the mask holds no voxel: mark with True what counts")
 
@@ -107,7 +130,11 @@ def as_mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray | None
 
 
 def masked_indicator(
-    image: Image | ArrayLike, phase: str | int | None, mask: ArrayLike | None, *, default: str = "solid"
+    image: Image | ArrayLike,
+    phase: str | int | None,
+    mask: ArrayLike | None,
+    *,
+    default: str = "solid",
 ) -> tuple[Image, np.ndarray, np.ndarray | None]:
     """As `indicator`, True only inside the mask; and the mask, checked."""
     image, inside = indicator(image, phase, default=default)
@@ -122,6 +149,8 @@ def as_inside(inside: ArrayLike, *, name: str = "inside") -> np.ndarray:
         raise InputError(f"{name} has 2 or 3 axes and is not empty: got shape {array.shape}")
     if array.dtype != bool:
         if array.dtype != np.uint8 or array.max() > 1:
-            raise InputError(f"{name} is a boolean array, got {array.dtype}: compare with a label first (values == 1)")
+            raise InputError(
+                f"{name} is a boolean array, got {array.dtype}: compare with a label first (values == 1)"
+            )
         array = array.view(bool) if array.flags.c_contiguous else array.astype(bool)
     return np.ascontiguousarray(array if array.ndim == 3 else array[None])

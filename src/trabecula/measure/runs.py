@@ -1,10 +1,11 @@
-"""Connected components as runs of voxels along x: some bytes a run, where a label for every voxel takes four a voxel.
+"""Connected components as runs of voxels along x: some bytes a run, where a label for every voxel
+takes four a voxel.
 
-Runs are joined by union-find, root = the run that comes first, so that components are numbered by their first voxel in
-raster order. What needs labels as an array paints those of a box.
+Runs are joined by union-find, root = the run that comes first, so that components are numbered by
+their first voxel in raster order. What needs labels as an array paints those of a box.
 
-All passes go by slabs along z, and the arrays may lie in scratch files (`engine.scratch`): then neither the voxels nor their
-runs have to fit into memory.
+All passes go by slabs along z, and the arrays may lie in scratch files (`engine.scratch`): then
+neither the voxels nor their runs have to fit into memory.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from math import prod
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
+from trabecula.engine.chunking import Box
 from trabecula.engine.compile import kernel
-from trabecula.engine.cuts import Box
-from trabecula.engine.tiles import for_slabs, in_order
-from trabecula.measure.union import join, root_of
+from trabecula.engine.parallel import for_slabs, in_order
+from trabecula.measure.union_find import join, root_of
 
 # Rows before the present one that can hold neighbours, as (dz, dy, how far x may differ).
 _ROWS = {
@@ -65,8 +66,8 @@ class Runs:
         return labels
 
     def boxes(self, chosen: np.ndarray | None = None) -> np.ndarray:
-        """(m, 6): first voxel and one past the last along z, y, x of the components k for which `chosen[k - 1]` holds, or of
-        all, in their order."""
+        """(m, 6): first voxel and one past the last along z, y, x of the components k for which
+        `chosen[k - 1]` holds, or of all, in their order."""
         chosen = np.ones(len(self.sizes), np.bool_) if chosen is None else chosen
         place = np.cumsum(chosen, dtype=np.int32)
         boxes = np.zeros((int(place[-1]) if len(place) else 0, 6), np.int64)
@@ -84,7 +85,9 @@ class Runs:
         return found
 
     def write(self, values: np.ndarray, chosen: np.ndarray, value: int) -> None:
-        """Write `value` into the voxels of the components k for which `chosen[k - 1]` holds: into `values` itself."""
+        """Write `value` into the voxels of the components k for which `chosen[k - 1]` holds: into
+        `values` itself.
+        """
         lifted = values.reshape(self.shape)
         parts = (self.first, self.begin, self.end, self.label, chosen, lifted, value)
         _spread(lambda start, stop: _write(*parts, start, stop), self.shape)
@@ -106,12 +109,16 @@ def runs_of(values: np.ndarray, member: np.ndarray, connectivity: int) -> Runs:
     _spread(lambda start, stop: _count_runs(values, member, first, start, stop), values.shape)
     np.cumsum(first, out=first)
     count = int(first[-1])
-    begin, end = scratch.empty(count, np.int32), scratch.empty(count, np.int32)
-    _spread(lambda start, stop: _find_runs(values, member, first, begin, end, start, stop), values.shape)
+    begin, end = memmap.empty(count, np.int32), memmap.empty(count, np.int32)
+    _spread(
+        lambda start, stop: _find_runs(values, member, first, begin, end, start, stop), values.shape
+    )
     label, components = _labels(begin, end, first, np.array(_ROWS[connectivity], np.int64), height)
     bounds = first[::height]
-    sizes = scratch.zeros(components, np.int64)
-    in_order(lambda start, stop: _add_sizes(begin, end, label, sizes, bounds[start], bounds[stop]), depth)
+    sizes = memmap.zeros(components, np.int64)
+    in_order(
+        lambda start, stop: _add_sizes(begin, end, label, sizes, bounds[start], bounds[stop]), depth
+    )
     return Runs((depth, height, width), first, begin, end, label, sizes)
 
 
@@ -123,11 +130,16 @@ def _spread(work: Callable[[int, int], object], shape: tuple[int, ...]) -> None:
 def _labels(
     begin: np.ndarray, end: np.ndarray, first: np.ndarray, rows: np.ndarray, height: int
 ) -> tuple[np.ndarray, int]:
-    """The component of every run, and how many there are. Not in threads: runs are joined and numbered in their order."""
+    """The component of every run, and how many there are. Not in threads: runs are joined and
+    numbered in their order.
+    """
     bounds, count = first[::height], len(begin)
-    parent = scratch.empty(count, np.int32 if count < 2**31 else np.int64)
-    in_order(lambda start, stop: _join(begin, end, first, rows, height, parent, start, stop), len(bounds) - 1)
-    label, found = scratch.empty(count, np.int32), [0]
+    parent = memmap.empty(count, np.int32 if count < 2**31 else np.int64)
+    in_order(
+        lambda start, stop: _join(begin, end, first, rows, height, parent, start, stop),
+        len(bounds) - 1,
+    )
+    label, found = memmap.empty(count, np.int32), [0]
 
     def number(start: int, stop: int) -> None:
         found[0] = _number(parent, label, bounds[start], bounds[stop], found[0])
@@ -137,14 +149,18 @@ def _labels(
 
 
 RUN_BYTES = 24
-"""Of a run while it is numbered: two ends, its parent, its label, and its size where it is a component of its own."""
+"""Of a run while it is numbered: two ends, its parent, its label, and its size where it is a
+component of its own.
+"""
 
 INSIDE = np.arange(256) > 0
 """The members of a boolean array."""
 
 
 def merged_pieces(sizes: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Labels 1 .. n joined by pairs of them: the new label of each, numbered by the first of its labels, and new sizes."""
+    """Labels 1 .. n joined by pairs of them: the new label of each, numbered by the first of its
+    labels, and new sizes.
+    """
     # A label is a run of its own size here, and its root again the one that comes first.
     parent = _join_pairs(len(sizes), pairs - 1)
     ends, label = np.cumsum(sizes), np.empty(len(parent), np.int32)
@@ -190,7 +206,9 @@ def _find_runs(values, member, first, begin, end, start, stop):
 
 @kernel
 def _join(begin, end, first, rows, height, parent, start, stop):
-    """Union of the runs that touch a run in one of the `rows` before theirs; the root is the smallest run."""
+    """Union of the runs that touch a run in one of the `rows` before theirs; the root is the
+    smallest run.
+    """
     for k in range(first[start * height], first[stop * height]):
         parent[k] = k
     for row in range(start * height, stop * height):
@@ -224,7 +242,9 @@ def _join_pairs(count, pairs):
 
 @kernel
 def _number(parent, label, start, stop, count):
-    """Labels of the runs from `start` on, of which `count` are taken; how many then are. A root comes before its tree."""
+    """Labels of the runs from `start` on, of which `count` are taken; how many then are. A root
+    comes before its tree.
+    """
     for k in range(start, stop):
         root = root_of(parent, k)
         if root == k:
@@ -274,7 +294,9 @@ def _mark(first, begin, end, label, shape, across, found, start, stop):
     depth, height, width = shape
     for row in range(start * height, stop * height):
         z, y = row // height, row % height
-        outer = (across[0] and (z == 0 or z == depth - 1)) or (across[1] and (y == 0 or y == height - 1))
+        outer = (across[0] and (z == 0 or z == depth - 1)) or (
+            across[1] and (y == 0 or y == height - 1)
+        )
         for k in range(first[row], first[row + 1]):
             if outer or (across[2] and (begin[k] == 0 or end[k] == width)):
                 found[label[k] - 1] = True

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 
 _REACH = 3.5  # of the kernel, in sigma: what is cut off weighs 5e-4
 
 
 def gaussian(values: np.ndarray, sigma: float | Sequence[float] | np.ndarray) -> np.ndarray:
-    """Values smoothed with a Gaussian of `sigma` voxels (one, or one per axis); beyond the faces the last voxel goes on.
+    """Values smoothed with a Gaussian of `sigma` voxels (one, or one per axis); beyond the faces
+    the last voxel goes on.
 
     Returns
     -------
@@ -52,7 +53,9 @@ def _convolve(lines, weights, out, begin, end):
         if width == 1:
             total = weights[0] * lines[line, at, 0]
             for t in range(1, len(weights)):
-                total += weights[t] * (lines[line, max(at - t, 0), 0] + lines[line, min(at + t, last), 0])
+                total += weights[t] * (
+                    lines[line, max(at - t, 0), 0] + lines[line, min(at + t, last), 0]
+                )
             out[line, at, 0] = total
             continue
         row = out[line, at]

@@ -1,7 +1,8 @@
 """Largest inscribed spheres: which of them are needed, and painting them.
 
-A sphere is the set of voxels nearer to its centre than its radius. Bare voxels are bits, 64 of a row to a word, so that a
-sphere whose voxels all hold a larger one's value already, as most do, costs a quarter of its rows.
+A sphere is the set of voxels nearer to its centre than its radius. Bare voxels are bits, 64 of a
+row to a word, so that a sphere whose voxels all hold a larger one's value already, as most do,
+costs a quarter of its rows.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from itertools import product
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 
-# Neighbours in the margined array, nearest first: they are the likeliest to hold the sphere. The last number is the
+# Neighbours in the margined array, nearest first: they are the likeliest to hold the sphere. The
+# last number is the
 # row of `_containment`.
 _STEPS = tuple(
     (z + 1, y + 1, x + 1, 4 * abs(z) + 2 * abs(y) + abs(x))
@@ -23,7 +25,9 @@ _STEPS = tuple(
 
 
 _LONGEST, _LARGEST = 2048.0, 2.0**24
-"""Radius, and voxels in an eighth of a sphere, that `_containment` tells at most: half a GiB while it is made."""
+"""Radius, and voxels in an eighth of a sphere, that `_containment` tells at most: half a GiB while
+it is made.
+"""
 
 
 def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
@@ -58,7 +62,9 @@ def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ..
             own, places = _with_images(own, places, axis, radius.shape[axis], float(spacing[axis]))
     bare = _bare_bits(radius > 0)
     diameter = np.zeros(radius.shape, np.float32)
-    for_slabs(lambda a, b: _paint(own, places, spacing, bare, diameter, a, b), len(diameter), least=32)
+    for_slabs(
+        lambda a, b: _paint(own, places, spacing, bare, diameter, a, b), len(diameter), least=32
+    )
     return diameter
 
 
@@ -83,8 +89,8 @@ def _with_images(
 
 
 def _bare_bits(inside: np.ndarray) -> np.ndarray:
-    """(Z + 1, Y + 1, words): bit x % 64 of word x // 64 is voxel x. The last slice and the last row are empty: they
-    stand for whatever lies outside."""
+    """(Z + 1, Y + 1, words): bit x % 64 of word x // 64 is voxel x. The last slice and the last row
+    are empty: they stand for whatever lies outside."""
     depth, height, width = inside.shape
     octets = np.zeros((depth + 1, height + 1, -(-width // 64) * 8), np.uint8)
     octets[:depth, :height, : -(-width // 8)] = np.packbits(inside, axis=2, bitorder="little")
@@ -92,17 +98,22 @@ def _bare_bits(inside: np.ndarray) -> np.ndarray:
 
 
 def _containment(largest: float, spacing: np.ndarray) -> np.ndarray:
-    """Squared radius that a neighbour's sphere must exceed to hold every voxel of a sphere, by offset and squared
-    radius.
+    """Squared radius that a neighbour's sphere must exceed to hold every voxel of a sphere, by
+    offset and squared radius.
 
-    Dougherty and Kunzelmann 2007 (doi:10.1017/S1431927607074430): spheres are compared as sets of voxels, since
-    hardly any pair of them holds as spheres of the plane do. Entry [4 dz + 2 dy + dx, n] is for all voxels nearer
-    than sqrt(n). The last entry is infinite, for spheres larger than a table of bounded size tells: those are kept.
+    Dougherty and Kunzelmann 2007 (doi:10.1017/S1431927607074430): spheres are compared as sets of
+    voxels, since hardly any pair of them holds as spheres of the plane do. Entry [4 dz + 2 dy + dx,
+    n] is for all voxels nearer than sqrt(n). The last entry is infinite, for spheres larger than a
+    table of bounded size tells: those are kept.
     """
     within = min(largest, _LONGEST, np.cbrt(_LARGEST * np.prod(spacing)))
     steps = int(np.ceil(within**2)) + 1
     z, y, x = (np.arange(int(np.sqrt(steps) / edge) + 2.0) for edge in spacing)
-    norm = ((z * spacing[0]) ** 2)[:, None, None] + ((y * spacing[1]) ** 2)[:, None] + (x * spacing[2]) ** 2
+    norm = (
+        ((z * spacing[0]) ** 2)[:, None, None]
+        + ((y * spacing[1]) ** 2)[:, None]
+        + (x * spacing[2]) ** 2
+    )
     # The ball of step n holds the voxels of norm < n; norm n itself first counts at step n + 1.
     step = np.floor(norm * (1 + 1e-9)).astype(np.int64) + 1
     inside = step <= steps
@@ -122,7 +133,9 @@ def _containment(largest: float, spacing: np.ndarray) -> np.ndarray:
 
 @kernel
 def _find_ridge(around, need, ridge, start, stop):
-    """True where no neighbour with a larger radius holds every voxel of this sphere. `around` has a margin of 1."""
+    """True where no neighbour with a larger radius holds every voxel of this sphere. `around` has a
+    margin of 1.
+    """
     _, height, width = ridge.shape
     for z in range(start, stop):
         for y in range(height):
@@ -164,7 +177,9 @@ def _paint_rows(bare, diameter, slices, rows, word, mask, value):
 
 @kernel
 def _paint(own, places, spacing, bare, diameter, start, stop):
-    """Spheres from the largest down, in slices start..stop. Four rows, mirrored at the centre, are looked at at once."""
+    """Spheres from the largest down, in slices start..stop. Four rows, mirrored at the centre, are
+    looked at at once.
+    """
     depth, height, width = diameter.shape
     words = bare.ravel()
     per_row = bare.shape[2]
@@ -203,7 +218,17 @@ def _paint(own, places, spacing, bare, diameter, start, stop):
                 while word <= last:
                     if word == last:
                         mask &= every >> np.uint64(63 - (high & 63))
-                    if (words[a + word] | words[b + word] | words[c + word] | words[d + word]) & mask:
-                        _paint_rows(bare, diameter, (z0, z1), (y0, y1), np.int64(word), mask, np.float32(2.0 * radius))
+                    if (
+                        words[a + word] | words[b + word] | words[c + word] | words[d + word]
+                    ) & mask:
+                        _paint_rows(
+                            bare,
+                            diameter,
+                            (z0, z1),
+                            (y0, y1),
+                            np.int64(word),
+                            mask,
+                            np.float32(2.0 * radius),
+                        )
                     mask = every
                     word += np.uint64(1)

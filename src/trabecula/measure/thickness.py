@@ -1,11 +1,12 @@
 """How thick: largest inscribed spheres, and chords.
 
-Local thickness (Hildebrand and Ruegsegger 1997, doi:10.1046/j.1365-2818.1997.1340694.x): at a point, the diameter of
-the largest sphere that lies in the phase and holds the point. Three steps:
+Local thickness (Hildebrand and Ruegsegger 1997, doi:10.1046/j.1365-2818.1997.1340694.x): at a
+point, the diameter of the largest sphere that lies in the phase and holds the point. Three steps:
 
 1. the distance of every voxel of the phase to the rest;
 2. the ridge: voxels whose sphere does not lie inside a neighbour's;
-3. the ridge's spheres are painted from the largest down; a voxel once painted keeps its value (`measure.spheres`).
+3. the ridge's spheres are painted from the largest down; a voxel once painted keeps its value
+(`measure.spheres`).
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ def local_thickness(
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
     mask : bool array, the image's shape, optional
-        Voxels beyond it are neither phase: they bound no sphere, as if a face were there, and none is centred on one.
+        Voxels beyond it are neither phase: they bound no sphere, as if a face were there, and none
+        is centred on one.
     periodic : bool or one per axis
         Distances and spheres wrap around the faces.
 
     Returns
     -------
     diameter : float32 array, the image's shape
-        In the image's unit; 0 outside the phase and the mask. The faces of the image bound nothing, so what they cut
-        may look thicker.
+        In the image's unit; 0 outside the phase and the mask. The faces of the image bound nothing,
+        so what they cut may look thicker.
 
     Raises
     ------
@@ -54,12 +56,14 @@ def local_thickness(
 
     Notes
     -----
-    Centres of spheres are voxels and the distance ends at a voxel's centre, so 2 d overshoots a plate of an odd
-    number of voxels by 1 and meets one of an even number; 2 d less half a voxel is off by half a voxel in either
-    case, and right on average.
+    Centres of spheres are voxels and the distance ends at a voxel's centre, so 2 d overshoots a
+    plate of an odd number of voxels by 1 and meets one of an even number; 2 d less half a voxel is
+    off by half a voxel in either case, and right on average.
     """
     image, inside, region = masked_indicator(image, phase, mask)
-    return sphere_diameters(inside, region, image.spacing, as_periodic(periodic, image.ndim), what="phase")
+    return sphere_diameters(
+        inside, region, image.spacing, as_periodic(periodic, image.ndim), what="phase"
+    )
 
 
 def thickness(
@@ -69,8 +73,8 @@ def thickness(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean local thickness over the voxels of a phase (default "solid"), in the image's unit; 0 where the phase is
-    empty.
+    """Mean local thickness over the voxels of a phase (default "solid"), in the image's unit; 0
+    where the phase is empty.
 
     See `local_thickness` for the definition (Hildebrand and Ruegsegger 1997,
     doi:10.1046/j.1365-2818.1997.1340694.x) and its error of half a voxel.
@@ -99,7 +103,8 @@ def pore_size(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean local thickness over the voxels of the void (or of the phase given), in the image's unit; 0 where it is empty.
+    """Mean local thickness over the voxels of the void (or of the phase given), in the image's
+    unit; 0 where it is empty.
 
     Parameters
     ----------
@@ -128,8 +133,9 @@ def chord_length(
 ) -> float:
     """Mean length of the chords that a line cuts out of a phase, in the image's unit.
 
-    Torquato 2002 (doi:10.1007/978-1-4757-6355-3), section 2.2.4: fraction of the phase over half the crossings of
-    its interface per length. No chord is measured, so those that the faces cut bias nothing.
+    Torquato 2002 (doi:10.1007/978-1-4757-6355-3), section 2.2.4: fraction of the phase over half
+    the crossings of its interface per length. No chord is measured, so those that the faces cut
+    bias nothing.
 
     Parameters
     ----------
@@ -160,12 +166,16 @@ def chord_length(
         crossed, steps = crossings(inside, region, along, wraps[along])
         if steps:
             rates.append(crossed / steps / image.spacing[along])
-    fraction = int(np.count_nonzero(inside)) / (inside.size if region is None else int(np.count_nonzero(region)))
+    fraction = int(np.count_nonzero(inside)) / (
+        inside.size if region is None else int(np.count_nonzero(region))
+    )
     return mean_chord(fraction, rates)
 
 
 def mean_chord(fraction: float, rates: Sequence[float]) -> float:
-    """Mean chord of a phase from its fraction and, along every axis, the crossings of its interface per length."""
+    """Mean chord of a phase from its fraction and, along every axis, the crossings of its interface
+    per length.
+    """
     rate = float(np.mean(rates)) if len(rates) else 0.0
     if fraction == 0:
         return 0.0
@@ -180,12 +190,17 @@ def sphere_diameters(
     *,
     what: str,
 ) -> np.ndarray:
-    """`local_thickness` of a boolean array that lies within `region`; `what` names it in the message."""
+    """`local_thickness` of a boolean array that lies within `region`; `what` names it in the
+    message.
+    """
     free = inside if region is None else inside | ~region
     if free.all():
         where = "image" if region is None else "mask"
-        raise InputError(f"the {what} fills the whole {where}: its thickness has no bound; choose another phase")
-    # In units of the smallest edge: squares of what is large or small in the image's unit might not fit float32.
+        raise InputError(
+            f"the {what} fills the whole {where}: its thickness has no bound; choose another phase"
+        )
+    # In units of the smallest edge: squares of what is large or small in the image's unit might not
+    # fit float32.
     scale = min(spacing)
     steps = tuple(edge / scale for edge in spacing)
     radius = distance_transform(free, spacing=steps, periodic=wraps)
@@ -217,13 +232,19 @@ def _mean_diameter(
     return float(diameter.sum(dtype=np.float64)) / int(np.count_nonzero(inside))
 
 
-def crossings(inside: np.ndarray, region: np.ndarray | None, axis: int, wraps: bool) -> tuple[int, int]:
+def crossings(
+    inside: np.ndarray, region: np.ndarray | None, axis: int, wraps: bool
+) -> tuple[int, int]:
     """Steps between neighbours along an axis that leave or enter the phase, and all steps."""
     lines = np.moveaxis(inside, axis, 0)
     changes = [lines[1:] != lines[:-1], (lines[:1] != lines[-1:])[: int(wraps)]]
     if region is None:
-        return sum(int(np.count_nonzero(change)) for change in changes), sum(change.size for change in changes)
+        return sum(int(np.count_nonzero(change)) for change in changes), sum(
+            change.size for change in changes
+        )
     marked = np.moveaxis(region, axis, 0)
     both = [marked[1:] & marked[:-1], (marked[:1] & marked[-1:])[: int(wraps)]]
-    crossed = sum(int(np.count_nonzero(change & pair)) for change, pair in zip(changes, both, strict=True))
+    crossed = sum(
+        int(np.count_nonzero(change & pair)) for change, pair in zip(changes, both, strict=True)
+    )
     return crossed, sum(int(np.count_nonzero(pair)) for pair in both)

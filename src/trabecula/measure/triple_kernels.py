@@ -1,7 +1,9 @@
-"""Kernels of triple-phase lines: the voxel edges where three phases meet, and the chords of their chains.
+"""Kernels of triple-phase lines: the voxel edges where three phases meet, and the chords of their
+chains.
 
-A vertex (z, y, x) is the low corner of that voxel, and an edge is named by the vertex that it leaves and its axis d. Sets of
-phases are whole numbers whose bits are labels; `wanted` is the set of the three phases.
+A vertex (z, y, x) is the low corner of that voxel, and an edge is named by the vertex that it
+leaves and its axis d. Sets of phases are whole numbers whose bits are labels; `wanted` is the set
+of the three phases.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ REACH = 2
 
 @inline
 def _around(labels, d, z, y, x):
-    """The labels around the edge that leaves vertex (z, y, x) along axis d, as bits; the vertex is a voxel's corner."""
+    """The labels around the edge that leaves vertex (z, y, x) along axis d, as bits; the vertex is
+    a voxel's corner.
+    """
     if d == 0:
         first, second = labels[z, y - 1, x - 1], labels[z, y - 1, x]
         third, last = labels[z, y, x - 1], labels[z, y, x]
@@ -26,7 +30,12 @@ def _around(labels, d, z, y, x):
     else:
         first, second = labels[z - 1, y - 1, x], labels[z - 1, y, x]
         third, last = labels[z, y - 1, x], labels[z, y, x]
-    return (1 << np.int64(first)) | (1 << np.int64(second)) | (1 << np.int64(third)) | (1 << np.int64(last))
+    return (
+        (1 << np.int64(first))
+        | (1 << np.int64(second))
+        | (1 << np.int64(third))
+        | (1 << np.int64(last))
+    )
 
 
 @inline
@@ -63,7 +72,9 @@ def see_sets(labels, seen, start, stop):
 
 @kernel
 def find_edges(labels, wanted, edges, start, stop):
-    """Bit d of edges[z, y, x]: the three phases meet at the edge that leaves vertex (z, y, x) along axis d."""
+    """Bit d of edges[z, y, x]: the three phases meet at the edge that leaves vertex (z, y, x) along
+    axis d.
+    """
     _, height, width = labels.shape
     for z in range(start, stop):
         for y in range(height):
@@ -96,8 +107,8 @@ def _leaves(edges, way, z, y, x):
 
 @inline
 def _follow(edges, way, z, y, x, steps):
-    """Follow a chain that arrived at a vertex by `way`, to where it ends or branches; returns the last vertex, and the
-    edges taken."""
+    """Follow a chain that arrived at a vertex by `way`, to where it ends or branches; returns the
+    last vertex, and the edges taken."""
     taken = 0
     while taken < steps:
         leaving, onward = 0, -1
@@ -109,7 +120,11 @@ def _follow(edges, way, z, y, x, steps):
         if leaving != 2:
             break
         step = 1 if onward < 3 else -1
-        z, y, x = z + step * (onward % 3 == 0), y + step * (onward % 3 == 1), x + step * (onward % 3 == 2)
+        z, y, x = (
+            z + step * (onward % 3 == 0),
+            y + step * (onward % 3 == 1),
+            x + step * (onward % 3 == 2),
+        )
         way = onward
         taken += 1
     return z, y, x, taken
@@ -117,7 +132,9 @@ def _follow(edges, way, z, y, x, steps):
 
 @kernel
 def add_chords(labels, spans, edges, spacing, wanted, lengths, start, stop):
-    """Add the length of every edge's chord to lengths[z, d, 0], and to [z, d, 1] where the edge is active."""
+    """Add the length of every edge's chord to lengths[z, d, 0], and to [z, d, 1] where the edge is
+    active.
+    """
     _, height, width = labels.shape
     for z in range(start, stop):
         for y in range(height):
@@ -125,7 +142,9 @@ def add_chords(labels, spans, edges, spacing, wanted, lengths, start, stop):
                 for d in range(3):
                     if not (edges[z, y, x] >> d) & 1:
                         continue
-                    up_z, up_y, up_x, ahead = _follow(edges, d, z + (d == 0), y + (d == 1), x + (d == 2), REACH)
+                    up_z, up_y, up_x, ahead = _follow(
+                        edges, d, z + (d == 0), y + (d == 1), x + (d == 2), REACH
+                    )
                     low_z, low_y, low_x, behind = _follow(edges, d + 3, z, y, x, REACH)
                     away = ((up_z - low_z) * spacing[0]) ** 2
                     away += ((up_y - low_y) * spacing[1]) ** 2 + ((up_x - low_x) * spacing[2]) ** 2

@@ -1,18 +1,23 @@
-"""Triple-phase lines: where three phases meet, how long these lines are, and how much of them is active.
+"""Triple-phase lines: where three phases meet, how long these lines are, and how much of them is
+active.
 
 Two steps:
 
-1. mark every voxel edge around which three phases meet; such edges form chains from vertex to vertex;
-2. give each edge the length of a chord of its chain: from two edges behind it to two edges ahead, over the number of
+1. mark every voxel edge around which three phases meet; such edges form chains from vertex to
+vertex;
+2. give each edge the length of a chord of its chain: from two edges behind it to two edges ahead,
+over the number of
    edges in between. At an end or a branch of the chain the chord stops.
 
-The edges themselves are too long by half on average for lines of random direction, whose staircase they follow. The
-field divides by a constant for that (about 1.5, which makes a line along an axis a third too short), or smooths the
-line: the centroid method of Iwai et al. 2010 (J. Power Sources 195, 955-961) draws it through the means of three
-neighbouring edges. On the errors of either: Jorgensen et al. 2014 (J. Power Sources 261, 198-205). Here the window is
-five edges. Measured on straight lines of random direction, three leave 7 % too much and five 3 % where phases meet at
-120 degrees; five leave 6 % at 90, and 11 % where one phase is a wedge of 60 degrees, whose rim the voxels tear. Seven would
-leave 2 %, but cut off more where the line bends: of a circle of radius 3 voxels the chords lose 6 % (five) or 11 % (seven).
+The edges themselves are too long by half on average for lines of random direction, whose staircase
+they follow. The field divides by a constant for that (about 1.5, which makes a line along an axis a
+third too short), or smooths the line: the centroid method of Iwai et al. 2010 (J. Power Sources
+195, 955-961) draws it through the means of three neighbouring edges. On the errors of either:
+Jorgensen et al. 2014 (J. Power Sources 261, 198-205). Here the window is five edges. Measured on
+straight lines of random direction, three leave 7 % too much and five 3 % where phases meet at 120
+degrees; five leave 6 % at 90, and 11 % where one phase is a wedge of 60 degrees, whose rim the
+voxels tear. Seven would leave 2 %, but cut off more where the line bends: of a circle of radius 3
+voxels the chords lose 6 % (five) or 11 % (seven).
 """
 
 from __future__ import annotations
@@ -26,10 +31,10 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.phases import as_axis, as_inside, check_sides
 from trabecula.measure.runs import INSIDE, runs_of
-from trabecula.measure.tallies.components import PieceSizes, pieces_of
+from trabecula.measure.streaming.components import PieceSizes, pieces_of
 from trabecula.measure.triple_kernels import add_chords, find_edges, see_sets
 
 
@@ -43,12 +48,15 @@ class TripleLine:
     """Share of the length that is active, 0..1; None where there is no line."""
 
 
-def triple_phase_lines(image: Image | ArrayLike, *, axis: int | None = None) -> dict[tuple[str, str, str], TripleLine]:
+def triple_phase_lines(
+    image: Image | ArrayLike, *, axis: int | None = None
+) -> dict[tuple[str, str, str], TripleLine]:
     """Return the density and the active share of the lines of every three phases.
 
-    A line is active where each of its three phases is there in a component that percolates (Zhang and Gokhale 2012,
-    J. Power Sources 219, 172-179: only topologically connected triple-phase boundaries can be active): one that
-    connects two opposite faces of the image, neighbours sharing a voxel's face.
+    A line is active where each of its three phases is there in a component that percolates (Zhang
+    and Gokhale 2012, J. Power Sources 219, 172-179: only topologically connected triple-phase
+    boundaries can be active): one that connects two opposite faces of the image, neighbours sharing
+    a voxel's face.
 
     Parameters
     ----------
@@ -59,8 +67,8 @@ def triple_phase_lines(image: Image | ArrayLike, *, axis: int | None = None) -> 
     Returns
     -------
     lines : dict
-        (name, name, name), in the order of the labels -> TripleLine; empty with two phases. An edge around which four
-        phases meet counts half for each three of them, since two lines lie there.
+        (name, name, name), in the order of the labels -> TripleLine; empty with two phases. An edge
+        around which four phases meet counts half for each three of them, since two lines lie there.
 
     Raises
     ------
@@ -77,7 +85,9 @@ def triple_phase_lines(image: Image | ArrayLike, *, axis: int | None = None) -> 
     return lines_of(image, spans)
 
 
-def triple_phase_line_density(image: Image | ArrayLike, *, phases: Sequence[str | int] | None = None) -> float:
+def triple_phase_line_density(
+    image: Image | ArrayLike, *, phases: Sequence[str | int] | None = None
+) -> float:
     """Return the length of the lines where three phases meet, per volume.
 
     Parameters
@@ -89,8 +99,9 @@ def triple_phase_line_density(image: Image | ArrayLike, *, phases: Sequence[str 
     Returns
     -------
     density : float
-        1 / length^2, 0 with two phases; in 2-D triple points per area. Exact for lines along an axis; for lines of random
-        direction 3 % high where phases meet at 120 degrees, 11 % where one is a wedge of 60 degrees.
+        1 / length^2, 0 with two phases; in 2-D triple points per area. Exact for lines along an
+        axis; for lines of random direction 3 % high where phases meet at 120 degrees, 11 % where
+        one is a wedge of 60 degrees.
 
     Raises
     ------
@@ -114,7 +125,8 @@ def triple_phase_line_density(image: Image | ArrayLike, *, phases: Sequence[str 
 def triple_phase_active_share(
     image: Image | ArrayLike, *, phases: Sequence[str | int] | None = None, axis: int | None = None
 ) -> float | None:
-    """Return the share of the triple-phase lines' length that is active, 0..1 (see `triple_phase_lines`).
+    """Return the share of the triple-phase lines' length that is active, 0..1 (see
+    `triple_phase_lines`).
 
     Parameters
     ----------
@@ -137,14 +149,18 @@ def triple_phase_active_share(
     image = _checked(image)
     chosen = None if phases is None else _three(image, phases)
     names = None if chosen is None else tuple(image.phases[label] for label in chosen)
-    found = [line for key, line in triple_phase_lines(image, axis=axis).items() if names in (None, key)]
+    found = [
+        line for key, line in triple_phase_lines(image, axis=axis).items() if names in (None, key)
+    ]
     total = sum(line.density for line in found)
-    return float(sum(line.density * (line.active or 0.0) for line in found) / total) if total else None
+    return (
+        float(sum(line.density * (line.active or 0.0) for line in found) / total) if total else None
+    )
 
 
 def mark_components(inside: np.ndarray, spans: np.ndarray, axes: Iterable[int]) -> PieceSizes:
-    """Set the voxels of components that connect the two faces of one of the axes to True in `spans`; returns all
-    components."""
+    """Set the voxels of components that connect the two faces of one of the axes to True in
+    `spans`; returns all components."""
     lifted = as_inside(inside)
     runs = runs_of(lifted.view(np.uint8), INSIDE, 6)
     pieces = pieces_of(runs)
@@ -155,7 +171,9 @@ def mark_components(inside: np.ndarray, spans: np.ndarray, axes: Iterable[int]) 
 def lines_of(
     image: Image, spans: np.ndarray, *, only: tuple[int, int, int] | None = None
 ) -> dict[tuple[str, str, str], TripleLine]:
-    """Return the lines of every three phases, or of `only` these labels; `spans` marks the voxels that percolate."""
+    """Return the lines of every three phases, or of `only` these labels; `spans` marks the voxels
+    that percolate.
+    """
     lift = 3 - image.ndim
     labels = np.ascontiguousarray(image.values.reshape((1,) * lift + image.shape))
     connected = np.ascontiguousarray(spans.reshape(labels.shape))
@@ -184,7 +202,9 @@ def _three(image: Image, phases: Sequence[str | int]) -> tuple[int, int, int]:
     given = () if isinstance(phases, str) else tuple(phases)
     found = sorted({phase_index(image, phase, default="") for phase in given})
     if len(given) != 3 or len(found) != 3:
-        raise InputError(f"phases={phases!r}: a triple-phase line is of three different phases, give their names")
+        raise InputError(
+            f"phases={phases!r}: a triple-phase line is of three different phases, give their names"
+        )
     return found[0], found[1], found[2]
 
 
@@ -192,10 +212,14 @@ def _line(labels: np.ndarray, spans: np.ndarray, spacing: np.ndarray, wanted: in
     """Measure the lines of three phases, given as the bits of their labels."""
     edges = np.zeros(labels.shape, np.uint8)
     for_slabs(lambda a, b: find_edges(labels, wanted, edges, a, b), len(labels))
-    lengths = np.zeros((len(labels), 3, 2))  # plane by plane, so that no thread changes the order of a sum
-    for_slabs(lambda a, b: add_chords(labels, spans, edges, spacing, wanted, lengths, a, b), len(labels))
+    # plane by plane, so that no thread changes the order of a sum
+    lengths = np.zeros((len(labels), 3, 2))
+    for_slabs(
+        lambda a, b: add_chords(labels, spans, edges, spacing, wanted, lengths, a, b), len(labels)
+    )
     sides = np.array(labels.shape)
-    # Edges along an axis lie between voxels across it: one fewer than voxels along every other axis.
+    # Edges along an axis lie between voxels across it: one fewer than voxels along every other
+    # axis.
     room = [sides[d] * np.prod(np.delete(sides, d) - 1) * np.prod(spacing) for d in range(3)]
     total, active = sum(lengths[:, d].sum(axis=0) / room[d] for d in range(3) if room[d])
     return TripleLine(float(total), float(active / total) if total else None)

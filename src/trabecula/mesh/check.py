@@ -85,7 +85,8 @@ def check(mesh: Mesh) -> MeshCheck:
 def _edge_faults(faces: np.ndarray, count: int) -> tuple[int, int, int]:
     """Numbers of edges in one face, in more than two, and in two that run the same way."""
     ends = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)]]).astype(np.int64)
-    # One integer an edge: its ends, sorted, and in the last bit the direction. Integers sort far quicker than rows.
+    # One integer an edge: its ends, sorted, and in the last bit the direction. Integers sort far
+    # quicker than rows.
     keys = (ends.min(axis=1) * count + ends.max(axis=1)) * 2 + (ends[:, 0] > ends[:, 1])
     keys.sort()
     if not len(keys):
@@ -105,7 +106,11 @@ def _extent(mesh: Mesh) -> tuple[float, float, int]:
     a, b, c = points[mesh.faces[:, 0]], points[mesh.faces[:, 1]], points[mesh.faces[:, 2]]
     normal = np.cross(b - a, c - a)
     double = np.sqrt(np.einsum("ij,ij->i", normal, normal))
-    return float(np.einsum("ij,ij->", a, normal) / 6), float(double.sum() / 2), int(np.sum(double == 0))
+    return (
+        float(np.einsum("ij,ij->", a, normal) / 6),
+        float(double.sum() / 2),
+        int(np.sum(double == 0)),
+    )
 
 
 def _components(mesh: Mesh, used: np.ndarray) -> int:
@@ -115,8 +120,8 @@ def _components(mesh: Mesh, used: np.ndarray) -> int:
 
 
 def check_closed(mesh: Mesh) -> None:
-    """Raise where a mesh does not tell inside from outside: an edge that faces run through more often in one direction
-    than in the other.
+    """Raise where a mesh does not tell inside from outside: an edge that faces run through more
+    often in one direction than in the other.
 
     Less than watertight: bodies that touch in an edge are closed.
 
@@ -125,7 +130,9 @@ def check_closed(mesh: Mesh) -> None:
     InputError
         What is wrong, and how to mend it.
     """
-    ends = np.concatenate([mesh.faces[:, (0, 1)], mesh.faces[:, (1, 2)], mesh.faces[:, (2, 0)]]).astype(np.int64)
+    ends = np.concatenate(
+        [mesh.faces[:, (0, 1)], mesh.faces[:, (1, 2)], mesh.faces[:, (2, 0)]]
+    ).astype(np.int64)
     edges = ends.min(axis=1) * len(mesh.vertices) + ends.max(axis=1)
     order = np.argsort(edges, kind="stable")
     starts = np.flatnonzero(np.diff(edges[order], prepend=-1))

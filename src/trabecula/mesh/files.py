@@ -26,9 +26,10 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     ----------
     mesh : Mesh
     path : path
-        `.stl` (millimetres where the unit is a length), `.3mf` (the unit is declared), `.ply` or `.obj` (in the mesh's
-        unit, named in a comment). Programs take lengths without a unit for millimetres: a mesh in "voxel" is written so, which
-        is said, as is a part of more than 2 m or less than 0.1 mm.
+        `.stl` (millimetres where the unit is a length), `.3mf` (the unit is declared), `.ply` or
+        `.obj` (in the mesh's unit, named in a comment). Programs take lengths without a unit for
+        millimetres: a mesh in "voxel" is written so, which is said, as is a part of more than 2 m
+        or less than 0.1 mm.
 
     Returns
     -------
@@ -60,13 +61,14 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     path : path
         `.stl` (binary or text), `.ply` (binary or text), `.obj` or `.3mf`.
     unit : str, optional
-        Of the coordinates. Default: what the file states (3MF always does, the others where this package wrote them),
-        else "voxel", which is no length.
+        Of the coordinates. Default: what the file states (3MF always does, the others where this
+        package wrote them), else "voxel", which is no length.
 
     Returns
     -------
     Mesh
-        Polygons as triangles; the corners of an STL that lie at one place are one vertex. Its recipe is this reading.
+        Polygons as triangles; the corners of an STL that lie at one place are one vertex. Its
+        recipe is this reading.
 
     Raises
     ------
@@ -96,4 +98,8 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     if not len(mesh.faces):
         raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")
     unit = mesh.unit if unit is None else canonical(unit)
-    return replace(mesh, unit=unit, recipe=Recipe().then("read_mesh", mesh.vertices, source=fspath(path), unit=unit))
+    return replace(
+        mesh,
+        unit=unit,
+        recipe=Recipe().then("read_mesh", mesh.vertices, source=fspath(path), unit=unit),
+    )

@@ -1,6 +1,7 @@
 """Marching cubes in two passes, and smoothing: plain functions on arrays.
 
-Glossary: `solid` is the padded volume (Z, Y, X), 0 or 1; a cube has the voxel (z, y, x) as its lowest corner.
+Glossary: `solid` is the padded volume (Z, Y, X), 0 or 1; a cube has the voxel (z, y, x) as its
+lowest corner.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def _configuration(solid, z, y, x):
 
 @kernel
 def count(solid, case_counts):
-    """Numbers of vertices and of triangles. The border of `solid` is void, so no cut edge lies in the last planes."""
+    """Numbers of vertices and of triangles. The border of `solid` is void, so no cut edge lies in
+    the last planes.
+    """
     vertices = 0
     triangles = 0
     depth, height, width = solid.shape
@@ -45,9 +48,9 @@ def count(solid, case_counts):
 def fill(solid, case_counts, case_edges, edge_offsets, vertices, faces):
     """Write the vertices, in voxels, at the middle of every cut edge, and the triangles.
 
-    `numbers` holds the vertex on every edge of two planes of voxels and of the edges between them: 0, 1 are the x edges
-    of even and odd planes, 2, 3 the y edges, 4 the z edges. `edge_offsets` (12, 4) is x, y, z of an edge's lower corner
-    and its axis.
+    `numbers` holds the vertex on every edge of two planes of voxels and of the edges between them:
+    0, 1 are the x edges of even and odd planes, 2, 3 the y edges, 4 the z edges. `edge_offsets`
+    (12, 4) is x, y, z of an edge's lower corner and its axis.
     """
     depth, height, width = solid.shape
     numbers = np.zeros((5, height, width), np.int32)
@@ -79,7 +82,9 @@ def fill(solid, case_counts, case_edges, edge_offsets, vertices, faces):
                         edge = case_edges[case, 3 * t + k]
                         axis = edge_offsets[edge, 3]
                         plane = 4 if axis == 2 else 2 * axis + ((z + edge_offsets[edge, 2]) & 1)
-                        faces[f, k] = numbers[plane, y + edge_offsets[edge, 1], x + edge_offsets[edge, 0]]
+                        faces[f, k] = numbers[
+                            plane, y + edge_offsets[edge, 1], x + edge_offsets[edge, 0]
+                        ]
                     f += 1
 
 
@@ -93,10 +98,12 @@ def degrees(faces, degree):
 
 @kernel
 def relax(vertices, faces, degree, factor, box, sums):
-    """Move every vertex by `factor` of the way to the mean of its neighbours (the umbrella operator of Taubin).
+    """Move every vertex by `factor` of the way to the mean of its neighbours (the umbrella operator
+    of Taubin).
 
-    In a closed surface every edge runs once in each direction, so taking only the next corner of every face visits
-    every neighbour once. A coordinate that lies in a face of the box 0..box stays there: cut faces stay flat.
+    In a closed surface every edge runs once in each direction, so taking only the next corner of
+    every face visits every neighbour once. A coordinate that lies in a face of the box 0..box stays
+    there: cut faces stay flat.
     """
     sums[:] = 0.0
     for f in range(len(faces)):
@@ -115,7 +122,9 @@ def relax(vertices, faces, degree, factor, box, sums):
 
 @kernel
 def unite(faces, parent):
-    """Union-find over the corners of every face: afterwards `parent[v]` is the smallest vertex of v's component."""
+    """Union-find over the corners of every face: afterwards `parent[v]` is the smallest vertex of
+    v's component.
+    """
     for f in range(len(faces)):
         for k in range(2):
             a, b = faces[f, k], faces[f, k + 1]
@@ -135,15 +144,19 @@ def unite(faces, parent):
 
 @inline
 def _passes(a, b, points, z, y):
-    """Winding of the edge a -> b about the line (z, y): 1 where it passes it upwards in z on its side of larger y, -1
-    downwards, 0 elsewhere. The test takes the ends in a fixed order, so that b -> a gives exactly the opposite."""
+    """Winding of the edge a -> b about the line (z, y): 1 where it passes it upwards in z on its
+    side of larger y, -1 downwards, 0 elsewhere. The test takes the ends in a fixed order, so that b
+    -> a gives exactly the opposite."""
     up = points[a, 0] <= z
     if up != (points[b, 0] > z):
         return 0
     if not up:
         a, b = b, a
-    # Now a lies at or below the line and b above: the edge crosses z at a larger y than the line's where this is > 0.
-    side = (points[b, 1] - points[a, 1]) * (z - points[a, 0]) - (y - points[a, 1]) * (points[b, 0] - points[a, 0])
+    # Now a lies at or below the line and b above: the edge crosses z at a larger y than the line's
+    # where this is > 0.
+    side = (points[b, 1] - points[a, 1]) * (z - points[a, 0]) - (y - points[a, 1]) * (
+        points[b, 0] - points[a, 0]
+    )
     if side <= 0.0:
         return 0
     return 1 if up else -1
@@ -151,15 +164,29 @@ def _passes(a, b, points, z, y):
 
 @inline
 def _crossing(a, b, c, points, z, y):
-    """x at which the plane of a triangle meets the line (z, y), held inside the triangle's own range."""
-    z1, y1, x1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-    z2, y2, x2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    """x at which the plane of a triangle meets the line (z, y), held inside the triangle's own
+    range.
+    """
+    z1, y1, x1 = (
+        points[b, 0] - points[a, 0],
+        points[b, 1] - points[a, 1],
+        points[b, 2] - points[a, 2],
+    )
+    z2, y2, x2 = (
+        points[c, 0] - points[a, 0],
+        points[c, 1] - points[a, 1],
+        points[c, 2] - points[a, 2],
+    )
     area = z1 * y2 - z2 * y1
     dz, dy = z - points[a, 0], y - points[a, 1]
     low = min(points[a, 2], points[b, 2], points[c, 2])
     high = max(points[a, 2], points[b, 2], points[c, 2])
     # A triangle seen from its edge is met by rounding only; any place of its own is as good.
-    x = low if area == 0.0 else points[a, 2] + ((dz * y2 - dy * z2) * x1 + (dy * z1 - dz * y1) * x2) / area
+    x = (
+        low
+        if area == 0.0
+        else points[a, 2] + ((dz * y2 - dy * z2) * x1 + (dy * z1 - dz * y1) * x2) / area
+    )
     return min(max(x, low), high)
 
 
@@ -167,8 +194,8 @@ def _crossing(a, b, c, points, z, y):
 def fill_rows(points, faces, values, start, stop):
     """1 in the voxels of slices start..stop whose centres have a winding number other than 0.
 
-    `points` (V, 3) is z, y, x in voxels; `values` (Z, Y, X) int8 is 0 and takes first the crossings, each at the first
-    voxel whose centre lies beyond it, then the result.
+    `points` (V, 3) is z, y, x in voxels; `values` (Z, Y, X) int8 is 0 and takes first the
+    crossings, each at the first voxel whose centre lies beyond it, then the result.
     """
     _, height, width = values.shape
     # Where the crossings of a row begin and end: beyond them it is empty.
@@ -183,11 +210,17 @@ def fill_rows(points, faces, values, start, stop):
         y0 = min(points[a, 1], points[b, 1], points[c, 1])
         y1 = max(points[a, 1], points[b, 1], points[c, 1])
         top, bottom = max(y0 - 0.5, 0.0), min(y1 - 0.5, height - 1.0)
-        for k in range(int(np.ceil(max(z0 - 0.5, start))), int(np.floor(min(z1 - 0.5, stop - 1.0))) + 1):
+        for k in range(
+            int(np.ceil(max(z0 - 0.5, start))), int(np.floor(min(z1 - 0.5, stop - 1.0))) + 1
+        ):
             z = k + 0.5
             for j in range(int(np.ceil(top)), int(np.floor(bottom)) + 1):
                 y = j + 0.5
-                turns = _passes(a, b, points, z, y) + _passes(b, c, points, z, y) + _passes(c, a, points, z, y)
+                turns = (
+                    _passes(a, b, points, z, y)
+                    + _passes(b, c, points, z, y)
+                    + _passes(c, a, points, z, y)
+                )
                 if turns != 0:
                     first = np.ceil(_crossing(a, b, c, points, z, y) - 0.5)
                     if first < width:

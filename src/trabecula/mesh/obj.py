@@ -42,4 +42,6 @@ def read(path: Path) -> Mesh:
         elif words[:2] == [b"#", b"unit"] and len(words) == 3:
             unit = words[2].decode("latin-1")
     vertices = np.array(points).astype(np.float64).reshape(-1, 3)
-    return Mesh(vertices, fans(np.array(counts, np.int64), np.array(corners, np.int64)), stated_unit(unit))
+    return Mesh(
+        vertices, fans(np.array(counts, np.int64), np.array(corners, np.int64)), stated_unit(unit)
+    )

@@ -1,4 +1,6 @@
-"""PLY: written little-endian with unit and recipe in comments; read in its text form and both binary ones."""
+"""PLY: written little-endian with unit and recipe in comments; read in its text form and both
+binary ones.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from trabecula.mesh.weld import fans
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
+_TYPES |= {
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+}
 _TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -39,7 +48,9 @@ def write(mesh: Mesh, path: Path) -> None:
 
 @dataclass
 class _Element:
-    """A table of the file: its rows, and its columns as (name, type, type of the count where it is a list)."""
+    """A table of the file: its rows, and its columns as (name, type, type of the count where it is
+    a list).
+    """
 
     name: str
     rows: int
@@ -50,11 +61,15 @@ def read(path: Path) -> Mesh:
     """Read any form; polygons become fans of triangles."""
     raw = path.read_bytes()
     order, elements, unit, body = _header(raw)
-    source: _Binary | _Text = _Text(raw[body:]) if order == "ascii" else _Binary(raw, body, _ORDERS[order])
+    source: _Binary | _Text = (
+        _Text(raw[body:]) if order == "ascii" else _Binary(raw, body, _ORDERS[order])
+    )
     tables = {element.name: source.table(element) for element in elements}
     vertex = tables["vertex"]
     points = np.stack([vertex[axis] for axis in "xyz"], axis=1)
-    points = points.astype(np.float32 if points.dtype.itemsize <= 4 and points.dtype.kind == "f" else np.float64)
+    points = points.astype(
+        np.float32 if points.dtype.itemsize <= 4 and points.dtype.kind == "f" else np.float64
+    )
     face = tables["face"]
     counts, indices = face["vertex_indices" if "vertex_indices" in face else "vertex_index"]
     return Mesh(points, fans(counts, indices), unit)
@@ -91,13 +106,17 @@ class _Binary:
         self.raw, self.at, self.order = raw, at, order
 
     def table(self, element: _Element) -> dict:
-        """Columns by name: at one go where all lists of a column are as long as its first, else row by row."""
+        """Columns by name: at one go where all lists of a column are as long as its first, else row
+        by row.
+        """
         lengths = self._first_lengths(element)
         parts: list[tuple] = []
         for k, (_, values, counts) in enumerate(element.columns):
             parts += [(f"count{k}", self.order + counts)] if counts else []
             parts += [
-                (f"value{k}", self.order + values, (lengths[k],)) if counts else (f"value{k}", self.order + values)
+                (f"value{k}", self.order + values, (lengths[k],))
+                if counts
+                else (f"value{k}", self.order + values)
             ]
         dtype = np.dtype(parts)
         if self.at + element.rows * dtype.itemsize <= len(self.raw):
@@ -133,7 +152,9 @@ class _Binary:
                 counts_of[k].append(length)
                 pieces[k].append(self._take(values, length))
         return {
-            name: (np.array(counts_of[k], np.int64), np.concatenate(pieces[k])) if counts else np.concatenate(pieces[k])
+            name: (np.array(counts_of[k], np.int64), np.concatenate(pieces[k]))
+            if counts
+            else np.concatenate(pieces[k])
             for k, (name, _, counts) in enumerate(element.columns)
         }
 

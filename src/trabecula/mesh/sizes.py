@@ -1,4 +1,6 @@
-"""How large a surface is in millimetres, in which printers think; and what to say of it where it is written."""
+"""How large a surface is in millimetres, in which printers think; and what to say of it where it is
+written.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import metres
 
@@ -19,20 +21,28 @@ def extent_of(mesh: Mesh) -> tuple[float, ...]:
     if not len(mesh.faces):
         return (0.0, 0.0, 0.0)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for start in range(0, len(mesh.faces), 1 << 18):  # in pieces: the corners of all faces would double the memory
+    # in pieces: the corners of all faces would double the memory
+    for start in range(0, len(mesh.faces), 1 << 18):
         points = mesh.vertices[mesh.faces[start : start + (1 << 18)]]
-        low, high = np.minimum(low, points.min(axis=(0, 1))), np.maximum(high, points.max(axis=(0, 1)))
+        low, high = (
+            np.minimum(low, points.min(axis=(0, 1))),
+            np.maximum(high, points.max(axis=(0, 1))),
+        )
     return tuple((high - low)[::-1].tolist())
 
 
 def size_text(extent: Sequence[float], unit: str) -> str:
-    """Return a size in millimetres as words; one without a unit as it is written, one voxel for 1 mm."""
+    """Return a size in millimetres as words; one without a unit as it is written, one voxel for 1
+    mm.
+    """
     factor = (metres(unit) or 1e-3) * 1000
     return " x ".join(f"{side * factor:.4g}" for side in extent) + " mm (z, y, x)"
 
 
 def size_notes(extent: Sequence[float], unit: str) -> Iterator[str]:
-    """Yield what there is to say of a part that is written: a unit that is not known, a size that is hardly meant."""
+    """Yield what there is to say of a part that is written: a unit that is not known, a size that
+    is hardly meant.
+    """
     text = size_text(extent, unit)
     if metres(unit) is None:
         known = "give its spacing and unit (--spacing, --unit)"
@@ -47,4 +57,4 @@ def size_notes(extent: Sequence[float], unit: str) -> Iterator[str]:
 def say_size(extent: Sequence[float], unit: str) -> None:
     """Say what `size_notes` yields to whoever listens."""
     for note in size_notes(extent, unit):
-        say(note)
+        notify(note)

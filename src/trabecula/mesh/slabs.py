@@ -1,10 +1,13 @@
-"""The surface of a volume that is read some planes at a time: the same triangles in the same order as `mesh` makes.
+"""The surface of a volume that is read some planes at a time: the same triangles in the same order
+as `mesh` makes.
 
 1. Count vertices and triangles of every layer of cubes.
-2. March and smooth slabs of layers with a halo on either side, and keep the triangles of the layers without it.
+2. March and smooth slabs of layers with a halo on either side, and keep the triangles of the layers
+without it.
 
-A round of smoothing moves a vertex by its neighbours, which lie in the same layers of cubes: after n half rounds nothing
-farther than n layers has been felt. A slab is closed by void planes beyond its halo, which one more layer keeps away.
+A round of smoothing moves a vertex by its neighbours, which lie in the same layers of cubes: after
+n half rounds nothing farther than n layers has been felt. A slab is closed by void planes beyond
+its halo, which one more layer keeps away.
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ from trabecula.core.errors import InputError
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest_of
 from trabecula.engine.files import replacing
+from trabecula.engine.lazy_volume import Slabs, depth_within
 from trabecula.engine.plan import Plan
-from trabecula.engine.slabs import Slabs, depth_within
 from trabecula.measure.phases import indicator
 from trabecula.mesh import kernels, stl
 from trabecula.mesh.base import Mesh
@@ -35,7 +38,9 @@ _AT_ONCE = 64
 """Planes in which vertices are counted at once."""
 
 _IN_CORE = 60
-"""Bytes a voxel of a surface in memory and of its check, where it has a vertex for five voxels: a fine foam."""
+"""Bytes a voxel of a surface in memory and of its check, where it has a vertex for five voxels: a
+fine foam.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,9 +50,11 @@ class Layers:
     Attributes
     ----------
     vertices, faces : int64 array, (Z + 1,)
-        Of layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and between the two, and the triangles.
+        Of layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and between
+        the two, and the triangles.
     extent : three floats
-        Sides of the smallest box around the surface along z, y, x, in the volume's unit; known once it has been written.
+        Sides of the smallest box around the surface along z, y, x, in the volume's unit; known once
+        it has been written.
     """
 
     vertices: np.ndarray
@@ -59,7 +66,10 @@ class Layers:
         starts = np.arange(0, len(self.faces), depth)
         low = np.maximum(starts - halo - 1, 0)
         high = np.minimum(starts + depth + halo, len(self.faces))
-        most = [int((sums[high] - sums[low]).max()) for sums in (_running(self.vertices), _running(self.faces))]
+        most = [
+            int((sums[high] - sums[low]).max())
+            for sums in (_running(self.vertices), _running(self.faces))
+        ]
         planes = 3 * plane * int((high - low).max() + 1)
         # Besides vertices and their sums in float64, the float32 copy and degrees.
         vertices, faces = 72 * most[0], 12 * most[1]
@@ -76,7 +86,8 @@ def export_slabs(
     depth: int | None = None,
     memory: int | None = None,
 ) -> Layers:
-    """Write the closed surface of a phase as STL, slab by slab: the file that `write_mesh(mesh(image), path)` writes.
+    """Write the closed surface of a phase as STL, slab by slab: the file that
+    `write_mesh(mesh(image), path)` writes.
 
     Parameters
     ----------
@@ -86,7 +97,8 @@ def export_slabs(
     phase, smooth
         As of `mesh`.
     depth : int, optional
-        Layers of cubes taken at once. Default: as many as fit into `memory`. The file does not depend on it.
+        Layers of cubes taken at once. Default: as many as fit into `memory`. The file does not
+        depend on it.
     memory : int, optional
         Bytes that may be used. Default: what is available.
 
@@ -113,7 +125,9 @@ def export_slabs(
     if depth is None:
         plane = (volume.shape[1] + 2) * (volume.shape[2] + 2)
         advice = "export fewer voxels, such as a coarser level"
-        depth = depth_within(volume, lambda d: layers.need(d, 2 * rounds, plane), memory=memory, advice=advice)
+        depth = depth_within(
+            volume, lambda d: layers.need(d, 2 * rounds, plane), memory=memory, advice=advice
+        )
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
     slabs = surface_slabs(volume, layers, phase=phase, rounds=rounds, depth=depth)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -127,7 +141,9 @@ def export_slabs(
                 yield surface.vertices[own]
 
         sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), written())
-        writer.finish(volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds))
+        writer.finish(
+            volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds)
+        )
     layers = replace(layers, extent=tuple((high - low)[::-1].tolist()))
     say_size(layers.extent, volume.unit)
     return layers
@@ -139,7 +155,9 @@ def in_core_bytes(shape: tuple[int, ...]) -> int:
 
 
 def count_layers(volume: Slabs, phase: str | int | None = None) -> Layers:
-    """Vertices and triangles of every layer of cubes; a layer's vertices are those of the plane below it and between."""
+    """Vertices and triangles of every layer of cubes; a layer's vertices are those of the plane
+    below it and between.
+    """
     table, found = case_table()[0], []
     count = volume.shape[0] + 1
     for first in track(range(0, count, _AT_ONCE), "surface"):
@@ -151,7 +169,9 @@ def count_layers(volume: Slabs, phase: str | int | None = None) -> Layers:
 def surface_slabs(
     volume: Slabs, layers: Layers, *, phase: str | int | None, rounds: int, depth: int
 ) -> Iterator[tuple[Mesh, slice]]:
-    """The triangles of `depth` layers of cubes at a time, with the vertices around, and which of these are new."""
+    """The triangles of `depth` layers of cubes at a time, with the vertices around, and which of
+    these are new.
+    """
     count = volume.shape[0] + 1
     starts = [z for z in range(0, count, depth) if layers.faces[z : z + depth].any()]
     for first in track(starts, "surface"):
@@ -166,7 +186,9 @@ def surface_slabs(
         # Layers that were cut have other triangles than the volume's: they are counted here.
         before = kernels.count(solid[: first - low + 1], case_table()[0])[1]
         kept = faces[before : before + int(layers.faces[first:last].sum())]
-        points = smoothed(vertices, faces, shape=volume.shape, spacing=volume.spacing, rounds=rounds)
+        points = smoothed(
+            vertices, faces, shape=volume.shape, spacing=volume.spacing, rounds=rounds
+        )
         yield Mesh(points, kept, volume.unit), slice(*own)
 
 

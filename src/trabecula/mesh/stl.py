@@ -1,5 +1,5 @@
-"""STL: 80 bytes of header, a count, 50 bytes a triangle; or its text form. The format knows no unit; slicers take
-millimetres."""
+"""STL: 80 bytes of header, a count, 50 bytes a triangle; or its text form. The format knows no
+unit; slicers take millimetres."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ def writing_bytes(faces: int) -> int:
 
 
 def write(mesh: Mesh, path: Path) -> None:
-    """Write `mesh` in millimetres where its unit is a length, as it is otherwise; the header says which."""
+    """Write `mesh` in millimetres where its unit is a length, as it is otherwise; the header says
+    which.
+    """
     with Writer(path) as writer:
         writer.add(mesh)
         writer.finish(mesh.unit, mesh.recipe)
@@ -54,12 +56,16 @@ class Writer:
         self._count += len(mesh.faces)
 
     def finish(self, unit: str, recipe: Recipe) -> None:
-        """Write the header, which nobody knew before: the count, the unit and what names the recipe of it all."""
+        """Write the header, which nobody knew before: the count, the unit and what names the recipe
+        of it all.
+        """
         check_count(self._count)
         # A header that began with "solid" would be taken for the text form of STL.
         header = f"trabecula, unit={_to_file(unit)[0]}, recipe={recipe_digest(recipe)}"
         self._file.seek(0)
-        self._file.write(header.encode("ascii", "replace")[:80].ljust(80) + np.uint32(self._count).tobytes())
+        self._file.write(
+            header.encode("ascii", "replace")[:80].ljust(80) + np.uint32(self._count).tobytes()
+        )
 
 
 def check_count(faces: int) -> None:
@@ -78,7 +84,9 @@ def _to_file(unit: str) -> tuple[str, float]:
 
 def _records(mesh: Mesh, faces: np.ndarray, factor: float) -> np.ndarray:
     corners = mesh.vertices[faces] * factor
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(
+        np.float64
+    )
     length = np.sqrt(np.einsum("ij,ij->i", normal, normal))[:, None]
     records = np.zeros(len(faces), _TRIANGLE)
     records["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
@@ -87,14 +95,19 @@ def _records(mesh: Mesh, faces: np.ndarray, factor: float) -> np.ndarray:
 
 
 def read(path: Path) -> Mesh:
-    """Read either form; corners at the same place become one vertex. A unit is known only where this package wrote it."""
+    """Read either form; corners at the same place become one vertex. A unit is known only where
+    this package wrote it.
+    """
     raw = path.read_bytes()
     count = int.from_bytes(raw[80:_HEADER], "little") if len(raw) >= _HEADER else -1
-    # The size decides, not the first word: binary files of some programs begin with "solid" as well.
+    # The size decides, not the first word: binary files of some programs begin with "solid" as
+    # well.
     if len(raw) != _HEADER + count * _TRIANGLE.itemsize:
         if b"facet" in raw[:4096]:
             return _read_text(raw)
-        raise ValueError(f"{len(raw)} bytes do not hold the {max(count, 0)} triangles that its header claims")
+        raise ValueError(
+            f"{len(raw)} bytes do not hold the {max(count, 0)} triangles that its header claims"
+        )
     unit = re.search(rb"unit=(\w+)", raw[:80])
     corners = np.frombuffer(raw, _TRIANGLE, offset=_HEADER)["corners"]
     return Mesh(*weld(corners), stated_unit(unit[1].decode("ascii") if unit else None))

@@ -2,7 +2,8 @@
 
 1. Pad by one voxel of void, so that the surface closes where the phase meets the border.
 2. Marching cubes on the binary volume with the generated table of `mesh.table`: count, then fill.
-3. Smooth: rounds of Taubin's lambda|mu filter take the staircase off and keep the volume; which faces exist, and so
+3. Smooth: rounds of Taubin's lambda|mu filter take the staircase off and keep the volume; which
+faces exist, and so
    closedness, cannot change.
 """
 
@@ -28,7 +29,9 @@ ROUNDS = 10
 SHRINK, GROW = 0.5, -1.0 / (1.0 / 0.5 - 0.1)
 
 
-def mesh(image: Image | ArrayLike, *, phase: str | int | None = None, smooth: int | None = None) -> Mesh:
+def mesh(
+    image: Image | ArrayLike, *, phase: str | int | None = None, smooth: int | None = None
+) -> Mesh:
     """The closed, outward-facing surface of a phase.
 
     Parameters
@@ -38,14 +41,16 @@ def mesh(image: Image | ArrayLike, *, phase: str | int | None = None, smooth: in
     phase : str or int, optional
         Default: the solid, which is every phase but "void".
     smooth : int, optional
-        Rounds of smoothing, 0..1000; 0 leaves the vertices at the middle of the voxel edges. Default 10.
+        Rounds of smoothing, 0..1000; 0 leaves the vertices at the middle of the voxel edges.
+        Default 10.
 
     Returns
     -------
     Mesh
-        Vertices (V, 3) float32 as x, y, z in the image's unit, the origin at the corner of voxel 0; faces (F, 3) int32.
-        Every edge lies in exactly two faces, in opposite directions, and parts are separate where the voxels are
-        6-connected parts. Where the phase meets the border of the image the surface is flat.
+        Vertices (V, 3) float32 as x, y, z in the image's unit, the origin at the corner of voxel 0;
+        faces (F, 3) int32. Every edge lies in exactly two faces, in opposite directions, and parts
+        are separate where the voxels are 6-connected parts. Where the phase meets the border of the
+        image the surface is flat.
 
     Raises
     ------
@@ -63,22 +68,32 @@ def mesh(image: Image | ArrayLike, *, phase: str | int | None = None, smooth: in
     solid = _padded(image, phase)
     vertices, faces = march(solid)
     points = smoothed(vertices, faces, shape=image.shape, spacing=image.spacing, rounds=rounds)
-    return Mesh(points, faces, image.unit, image.recipe.then("mesh", points, phase=phase, smooth=rounds))
+    return Mesh(
+        points, faces, image.unit, image.recipe.then("mesh", points, phase=phase, smooth=rounds)
+    )
 
 
 def as_rounds(smooth: int | None) -> int:
     """Rounds of smoothing: those asked for, or `ROUNDS`."""
     if smooth is None:
         return ROUNDS
-    if isinstance(smooth, bool) or not isinstance(smooth, (int, np.integer)) or not 0 <= smooth <= 1000:
-        raise InputError(f"smooth {smooth!r} is not a number of rounds: give a whole number from 0 to 1000")
+    if (
+        isinstance(smooth, bool)
+        or not isinstance(smooth, (int, np.integer))
+        or not 0 <= smooth <= 1000
+    ):
+        raise InputError(
+            f"smooth {smooth!r} is not a number of rounds: give a whole number from 0 to 1000"
+        )
     return int(smooth)
 
 
 def _padded(image: Image, phase: str | int | None) -> np.ndarray:
     check_labels(image)
     if image.ndim != 3:
-        raise InputError(f"a surface needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)")
+        raise InputError(
+            f"a surface needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)"
+        )
     inside = indicator(image, phase)[1]
     check_some(bool(inside.any()), phase, image.phases)
     return np.pad(inside.view(np.uint8), 1)
@@ -88,7 +103,9 @@ def check_some(found: bool, phase: str | int | None, phases: Sequence[str]) -> N
     """Raise where nothing of the phase was found."""
     if not found:
         name = "solid" if phase is None else phase
-        raise InputError(f"the phase {name!r} is empty, nothing to export: choose one of {', '.join(phases)}")
+        raise InputError(
+            f"the phase {name!r} is empty, nothing to export: choose one of {', '.join(phases)}"
+        )
 
 
 def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +115,9 @@ def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # While smoothing: vertices and sums in float64, degrees; then the float32 copy.
     check_budget(Plan({"vertices": n_vertices * 64, "faces": n_faces * 12}), advice="mesh a crop")
     if n_vertices >= 2**31:
-        raise InputError(f"the surface has {n_vertices} vertices, 2**31 - 1 can be numbered: mesh a crop")
+        raise InputError(
+            f"the surface has {n_vertices} vertices, 2**31 - 1 can be numbered: mesh a crop"
+        )
     vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int32)
     offsets = np.array([(c & 1, c >> 1 & 1, c >> 2 & 1, axis) for c, _, axis in EDGES], np.int64)
     kernels.fill(solid, counts, triangles, offsets, vertices, faces)
@@ -106,16 +125,25 @@ def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def smoothed(
-    vertices: np.ndarray, faces: np.ndarray, *, shape: Sequence[int], spacing: Sequence[float], rounds: int
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    shape: Sequence[int],
+    spacing: Sequence[float],
+    rounds: int,
 ) -> np.ndarray:
-    """Vertices in the image's unit, float32, after `rounds` of smoothing; those in voxels are changed in place."""
+    """Vertices in the image's unit, float32, after `rounds` of smoothing; those in voxels are
+    changed in place.
+    """
     _smooth(vertices, faces, box=tuple(shape[::-1]), rounds=rounds)
     vertices *= spacing[::-1]
     return vertices.astype(np.float32)
 
 
 def _smooth(vertices: np.ndarray, faces: np.ndarray, *, box: tuple[int, ...], rounds: int) -> None:
-    """Taubin's filter in voxel coordinates, in place (uniform weights commute with the scaling to `spacing`)."""
+    """Taubin's filter in voxel coordinates, in place (uniform weights commute with the scaling to
+    `spacing`).
+    """
     if not rounds:
         return
     degree, sums = np.zeros(len(vertices), np.int32), np.empty_like(vertices)

@@ -1,17 +1,21 @@
-"""The case table of marching cubes, generated (Lorensen and Cline 1987, doi:10.1145/37401.37422, gives the idea).
+"""The case table of marching cubes, generated (Lorensen and Cline 1987, doi:10.1145/37401.37422,
+gives the idea).
 
-A cube has the centres of 2x2x2 voxels as corners. Corner `c` lies at x = c & 1, y = c >> 1 & 1, z = c >> 2 & 1; bit `c`
-of a configuration says that this corner is solid. An edge whose ends differ carries one vertex.
+A cube has the centres of 2x2x2 voxels as corners. Corner `c` lies at x = c & 1, y = c >> 1 & 1, z =
+c >> 2 & 1; bit `c` of a configuration says that this corner is solid. An edge whose ends differ
+carries one vertex.
 
-**One rule for every face.** On a face whose solid corners lie on a diagonal, the solid is *separated* (each solid
-corner gets its own segment). So the surface encloses parts that are 6-connected, the connectivity that components are
-counted by. The void is joined there. Both cubes at a face apply the same rule to the same four corners and so draw the
-same segments, in opposite directions: whatever the volume, no gap can open.
+**One rule for every face.** On a face whose solid corners lie on a diagonal, the solid is
+*separated* (each solid corner gets its own segment). So the surface encloses parts that are
+6-connected, the connectivity that components are counted by. The void is joined there. Both cubes
+at a face apply the same rule to the same four corners and so draw the same segments, in opposite
+directions: whatever the volume, no gap can open.
 
-**Why the surface is a manifold.** Every cut edge lies in two faces of its cube and ends one segment in each, so the
-segments close into loops that share no vertex, and around a grid edge the four cubes' loops form one ring. A loop's
-inner diagonals are its own unless both ends lie in one face of the cube, where the neighbour could draw the same;
-`_triangulate` therefore never uses such a diagonal (the table test shows that it never has to).
+**Why the surface is a manifold.** Every cut edge lies in two faces of its cube and ends one segment
+in each, so the segments close into loops that share no vertex, and around a grid edge the four
+cubes' loops form one ring. A loop's inner diagonals are its own unless both ends lie in one face of
+the cube, where the neighbour could draw the same; `_triangulate` therefore never uses such a
+diagonal (the table test shows that it never has to).
 """
 
 from __future__ import annotations
@@ -37,7 +41,8 @@ def case_table() -> tuple[np.ndarray, np.ndarray]:
     counts : (256,) int64
         Number of triangles.
     triangles : (256, N) int64
-        Edge numbers, three to a triangle, outward (counter-clockwise seen from the void); filled up with -1.
+        Edge numbers, three to a triangle, outward (counter-clockwise seen from the void); filled up
+        with -1.
     """
     cases = [_triangles(config) for config in range(256)]
     counts = np.array([len(case) // 3 for case in cases], np.int64)
@@ -85,7 +90,8 @@ def _edges_around(face: tuple[int, int, int, int]) -> list[int]:
 
 
 def _segments(config: int, face: tuple[int, int, int, int]) -> dict[int, int]:
-    """Start -> end of the segments on a face: one around each run of solid corners, from the edge before to that after.
+    """Start -> end of the segments on a face: one around each run of solid corners, from the edge
+    before to that after.
 
     Giving each run its own segment is the rule that separates solid corners on a diagonal.
     """
@@ -106,13 +112,22 @@ def _triangles(config: int) -> list[int]:
 
 
 def _triangulate(loop: list[int]) -> list[int]:
-    """Triangles of a loop with the shortest diagonals that lie in no face of the cube (dynamic programming)."""
-    middle = [np.array([sum(c >> axis & 1 for c in EDGES[edge][:2]) / 2 for axis in range(3)]) for edge in loop]
+    """Triangles of a loop with the shortest diagonals that lie in no face of the cube (dynamic
+    programming).
+    """
+    middle = [
+        np.array([sum(c >> axis & 1 for c in EDGES[edge][:2]) / 2 for axis in range(3)])
+        for edge in loop
+    ]
 
     def diagonal(i: int, j: int) -> float:
         if j - i in (1, len(loop) - 1):
             return 0.0
-        return _NOT_POSSIBLE if share_face(loop[i], loop[j]) else float(np.linalg.norm(middle[i] - middle[j]))
+        return (
+            _NOT_POSSIBLE
+            if share_face(loop[i], loop[j])
+            else float(np.linalg.norm(middle[i] - middle[j]))
+        )
 
     @cache
     def best(i: int, j: int) -> tuple[float, tuple[int, ...]]:

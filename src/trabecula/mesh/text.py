@@ -12,5 +12,7 @@ _PIECE = 1 << 15
 def rows(template: str, values: np.ndarray, *, offset: int = 0) -> Iterator[str]:
     """The rows of `values` through a %-template, many rows a string."""
     for start in range(0, len(values), _PIECE):
-        piece = values[start : start + _PIECE] + offset if offset else values[start : start + _PIECE]
+        piece = (
+            values[start : start + _PIECE] + offset if offset else values[start : start + _PIECE]
+        )
         yield template * len(piece) % tuple(piece.ravel().tolist())

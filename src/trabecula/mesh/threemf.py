@@ -1,4 +1,6 @@
-"""3MF (core specification 1.3): a zip of three XML parts. The model declares its unit and carries the recipe."""
+"""3MF (core specification 1.3): a zip of three XML parts. The model declares its unit and carries
+the recipe.
+"""
 
 from __future__ import annotations
 
@@ -38,14 +40,21 @@ _RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def write(mesh: Mesh, path: Path) -> None:
-    """Write `mesh` in its own unit where 3MF has it, else in micrometres; plain voxels count as millimetres."""
+    """Write `mesh` in its own unit where 3MF has it, else in micrometres; plain voxels count as
+    millimetres.
+    """
     unit, factor = _unit(mesh)
     with zipfile.ZipFile(path, "w") as package:
         for name, text in (("[Content_Types].xml", _TYPES), ("_rels/.rels", _RELATIONSHIPS)):
             package.writestr(_entry(name), text)
         # Level 1: 3 times quicker than the default for a file some 10 % larger.
         with package.open(_entry("3D/3dmodel.model"), "w", force_zip64=True) as part:
-            _write_model(mesh, io.TextIOWrapper(part, encoding="utf-8", write_through=True), unit=unit, factor=factor)
+            _write_model(
+                mesh,
+                io.TextIOWrapper(part, encoding="utf-8", write_through=True),
+                unit=unit,
+                factor=factor,
+            )
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -74,7 +83,11 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
         'xmlns:tb="urn:trabecula">\n'
         f'<metadata name="Application">trabecula {__version__}</metadata>\n'
         f'<metadata name="tb:unit">{escape(mesh.unit)}</metadata>\n'
-        + (f'<metadata name="tb:note">{_NO_UNIT_NOTE}</metadata>\n' if metres(mesh.unit) is None else "")
+        + (
+            f'<metadata name="tb:note">{_NO_UNIT_NOTE}</metadata>\n'
+            if metres(mesh.unit) is None
+            else ""
+        )
         + f'<metadata name="tb:recipe">{escape(recipe_json(mesh.recipe))}</metadata>\n'
         '<resources>\n<object id="1" type="model">\n<mesh>\n<vertices>\n'
     )
@@ -82,7 +95,9 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
     file.writelines(rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
     file.write("</vertices>\n<triangles>\n")
     file.writelines(rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
-    file.write('</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n')
+    file.write(
+        '</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n'
+    )
     file.flush()
     file.detach()
 
@@ -90,7 +105,14 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
 def read(path: Path) -> Mesh:
     """Read every object that the file says to build, each at its place."""
     with zipfile.ZipFile(path) as package:
-        entry = next((info for info in package.infolist() if info.filename.lower().endswith("3dmodel.model")), None)
+        entry = next(
+            (
+                info
+                for info in package.infolist()
+                if info.filename.lower().endswith("3dmodel.model")
+            ),
+            None,
+        )
         if entry is None:
             entry = next(info for info in package.infolist() if info.filename.endswith(".model"))
         if entry.file_size * 8 > available_memory():
@@ -106,7 +128,9 @@ def read(path: Path) -> Mesh:
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
     vertices = np.concatenate([points for points, _ in parts])
-    faces = np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)])
+    faces = np.concatenate(
+        [faces + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)]
+    )
     unit, factor = _unit_read(model)
     return Mesh(vertices * factor, faces, unit)
 
@@ -123,22 +147,31 @@ def _unit_read(model: ElementTree.Element) -> tuple[str, float]:
 def _built(
     objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and faces of an object and of the components in it. `transform` is (4, 3): points are rows (x, y, z, 1)."""
+    """Vertices and faces of an object and of the components in it. `transform` is (4, 3): points
+    are rows (x, y, z, 1).
+    """
     if depth == 0:
         raise ValueError("its components are nested too deep")
     node = objects[name]
     parts = []
     surface = node.find(f"{_CORE}mesh")
     if surface is not None:
-        points = [[float(v.get(axis, "")) for axis in "xyz"] for v in surface.iter(f"{_CORE}vertex")]
-        faces = [[int(t.get(corner, "")) for corner in ("v1", "v2", "v3")] for t in surface.iter(f"{_CORE}triangle")]
+        points = [
+            [float(v.get(axis, "")) for axis in "xyz"] for v in surface.iter(f"{_CORE}vertex")
+        ]
+        faces = [
+            [int(t.get(corner, "")) for corner in ("v1", "v2", "v3")]
+            for t in surface.iter(f"{_CORE}triangle")
+        ]
         placed = np.array(points, np.float64).reshape(-1, 3) @ transform[:3] + transform[3]
         turned = np.array(faces, np.int64).reshape(-1, 3)
         # A mirror turns the surface inside out.
         parts.append((placed, turned if np.linalg.det(transform[:3]) > 0 else turned[:, ::-1]))
     for component in node.iter(f"{_CORE}component"):
         inner = _transform(component)
-        whole = np.concatenate([inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]])
+        whole = np.concatenate(
+            [inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]]
+        )
         parts += _built(objects, component.get("objectid", ""), whole, depth - 1)
     return parts
 

@@ -1,10 +1,13 @@
 """`voxelise`: which voxels of a grid lie inside a surface.
 
-1. For every row of voxels along x, find where its centre line crosses the surface, and in which direction. A line counts
-   as crossing a triangle where it winds around it in the plane (y, z); whether an edge is passed is decided from its ends
-   in a fixed order, so both triangles at the edge decide alike, and the crossings of a row sum to 0, whatever the
-   rounding: no ray can leak through an edge or a vertex, and none needs to be moved aside.
-2. Along the row add the crossings up: the sum is the winding number, and a voxel is inside where it is not 0.
+1. For every row of voxels along x, find where its centre line crosses the surface, and in which
+direction. A line counts
+   as crossing a triangle where it winds around it in the plane (y, z); whether an edge is passed is
+   decided from its ends in a fixed order, so both triangles at the edge decide alike, and the
+   crossings of a row sum to 0, whatever the rounding: no ray can leak through an edge or a vertex,
+   and none needs to be moved aside.
+2. Along the row add the crossings up: the sum is the winding number, and a voxel is inside where it
+is not 0.
 """
 
 from __future__ import annotations
@@ -18,8 +21,8 @@ from trabecula.core.checks import as_number, as_shape, as_spacing
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
+from trabecula.engine.parallel import for_slabs
 from trabecula.engine.plan import Plan, check_budget
-from trabecula.engine.tiles import for_slabs
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.check import check_closed
@@ -39,7 +42,8 @@ def voxelise(
     Parameters
     ----------
     mesh : Mesh
-        Watertight. Where parts overlap their union is taken; a surface that is turned inwards is a cavity.
+        Watertight. Where parts overlap their union is taken; a surface that is turned inwards is a
+        cavity.
     spacing : float or sequence of float
         Edge of a voxel along z, y, x, in the mesh's unit.
     shape : int or sequence of int, optional
@@ -47,7 +51,8 @@ def voxelise(
     margin : int, optional
         Empty voxels around the mesh along every axis, 0..4096. Not beside `shape`. Default 0.
     origin : sequence of float, optional
-        z, y, x of the corner of voxel (0, 0, 0) in the mesh's coordinates. Default: the mesh lies in the middle.
+        z, y, x of the corner of voxel (0, 0, 0) in the mesh's coordinates. Default: the mesh lies
+        in the middle.
 
     Returns
     -------
@@ -57,13 +62,15 @@ def voxelise(
     Raises
     ------
     InputError
-        The mesh has holes or no coherent outside; it does not fit into `shape`; no voxel's centre lies inside.
+        The mesh has holes or no coherent outside; it does not fit into `shape`; no voxel's centre
+        lies inside.
     MemoryBudgetError
         More voxels than memory.
 
     Notes
     -----
-    A voxel is in or out as a whole. On the volume that cancels to below 0.1 % where the form is 200 voxels wide or more.
+    A voxel is in or out as a whole. On the volume that cancels to below 0.1 % where the form is 200
+    voxels wide or more.
 
     Examples
     --------
@@ -77,7 +84,10 @@ def voxelise(
     closed = _closed(mesh)
     low, high = (bound[::-1] for bound in _bounds(closed))
     sides, corner = _grid(low, high, edges, shape, margin, origin)
-    check_budget(Plan({"voxels": int(np.prod(sides, dtype=np.int64))}), advice="use larger voxels, or a smaller mesh")
+    check_budget(
+        Plan({"voxels": int(np.prod(sides, dtype=np.int64))}),
+        advice="use larger voxels, or a smaller mesh",
+    )
     points = np.ascontiguousarray((closed.vertices[:, ::-1].astype(np.float64) - corner) / edges)
     values = np.zeros(sides, np.int8)
     faces = np.ascontiguousarray(closed.faces)
@@ -102,7 +112,11 @@ def scaled(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:
 
 
 def fitted(
-    mesh: Mesh, *, shape: int | Sequence[int], spacing: float | Sequence[float], unit: str | None = None
+    mesh: Mesh,
+    *,
+    shape: int | Sequence[int],
+    spacing: float | Sequence[float],
+    unit: str | None = None,
 ) -> Mesh:
     """The mesh, scaled alike along every axis so that it just fits into a box of voxels.
 
@@ -125,7 +139,9 @@ def fitted(
 
 
 def _closed(mesh: Mesh) -> Mesh:
-    """The mesh, if it is closed; one whose vertices are split (as at the seams of a texture) is, once they are welded."""
+    """The mesh, if it is closed; one whose vertices are split (as at the seams of a texture) is,
+    once they are welded.
+    """
     try:
         check_closed(mesh)
     except InputError:
@@ -162,7 +178,9 @@ def _grid(
     hair = 1e-6 * np.maximum(np.abs(low), np.abs(high))
     extent = (high - (low if start is None else start) - hair) / edges
     need = np.maximum(np.ceil(extent - 1e-9), 1) + (2 if start is None else 1) * margin
-    sides = as_shape([int(side) for side in need] if shape is None else shape, name="shape of the voxels")
+    sides = as_shape(
+        [int(side) for side in need] if shape is None else shape, name="shape of the voxels"
+    )
     if start is not None:
         return sides, start
     if any(n > side for n, side in zip(need, sides, strict=True)):

@@ -6,8 +6,11 @@ import numpy as np
 
 
 def weld(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (F, 3, 3) as vertices (V, 3), every place once, and faces (F', 3); faces of fewer than three places go."""
-    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # which makes -0 a 0: places are compared as bytes
+    """Corners (F, 3, 3) as vertices (V, 3), every place once, and faces (F', 3); faces of fewer
+    than three places go.
+    """
+    # which makes -0 a 0: places are compared as bytes
+    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0
     rows = points.view(np.dtype((np.void, points.dtype.itemsize * 3))).ravel()
     _, first, number = np.unique(rows, return_index=True, return_inverse=True)
     # In the order of their first use, not of their bytes: neighbours in the file stay neighbours.
@@ -25,7 +28,9 @@ def without_slivers(faces: np.ndarray) -> np.ndarray:
 
 
 def fans(counts: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3) of polygons: `counts` corners each, one after another in `indices`; each a fan from its first."""
+    """Triangles (F, 3) of polygons: `counts` corners each, one after another in `indices`; each a
+    fan from its first.
+    """
     starts = np.cumsum(counts) - counts
     per = np.maximum(counts - 2, 0)
     polygon = np.repeat(np.arange(len(counts)), per)

@@ -1,4 +1,6 @@
-"""Trained models that come with the package: NAME.safetensors, and NAME.md, which says what it learned from and how well."""
+"""Trained models that come with the package: NAME.safetensors, and NAME.md, which says what it
+learned from and how well.
+"""
 
 from __future__ import annotations
 

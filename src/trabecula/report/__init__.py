@@ -1,5 +1,5 @@
-"""Is it the same material? The certificate: numbers of two images, what the exemplar's own parts differ by, a
-verdict."""
+"""Is it the same material? The certificate: numbers of two images, what the exemplar's own parts
+differ by, a verdict."""
 
 from trabecula.report.certificate import verify
 from trabecula.report.metric import Certificate, Metric

@@ -1,13 +1,16 @@
-"""What real material differs by: equal parts of the exemplar, and the band in which another sample of it would lie.
+"""What real material differs by: equal parts of the exemplar, and the band in which another sample
+of it would lie.
 
-The spread between parts is that of small samples. The variance of a mean over a volume V falls as 1 / V once V is many
-correlation lengths wide (Matheron 1971; Lantuejoul 1991, doi:10.1111/j.1365-2818.1991.tb03111.x), and more slowly, as V to the
-power -a, where density also varies over long distances, as in bone (the exponent of Dirrenberger, Forest, Jeulin 2014,
-doi:10.1016/j.ijsolstr.2014.06.006). The exemplar's own windows tell a. So the spread of samples as large as the judged image
-follows from that of the parts. The exemplar is a sample as well, and its own uncertainty is added.
+The spread between parts is that of small samples. The variance of a mean over a volume V falls as 1
+/ V once V is many correlation lengths wide (Matheron 1971; Lantuejoul 1991,
+doi:10.1111/j.1365-2818.1991.tb03111.x), and more slowly, as V to the power -a, where density also
+varies over long distances, as in bone (the exponent of Dirrenberger, Forest, Jeulin 2014,
+doi:10.1016/j.ijsolstr.2014.06.006). The exemplar's own windows tell a. So the spread of samples as
+large as the judged image follows from that of the parts. The exemplar is a sample as well, and its
+own uncertainty is added.
 
-Faces cut pores and struts, which moves the mean of small samples by a share that falls with their side. The parts and the
-whole exemplar say how far; the same law gives the mean at the image's size.
+Faces cut pores and struts, which moves the mean of small samples by a share that falls with their
+side. The parts and the whole exemplar say how far; the same law gives the mean at the image's size.
 """
 
 from __future__ import annotations
@@ -29,14 +32,19 @@ LEAST_COUNT = 4
 """Fewer parts know no spread."""
 
 LONG_RANGE = 6
-"""An exemplar shorter than this many correlation lengths holds too little of its material to judge by."""
+"""An exemplar shorter than this many correlation lengths holds too little of its material to judge
+by.
+"""
 
 CONFIDENCE = 0.99
-"""Share of other samples of the material that lie inside the band of one figure. Some forty figures are judged, many of them
-kin to each other: at 0.95 every second sample of the very same material would fail somewhere."""
+"""Share of other samples of the material that lie inside the band of one figure. Some forty figures
+are judged, many of them kin to each other: at 0.95 every second sample of the very same material
+would fail somewhere."""
 
 
-def parts(exemplar: Image, *, shape: Sequence[int] | None = None, share: int | None = None) -> Iterator[Image]:
+def parts(
+    exemplar: Image, *, shape: Sequence[int] | None = None, share: int | None = None
+) -> Iterator[Image]:
     """Yield the parts of `part_boxes` as images.
 
     Parameters
@@ -60,9 +68,11 @@ def parts(exemplar: Image, *, shape: Sequence[int] | None = None, share: int | N
 def part_boxes(
     shape: Sequence[int], *, largest: Sequence[int] | None = None, share: int | None = None
 ) -> list[tuple[slice, ...]]:
-    """Return boxes of halves of a volume, or of thirds of a picture, along every axis that is long enough.
+    """Return boxes of halves of a volume, or of thirds of a picture, along every axis that is long
+    enough.
 
-    None where no axis is. All boxes have the same shape; what is left over of a side lies between them.
+    None where no axis is. All boxes have the same shape; what is left over of a side lies between
+    them.
 
     Parameters
     ----------
@@ -71,8 +81,8 @@ def part_boxes(
     largest : sequence of int, optional
         Voxels of a part, where that is less: then as many beside each other as fit, evenly spread.
     share : int, optional
-        Parts along a side. Default: 2 of a volume; 3 of a picture with room for them, since four parts are too few to know a
-        spread.
+        Parts along a side. Default: 2 of a volume; 3 of a picture with room for them, since four
+        parts are too few to know a spread.
     """
     choices = []
     for side, wanted in zip(shape, shape if largest is None else largest, strict=True):
@@ -104,7 +114,8 @@ class Sizes:
 
 
 def expected_value(values: Sequence[float], own: float, sizes: Sizes) -> float:
-    """Return the mean of samples as large as the image, by the law that faces bias in proportion to 1 / side.
+    """Return the mean of samples as large as the image, by the law that faces bias in proportion to
+    1 / side.
 
     Parameters
     ----------
@@ -114,7 +125,9 @@ def expected_value(values: Sequence[float], own: float, sizes: Sizes) -> float:
         Of the whole exemplar.
     sizes : Sizes
     """
-    part, whole, image = (size ** (-1 / sizes.ndim) for size in (sizes.part, sizes.whole, sizes.image))
+    part, whole, image = (
+        size ** (-1 / sizes.ndim) for size in (sizes.part, sizes.whole, sizes.image)
+    )
     share = (image - whole) / (part - whole)
     return own + (float(np.mean(values)) - own) * min(share, 1.0)
 
@@ -133,23 +146,27 @@ def value_band(values: Sequence[float], own: float, sizes: Sizes) -> tuple[float
         The exemplar's own value lies between them. Not below 0 where no part is.
     """
     count = len(values)
-    # Parts scatter around the mean of the exemplar that they lie in, not around that of the material.
+    # Parts scatter around the mean of the exemplar that they lie in, not around that of the
+    # material.
     seen = count / (count - 1) * (1 - sizes.variance(sizes.whole))
     deviation = float(np.std(values, ddof=1)) / math.sqrt(seen)
     further = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
     reach = student(count - 1, (1 + CONFIDENCE) / 2) * deviation * further
     expected = expected_value(values, own, sizes)
     low, high = min(own, expected) - reach, max(own, expected) + reach
-    # Quantities that cannot be negative stay so; a solver may leave a hair below 0 where nothing bears.
+    # Quantities that cannot be negative stay so; a solver may leave a hair below 0 where nothing
+    # bears.
     positive = min(*values, own) >= -1e-6 * max(abs(value) for value in values)
     return (max(low, 0.0) if positive else low), high
 
 
 def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
-    """Return how far from the exemplar another sample of the image's size lies at most, 99 times in 100.
+    """Return how far from the exemplar another sample of the image's size lies at most, 99 times in
+    100.
 
-    A part lies inside the exemplar, so that its squared distance to the whole has the variance of a part less that of the whole;
-    that of an independent sample has its own variance and that of the whole.
+    A part lies inside the exemplar, so that its squared distance to the whole has the variance of a
+    part less that of the whole; that of an independent sample has its own variance and that of the
+    whole.
 
     Parameters
     ----------
@@ -158,17 +175,24 @@ def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
     sizes : Sizes
     """
     count = len(values)
-    # Some distances are of a single number, and scatter like a folded normal: the two-sided quantile covers them as well.
-    further = student(count - 1, (1 + CONFIDENCE) / 2) * float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
+    # Some distances are of a single number, and scatter like a folded normal: the two-sided
+    # quantile covers them as well.
+    further = (
+        student(count - 1, (1 + CONFIDENCE) / 2)
+        * float(np.std(values, ddof=1))
+        * math.sqrt(1 + 1 / count)
+    )
     whole = sizes.variance(sizes.whole)
     scale = math.sqrt((sizes.variance(sizes.image) + whole) / (1 - whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
 
 
 def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
-    """Return what a figure that is 0 but for chance, such as a norm of differences, stays below 99 times in 100.
+    """Return what a figure that is 0 but for chance, such as a norm of differences, stays below 99
+    times in 100.
 
-    Its chance falls as the standard deviation of a mean does; what it is of the exemplar is no chance.
+    Its chance falls as the standard deviation of a mean does; what it is of the exemplar is no
+    chance.
 
     Parameters
     ----------
@@ -177,13 +201,18 @@ def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
     """
     count = len(values)
     excess = np.abs(np.asarray(values) - own)
-    further = student(count - 1, (1 + CONFIDENCE) / 2) * float(excess.std(ddof=1)) * math.sqrt(1 + 1 / count)
+    further = (
+        student(count - 1, (1 + CONFIDENCE) / 2)
+        * float(excess.std(ddof=1))
+        * math.sqrt(1 + 1 / count)
+    )
     scale = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
     return own + scale * (float(excess.mean()) + further)
 
 
 def draw_limit(values: Sequence[float], noise: float) -> float:
-    """Return what one more figure that no size changes stays below: three standard deviations above the mean of those known.
+    """Return what one more figure that no size changes stays below: three standard deviations above
+    the mean of those known.
 
     Parameters
     ----------

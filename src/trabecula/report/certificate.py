@@ -1,9 +1,9 @@
-"""The certificate: every descriptor of an image against the exemplar, and against what the exemplar's own parts
-differ by.
+"""The certificate: every descriptor of an image against the exemplar, and against what the
+exemplar's own parts differ by.
 
-The *real band* of a figure is where another sample of the material, as large as the image, would lie 99 times in 100. Equal
-parts of the exemplar say it (halves along every axis that is long enough, eight octants as a rule), extrapolated to the
-image's size; `report.band` has the formulas.
+The *real band* of a figure is where another sample of the material, as large as the image, would
+lie 99 times in 100. Equal parts of the exemplar say it (halves along every axis that is long
+enough, eight octants as a rule), extrapolated to the image's size; `report.band` has the formulas.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from trabecula.core import progress
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.engine.slabs import Slabs
-from trabecula.measure.amount import porosity
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.blockwise import LEFT_OUT
 from trabecula.measure.copying import diversity
 from trabecula.measure.describe import LEVELS
+from trabecula.measure.fractions import porosity
 from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
-from trabecula.report.correspond import check_corresponds, check_same_kind
+from trabecula.report.compatibility import check_corresponds, check_same_kind
+from trabecula.report.descriptors import LabelStick, Measured, Stick, TextureStick
 from trabecula.report.evenness import Windows, local_fractions, shared_windows
 from trabecula.report.metric import Certificate, Metric, about_image
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
-from trabecula.report.sticks import LabelStick, Measured, Stick, TextureStick
+from trabecula.report.slicewise import check_pictures, judge_volumes
 from trabecula.report.undecided import exemplar_reasons, level_reasons
-from trabecula.report.volumes import check_pictures, judge_volumes
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
 
@@ -83,22 +83,23 @@ def verify(
     Parameters
     ----------
     exemplar, *images : Image or array of labels, (Z, Y, X) or (Y, X)
-        Of the same phases, spacing and unit; sizes may differ. Or all grey, or all colour: then their textures are
-        compared. Volumes may be held against a picture, or against a list of two or three Images, one for each view. A
-        volume given as `Slabs` is never in memory as a whole; then all is judged at level "quick".
+        Of the same phases, spacing and unit; sizes may differ. Or all grey, or all colour: then
+        their textures are compared. Volumes may be held against a picture, or against a list of two
+        or three Images, one for each view. A volume given as `Slabs` is never in memory as a whole;
+        then all is judged at level "quick".
     r_max : int
-        Largest distance of the curves in voxels; lowered to half the smallest side of either image, and to what fits
-        into a part of the exemplar.
+        Largest distance of the curves in voxels; lowered to half the smallest side of either image,
+        and to what fits into a part of the exemplar.
     names : sequence of str, optional
         What to call the images.
     level : {"quick", "default", "full"}
-        "quick" leaves out thickness, pore size, directions, clusters, copying and the baseline; "full" adds transport
-        and stiffness.
+        "quick" leaves out thickness, pore size, directions, clusters, copying and the baseline;
+        "full" adds transport and stiffness.
     box : int, optional
         At level "full": edge of the centre box, voxels, that transport and stiffness are solved in.
     views : sequence of str
-        Of pictures: the planes of a volume that each is, "yx" (seen across z), "zx", "zy", or turned "xy", "xz", "yz", as in
-        the methods that learn from pictures.
+        Of pictures: the planes of a volume that each is, "yx" (seen across z), "zx", "zy", or
+        turned "xy", "xz", "yz", as in the methods that learn from pictures.
     memory : int, optional
         Bytes that the measures of `Slabs` may use. Default: what is available.
 
@@ -109,65 +110,85 @@ def verify(
     Raises
     ------
     InputError
-        No image; kinds, phases, spacing, unit or dimensions that do not correspond; an exemplar of one phase only; an
-        unknown level.
+        No image; kinds, phases, spacing, unit or dimensions that do not correspond; an exemplar of
+        one phase only; an unknown level.
 
     Notes
     -----
-    Distances to the exemplar: `porosity_error` = abs(phi - phi_e) / phi_e; over the radial S2 of the solid for r = 1 ..
-    r_max, `two_point_distance` = the l2 norm of the difference, `two_point_relative` = that over the norm of the exemplar's
-    (Zhang, Chen, Wang, Wang 2017, table 1; D2 of Zhang et al. 2021 is 100 times this); `two_point_covariance` = the relative
-    norm of (S2 - phi^2) / (phi - phi^2), r = 0 .. r_max, and `two_point_covariance_z` the same of S2 along z;
-    `lineal_path_distance` (of the void with `_void`, along an axis with `_z`), `two_point_cluster_distance` = relative l2 of
-    these curves; `component_distance` = the Wasserstein distance of the component sizes.
+    Distances to the exemplar: `porosity_error` = abs(phi - phi_e) / phi_e; over the radial S2 of
+    the solid for r = 1 .. r_max, `two_point_distance` = the l2 norm of the difference,
+    `two_point_relative` = that over the norm of the exemplar's (Zhang, Chen, Wang, Wang 2017, table
+    1; D2 of Zhang et al. 2021 is 100 times this); `two_point_covariance` = the relative norm of (S2
+    - phi^2) / (phi - phi^2), r = 0 .. r_max, and `two_point_covariance_z` the same of S2 along z;
+    `lineal_path_distance` (of the void with `_void`, along an axis with `_z`),
+    `two_point_cluster_distance` = relative l2 of these curves; `component_distance` = the
+    Wasserstein distance of the component sizes.
 
-    A figure passes inside its band. The bands of `components`, `floating` and `floating_voxels` are scaled to the image's volume;
-    these, `largest_fraction` and `percolating_fraction` fail on one side only, since fewer loose parts than the exemplar has are
-    no fault. `percolates` fails along an axis where the exemplar percolates and the image does not. `coherence` is the
-    share of voxels whose source in the exemplar moves along over 4 voxels; its band is that of parts of the exemplar searched
-    in other parts.
+    A figure passes inside its band. The bands of `components`, `floating` and `floating_voxels` are
+    scaled to the image's volume; these, `largest_fraction` and `percolating_fraction` fail on one
+    side only, since fewer loose parts than the exemplar has are no fault. `percolates` fails along
+    an axis where the exemplar percolates and the image does not. `coherence` is the share of voxels
+    whose source in the exemplar moves along over 4 voxels; its band is that of parts of the
+    exemplar searched in other parts.
 
-    Evenness: over all windows of three sizes (see `measure.evenness`), the standard deviation and the extremes of the local
-    fraction (`fraction_spread_large`, `fraction_lowest_large`, ...), of the local surface and of its direction, and the change
-    of the local fraction along every axis and from the faces to the centre (`fraction_trend_centre`).
+    Evenness: over all windows of three sizes (see `measure.evenness`), the standard deviation and
+    the extremes of the local fraction (`fraction_spread_large`, `fraction_lowest_large`, ...), of
+    the local surface and of its direction, and the change of the local fraction along every axis
+    and from the faces to the centre (`fraction_trend_centre`).
 
-    There are three verdicts. Where a figure fails, the image fails. Where none fails, the image passes, unless
-    `Certificate.undecided` says why that proves nothing: the exemplar is too small or not stationary, noise passes every
-    figure as well, copying was not examined, or the exemplar is a picture and connections in space cannot be seen.
+    There are three verdicts. Where a figure fails, the image fails. Where none fails, the image
+    passes, unless `Certificate.undecided` says why that proves nothing: the exemplar is too small
+    or not stationary, noise passes every figure as well, copying was not examined, or the exemplar
+    is a picture and connections in space cannot be seen.
 
-    Of a volume held against a picture, slices are measured, eight a plane: figures are their means, distances along an axis
-    and `axis_preference` those of the worst plane. Parts of the picture are then no larger than the slices.
-    `axis_preference` compares lines along the axes with lines along diagonals (see `measure.axis_preference`), over three
-    correlation lengths; `coherence` is that of a slice a plane, halfway to the middle. Names that end with a plane
-    (`porosity_zx`) are of that plane, or of those planes that one of several pictures is for; names with `_3d` are of the
+    Of a volume held against a picture, slices are measured, eight a plane: figures are their means,
+    distances along an axis and `axis_preference` those of the worst plane. Parts of the picture are
+    then no larger than the slices. `axis_preference` compares lines along the axes with lines along
+    diagonals (see `measure.axis_preference`), over three correlation lengths; `coherence` is that
+    of a slice a plane, halfway to the middle. Names that end with a plane (`porosity_zx`) are of
+    that plane, or of those planes that one of several pictures is for; names with `_3d` are of the
     volume itself and are not judged.
 
-    The baseline is a thresholded Gaussian field with the exemplar's fraction and two-point function (`noise`): where
-    it passes as well, a figure says little.
+    The baseline is a thresholded Gaussian field with the exemplar's fraction and two-point function
+    (`noise`): where it passes as well, a figure says little.
     """
     pictures: list[Any] = (
-        list(exemplar) if isinstance(exemplar, (list, tuple)) and _are_images(exemplar) else [exemplar]
+        list(exemplar)
+        if isinstance(exemplar, (list, tuple)) and _are_images(exemplar)
+        else [exemplar]
     )
     exemplars = [as_image(picture, name="exemplar") for picture in pictures]
     exemplar = exemplars[0]
     check_name(level, LEVELS, name="level")
     if not images:
-        raise InputError("verify needs an image to compare with the exemplar: verify(exemplar, image)")
+        raise InputError(
+            "verify needs an image to compare with the exemplar: verify(exemplar, image)"
+        )
     if r_max < 1:
         raise InputError(f"r_max {r_max} must be at least 1 voxel")
     for picture in exemplars:
         if picture.kind == "labels" and not 0 < porosity(picture) < 1:
-            raise InputError("the exemplar is all void or holds none: there is nothing to compare; check its threshold")
+            raise InputError(
+                "the exemplar is all void or holds none: there is nothing to compare; check its threshold"
+            )
     check_pictures(exemplars)
     others = [_as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
     names = _names(names, len(others))
     level, slab_note = _level_for(others, names, level)
-    if len(exemplars) > 1 or views or (exemplar.ndim == 2 and any(image.ndim == 3 for image in others)):
+    if (
+        len(exemplars) > 1
+        or views
+        or (exemplar.ndim == 2 and any(image.ndim == 3 for image in others))
+    ):
         for image, name in zip(others, names, strict=True):
             check_same_kind(exemplar, image, name)
         if slab_note:
-            raise InputError(f"{slab_note} A volume held against pictures has to fit into memory: give a crop of it")
-        found = judge_volumes(exemplars, others, names, views=views, r_max=r_max, level=level, box=box)
+            raise InputError(
+                f"{slab_note} A volume held against pictures has to fit into memory: give a crop of it"
+            )
+        found = judge_volumes(
+            exemplars, others, names, views=views, r_max=r_max, level=level, box=box
+        )
         return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):
         check_corresponds(exemplar, image, name)
@@ -198,8 +219,15 @@ def _level_for(images: Sequence[Any], names: Sequence[str], level: str) -> tuple
     large = [name for image, name in zip(images, names, strict=True) if isinstance(image, Slabs)]
     if not large:
         return level, None
-    left_out = f": {', '.join(LEFT_OUT)}, copying and the baseline were left out" if level != "quick" else ""
-    return "quick", f'Measured slab by slab, at level "quick", for the size of {", ".join(large)}{left_out}.'
+    left_out = (
+        f": {', '.join(LEFT_OUT)}, copying and the baseline were left out"
+        if level != "quick"
+        else ""
+    )
+    return (
+        "quick",
+        f'Measured slab by slab, at level "quick", for the size of {", ".join(large)}{left_out}.',
+    )
 
 
 def _names(names: Sequence[str] | None, count: int) -> Sequence[str]:
@@ -215,7 +243,12 @@ def _are_images(given: Sequence[Any]) -> bool:
 
 
 def _stick(
-    exemplar: Image, r_max: int, level: str, windows: Windows | None, box: int | None, memory: int | None
+    exemplar: Image,
+    r_max: int,
+    level: str,
+    windows: Windows | None,
+    box: int | None,
+    memory: int | None,
 ) -> Stick:
     if exemplar.kind != "labels":
         return TextureStick(exemplar, lags=min(r_max, 32), windows=windows)
@@ -223,21 +256,39 @@ def _stick(
 
 
 def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measured]:
-    """Without transport and stiffness, which would take as long as those of an image, and no copy by its making."""
+    """Without transport and stiffness, which would take as long as those of an image, and no copy
+    by its making.
+    """
     field = gaussian_field(reference.exemplar)
     stick = cast(LabelStick, reference.stick)
-    fits = stick.windows if stick.windows and min(field.shape) >= min(reference.exemplar.shape) else None
+    fits = (
+        stick.windows
+        if stick.windows and min(field.shape) >= min(reference.exemplar.shape)
+        else None
+    )
     measured = LabelStick(r_max=r_max, level="default", windows=fits).measure(field)
     return reference.judge(field, measured, copying=False), measured
 
 
 def _certificate(
-    reference: Reference, image: Image, name: str, level: str, baseline: tuple[dict[str, Metric], Measured] | None
+    reference: Reference,
+    image: Image,
+    name: str,
+    level: str,
+    baseline: tuple[dict[str, Metric], Measured] | None,
 ) -> Certificate:
     measured = reference.measure(image)
     metrics = reference.judge(image, measured)
-    curves = {"exemplar": reference.own.curves, "image": measured.curves, "parts": [p.curves for p in reference.parts]}
-    about = {"exemplar": about_image(reference.exemplar), "image": about_image(image), "level": level}
+    curves = {
+        "exemplar": reference.own.curves,
+        "image": measured.curves,
+        "parts": [p.curves for p in reference.parts],
+    }
+    about = {
+        "exemplar": about_image(reference.exemplar),
+        "image": about_image(image),
+        "level": level,
+    }
     if measured.details:
         about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
     if baseline:
@@ -246,7 +297,9 @@ def _certificate(
     noise = baseline[0] if baseline else None
     reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
     maps = {
-        who: local_fractions(each) for who, each in (("exemplar", reference.own), ("image", measured)) if each.cells
+        who: local_fractions(each)
+        for who, each in (("exemplar", reference.own), ("image", measured))
+        if each.cells
     }
     return Certificate(metrics, notes, name, curves, about, noise, reasons, maps)
 
@@ -266,4 +319,7 @@ def _with_diversity(certificates: list[Certificate], images: Sequence[Image]) ->
         f"independent ones would, and at most {np.nanmax(apart.coherence):.0%} of one image's voxels continue a piece of "
         "another."
     )
-    return [replace(one, notes=(*one.notes, note)) if n in alike else one for n, one in enumerate(certificates)]
+    return [
+        replace(one, notes=(*one.notes, note)) if n in alike else one
+        for n, one in enumerate(certificates)
+    ]

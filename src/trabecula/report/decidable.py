@@ -1,4 +1,6 @@
-"""What a certificate will be able to decide about material made from an exemplar: said before anything is made."""
+"""What a certificate will be able to decide about material made from an exemplar: said before
+anything is made.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ class Decidable:
     Attributes
     ----------
     parts : int
-        Of the exemplar, that give the bands; 1 where it cannot be cut, so that nothing can be decided.
+        Of the exemplar, that give the bands; 1 where it cannot be cut, so that nothing can be
+        decided.
     part : tuple of int
         Voxels of a part.
     figures : str
@@ -68,17 +71,26 @@ def decidable(image: Image, lengths: Sequence[float], stationarity: Stationarity
             f"of {2 * LEAST_PART} is the least"
         )
         return Decidable(1, image.shape, "nothing", (reason,))
-    figures = "textures" if image.kind != "labels" else "fractions, correlations, sizes and connectivity"
+    figures = (
+        "textures" if image.kind != "labels" else "fractions, correlations, sizes and connectivity"
+    )
     part = tuple(each.stop - each.start for each in boxes[0])
     limits = tuple(_limits(image, lengths, stationarity, len(boxes)))
     return Decidable(len(boxes), part, figures + (" in slices" if image.ndim == 2 else ""), limits)
 
 
-def _limits(image: Image, lengths: Sequence[float], stationarity: Stationarity, parts: int) -> list[str]:
+def _limits(
+    image: Image, lengths: Sequence[float], stationarity: Stationarity, parts: int
+) -> list[str]:
     found = []
     if parts < LEAST_COUNT:
-        found.append(f"how much real material differs from itself: {parts} parts are too few to tell")
-    sizes = [side / length if length > 0 else np.inf for side, length in zip(image.shape, lengths, strict=True)]
+        found.append(
+            f"how much real material differs from itself: {parts} parts are too few to tell"
+        )
+    sizes = [
+        side / length if length > 0 else np.inf
+        for side, length in zip(image.shape, lengths, strict=True)
+    ]
     short = ["zyx"[n + 3 - image.ndim] for n, size in enumerate(sizes) if size < LONG_RANGE]
     if short:
         found.append(
@@ -92,5 +104,7 @@ def _limits(image: Image, lengths: Sequence[float], stationarity: Stationarity, 
             f"a pass: the scan has a trend itself, so that it is no sample of one material; crop an even part{field}"
         )
     if image.ndim == 2:
-        found.append("what no slice shows: whether components are joined in space, transport, stiffness")
+        found.append(
+            "what no slice shows: whether components are joined in space, transport, stiffness"
+        )
     return found

@@ -1,10 +1,11 @@
-"""Evenness in the certificate: which figures there are, and the bands that another sample of the material keeps.
+"""Evenness in the certificate: which figures there are, and the bands that another sample of the
+material keeps.
 
-Window means of one size are compared, so no size has to be extrapolated; what differs is how many windows an image holds.
-Windows overlap: a row of length S of means over windows of edge w holds as many independent ones as the squared
-autocorrelation (1 - u / w)^2 of such means says. The ratio of two sample variances then follows Fisher's F, with kurtosis
-taken off the degrees of freedom. A trend through the whole is that of white noise with the variance of the largest
-windows.
+Window means of one size are compared, so no size has to be extrapolated; what differs is how many
+windows an image holds. Windows overlap: a row of length S of means over windows of edge w holds as
+many independent ones as the squared autocorrelation (1 - u / w)^2 of such means says. The ratio of
+two sample variances then follows Fisher's F, with kurtosis taken off the degrees of freedom. A
+trend through the whole is that of white noise with the variance of the largest windows.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.slabs import Slabs
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.evenness import (
     Evenness,
     Spread,
@@ -30,7 +31,7 @@ from trabecula.measure.evenness import (
     window_means,
     windows_for,
 )
-from trabecula.measure.tallies.cells import CellMeans
+from trabecula.measure.streaming.cells import CellMeans
 from trabecula.report.band import CONFIDENCE
 from trabecula.report.quantiles import student, variance_ratio
 
@@ -58,20 +59,28 @@ class Windows:
 
 
 def phases_of(image: Image | Slabs) -> dict[str, list[int]]:
-    """Return the labels that are judged together, by the suffix of their figures: the solid, or every phase of several."""
+    """Return the labels that are judged together, by the suffix of their figures: the solid, or
+    every phase of several.
+    """
     if image.kind != "labels" or len(image.phases) == 2:
-        return {"": labels_of(image, None if "void" in image.phases or image.kind != "labels" else 1)}
+        return {
+            "": labels_of(image, None if "void" in image.phases or image.kind != "labels" else 1)
+        }
     return {f"_{name}": [label] for label, name in enumerate(image.phases)}
 
 
-def measure_evenness(cells: CellMeans, windows: Windows, phases: Mapping[str, Sequence[int]]) -> dict[str, Evenness]:
+def measure_evenness(
+    cells: CellMeans, windows: Windows, phases: Mapping[str, Sequence[int]]
+) -> dict[str, Evenness]:
     """Return the evenness of every phase, by the suffix of its figures."""
     counts = window_counts(cells, windows.edges)
     return {suffix: evenness_of(cells, counts, labels=labels) for suffix, labels in phases.items()}
 
 
 def merge_evenness(found: Sequence[Evenness]) -> Evenness:
-    """Return the evenness of several images of one size, such as slices: root mean squares, means and extremes."""
+    """Return the evenness of several images of one size, such as slices: root mean squares, means
+    and extremes.
+    """
     first = found[0]
 
     def merge(spreads: Sequence[Spread]) -> Spread:
@@ -85,10 +94,15 @@ def merge_evenness(found: Sequence[Evenness]) -> Evenness:
         )
 
     def merge_all(name: str) -> tuple[Spread, ...]:
-        return tuple(merge(spreads) for spreads in zip(*(getattr(each, name) for each in found), strict=True))
+        return tuple(
+            merge(spreads) for spreads in zip(*(getattr(each, name) for each in found), strict=True)
+        )
 
     def mean(name: str) -> dict[str, float]:
-        return {axis: float(np.mean([getattr(each, name)[axis] for each in found])) for axis in getattr(first, name)}
+        return {
+            axis: float(np.mean([getattr(each, name)[axis] for each in found]))
+            for axis in getattr(first, name)
+        }
 
     return Evenness(
         merge_all("fraction"),
@@ -101,7 +115,9 @@ def merge_evenness(found: Sequence[Evenness]) -> Evenness:
     )
 
 
-def evenness_numbers(found: Evenness, suffix: str = "", *, whats: Sequence[str] = WHATS) -> dict[str, float]:
+def evenness_numbers(
+    found: Evenness, suffix: str = "", *, whats: Sequence[str] = WHATS
+) -> dict[str, float]:
     """Return every figure of evenness by the name that the certificate gives it.
 
     Parameters
@@ -129,7 +145,8 @@ def evenness_numbers(found: Evenness, suffix: str = "", *, whats: Sequence[str] 
 def evenness_bands(
     exemplar: Evenness, image: Evenness, suffix: str = "", *, whats: Sequence[str] = WHATS
 ) -> dict[str, tuple[float, float]]:
-    """Return the band of every figure of evenness of an image that the exemplar has windows enough for.
+    """Return the band of every figure of evenness of an image that the exemplar has windows enough
+    for.
 
     Parameters
     ----------
@@ -150,8 +167,14 @@ def evenness_bands(
             if what != "direction":
                 far = high * _farthest(image, own)
                 floor = 0.0 if own.lowest >= 0 else -math.inf
-                bands[f"{what}_lowest_{size}{suffix}"] = (max(floor, min(own.lowest, own.mean - far)), own.mean)
-                bands[f"{what}_highest_{size}{suffix}"] = (own.mean, max(own.highest, own.mean + far))
+                bands[f"{what}_lowest_{size}{suffix}"] = (
+                    max(floor, min(own.lowest, own.mean - far)),
+                    own.mean,
+                )
+                bands[f"{what}_highest_{size}{suffix}"] = (
+                    own.mean,
+                    max(own.highest, own.mean + far),
+                )
         if what != "direction":
             trend = exemplar.trend if what == "fraction" else exemplar.surface_trend
             largest, exponent = getattr(exemplar, what)[-1], scaling_exponent(exemplar)
@@ -164,10 +187,11 @@ def evenness_bands(
 
 
 def scaling_exponent(exemplar: Evenness) -> float:
-    """Return the exponent a by which the variance of window means falls with the window's volume, `SLOWEST` to 1.
+    """Return the exponent a by which the variance of window means falls with the window's volume,
+    `SLOWEST` to 1.
 
-    It is 1 where windows are many correlation lengths wide and the material has no longer waves. Less says that density
-    varies over distances as long as the windows.
+    It is 1 where windows are many correlation lengths wide and the material has no longer waves.
+    Less says that density varies over distances as long as the windows.
     """
     if len(exemplar.fraction) < 2:
         return 1.0
@@ -179,11 +203,18 @@ def scaling_exponent(exemplar: Evenness) -> float:
     return min(1.0, max(SLOWEST, math.log(variances[0] / variances[1]) / volumes))
 
 
-def _deviation_band(exemplar: Evenness, image: Evenness, own: Spread, freedom: float) -> tuple[float, float]:
-    """Band of the standard deviation over windows; both samples are too even by what their own means take away."""
+def _deviation_band(
+    exemplar: Evenness, image: Evenness, own: Spread, freedom: float
+) -> tuple[float, float]:
+    """Band of the standard deviation over windows; both samples are too even by what their own
+    means take away.
+    """
     expected = own.deviation * math.sqrt(_unbiased(image, own.edge) / _unbiased(exemplar, own.edge))
     upper = max(1.0, _freedom(image, own, own.kurtosis))
-    ratios = [variance_ratio(round(upper, 1), round(freedom, 1), (1 + sign * CONFIDENCE) / 2) for sign in (-1, 1)]
+    ratios = [
+        variance_ratio(round(upper, 1), round(freedom, 1), (1 + sign * CONFIDENCE) / 2)
+        for sign in (-1, 1)
+    ]
     low, high = (expected * math.sqrt(ratio) for ratio in ratios)
     return min(low, own.deviation), max(high, own.deviation)
 
@@ -196,10 +227,12 @@ def _trend_limits(
     if freedom < LEAST_FREEDOM:
         return {}
     variance = largest.deviation**2 / _unbiased(exemplar, largest.edge)
-    ratio = math.prod(min(1.0, largest.edge / length) for length in extents)  # of the window's volume to the sample's
+    # of the window's volume to the sample's
+    ratio = math.prod(min(1.0, largest.edge / length) for length in extents)
     noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio**exponent)
     names = ("z", "y", "x")[3 - len(extents) :]
-    # A line through white noise of variance v a unit volume changes by sqrt(12 v / V) from end to end; what runs to the centre
+    # A line through white noise of variance v a unit volume changes by sqrt(12 v / V) from end to
+    # end; what runs to the centre
     # has the variance of the depth instead of 1 / 12.
     grid = [max(3, round(24 * length / max(extents))) for length in extents]
     depth = float(depth_of((1,) * (3 - len(extents)) + tuple(grid)).std())
@@ -209,9 +242,10 @@ def _trend_limits(
 def _freedom(image: Evenness, spread: Spread, kurtosis: float) -> float:
     """Degrees of freedom of the variance over windows.
 
-    Means over windows that touch are kin as well, over about the material's own correlation: the smallest windows are about three
-    correlation lengths wide, so two thirds of their edge stand for it. Without that a quarter of independent Gaussian
-    fields left the band of the smallest windows, with it one in a hundred.
+    Means over windows that touch are kin as well, over about the material's own correlation: the
+    smallest windows are about three correlation lengths wide, so two thirds of their edge stand for
+    it. Without that a quarter of independent Gaussian fields left the band of the smallest windows,
+    with it one in a hundred.
     """
     reach = spread.edge + image.fraction[0].edge * 2 / 3
     count = math.prod(_independent(length - spread.edge, reach, 2) for length in image.extents)
@@ -220,11 +254,15 @@ def _freedom(image: Evenness, spread: Spread, kurtosis: float) -> float:
 
 def _unbiased(image: Evenness, edge: float) -> float:
     """Share of the variance that windows of one sample show around their own mean."""
-    return 1 - 1 / max(1.01, math.prod(_independent(length - edge, edge, 1) for length in image.extents))
+    return 1 - 1 / max(
+        1.01, math.prod(_independent(length - edge, edge, 1) for length in image.extents)
+    )
 
 
 def _independent(span: float, edge: float, power: int) -> float:
-    """Independent means along a line over which a window of `edge` slides; of their squares with power 2."""
+    """Independent means along a line over which a window of `edge` slides; of their squares with
+    power 2.
+    """
     if span <= 0:
         return 1.0
     u = (np.arange(256) + 0.5) / 256 * min(span, edge)
@@ -233,7 +271,9 @@ def _independent(span: float, edge: float, power: int) -> float:
 
 
 def _farthest(image: Evenness, own: Spread) -> float:
-    """Standard deviations that the farthest of all windows reaches, 99 times in 100; further where the exemplar's own does."""
+    """Standard deviations that the farthest of all windows reaches, 99 times in 100; further where
+    the exemplar's own does.
+    """
     count = image.images * math.prod(max(1.0, 2 * length / own.edge) for length in image.extents)
     normal = NormalDist().inv_cdf(CONFIDENCE ** (1 / count))
     skew = max(own.mean - own.lowest, own.highest - own.mean) / max(own.deviation, 1e-12)
@@ -241,21 +281,31 @@ def _farthest(image: Evenness, own: Spread) -> float:
 
 
 def shared_windows(exemplar: Image, images: Sequence[Image]) -> Windows | None:
-    """Return windows that suit the exemplar and fit into every image; None where one is too small for any."""
+    """Return windows that suit the exemplar and fit into every image; None where one is too small
+    for any.
+    """
     if min(min(image.shape) for image in (exemplar, *images)) < 4 * cell_for((8, *exemplar.shape)):
         return None
     sides = [
-        side * step for image in (exemplar, *images) for side, step in zip(image.shape, image.spacing, strict=True)
+        side * step
+        for image in (exemplar, *images)
+        for side, step in zip(image.shape, image.spacing, strict=True)
     ]
     return Windows(cell_for(exemplar.shape), tuple(windows_for(exemplar, shortest=min(sides))))
 
 
 def local_fractions(measured: Any) -> dict[str, np.ndarray]:
-    """Return maps of the local fraction over windows of medium size, in the middle plane across every axis, by axis."""
+    """Return maps of the local fraction over windows of medium size, in the middle plane across
+    every axis, by axis.
+    """
     cells, found = measured.cells, next(iter(measured.evenness.values()))
     counts = window_counts(cells, [found.fraction[len(found.fraction) // 2].edge])[0]
     means = window_means(cells.shares[-1], counts)
-    names = [(axis, name) for axis, name in enumerate("zyx") if cells.shape[axis] > 1 or means.shape[axis] == 1]
+    names = [
+        (axis, name)
+        for axis, name in enumerate("zyx")
+        if cells.shape[axis] > 1 or means.shape[axis] == 1
+    ]
     return {name: means.take(means.shape[axis] // 2, axis) for axis, name in names}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image, as_image
-from trabecula.engine.slabs import Slabs
+from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.margins import Margins, crop_margins, find_margins
 from trabecula.exemplar.segment import segment
 from trabecula.measure.components import label_components
@@ -41,12 +41,13 @@ class Grey:
     low, high : float
         The range that occurs.
     saturated : float
-        Share of the voxels at the lowest or highest value of the type (of real numbers: that occurs), 0..1.
+        Share of the voxels at the lowest or highest value of the type (of real numbers: that
+        occurs), 0..1.
     threshold : float or None
         Otsu's; None where there is one value.
     separability : float
-        Share of the variance that lies between the two classes, 0..1 (Otsu 1979, doi:10.1109/TSMC.1979.4310076, eq. 12). A
-        normal distribution has .64, an even one .75.
+        Share of the variance that lies between the two classes, 0..1 (Otsu 1979,
+        doi:10.1109/TSMC.1979.4310076, eq. 12). A normal distribution has .64, an even one .75.
     noise : float
         Standard deviation of what neighbours do not have in common, in the image's values.
     """
@@ -62,7 +63,9 @@ class Grey:
 
 @dataclass(frozen=True)
 class Phase:
-    """A phase: its fraction, mean thickness (voxels; None where it fills the image), components, and where it percolates."""
+    """A phase: its fraction, mean thickness (voxels; None where it fills the image), components,
+    and where it percolates.
+    """
 
     fraction: float
     thickness: float | None
@@ -73,7 +76,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found. All but `shape`, `kind`, `margins` and `grey` is of the image without its margins.
+    """What `inspect` found. All but `shape`, `kind`, `margins` and `grey` is of the image without
+    its margins.
 
     Attributes
     ----------
@@ -130,7 +134,10 @@ class Inspection:
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON; lengths in voxels, None where they are infinite."""
-        found = {name: getattr(self, name) for name in ("kind", "unit", "anisotropy", "longest", "bodies")}
+        found = {
+            name: getattr(self, name)
+            for name in ("kind", "unit", "anisotropy", "longest", "bodies")
+        }
         return found | {
             "shape": list(self.shape),
             "whole": None if self.whole is None else list(self.whole),
@@ -163,7 +170,9 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def inspect(image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | None = None) -> Inspection:
+def inspect(
+    image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | None = None
+) -> Inspection:
     """Look at a scan before any work: what it is, what fits it, what can be decided about it.
 
     Parameters
@@ -192,10 +201,16 @@ def inspect(image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | Non
     whole = None
     if isinstance(image, Slabs):
         whole, volume = image.shape, image
-        image = replace(volume.centre([min(side, SLAB_BOX) for side in whole]), recipe=volume.recipe)
+        image = replace(
+            volume.centre([min(side, SLAB_BOX) for side in whole]), recipe=volume.recipe
+        )
     image = as_image(image)
     # Of the centre of a larger volume nothing is a margin.
-    margins = Margins(image.shape, (), None, (0,) * image.ndim, image.shape) if whole else find_margins(image)
+    margins = (
+        Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
+        if whole
+        else find_margins(image)
+    )
     kept = crop_margins(image) if margins else image
     structure = structure_of(kept)
     grey = None if image.kind == "labels" else _grey(kept, structure)
@@ -224,11 +239,16 @@ def inspect(image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | Non
 
 
 def _fractions(image: Image) -> dict[str, float]:
-    return {name: np.count_nonzero(image.values == n) / image.values.size for n, name in enumerate(image.phases)}
+    return {
+        name: np.count_nonzero(image.values == n) / image.values.size
+        for n, name in enumerate(image.phases)
+    }
 
 
 def _segmented(image: Image, grey: Grey | None) -> Image | None:
-    """The image as labels, as methods would take it; None of colour, and of what has one value alone."""
+    """The image as labels, as methods would take it; None of colour, and of what has one value
+    alone.
+    """
     if image.kind == "grey" and grey is not None and grey.threshold is not None:
         return segment(image)
     return image if image.kind == "labels" else None
@@ -249,7 +269,11 @@ def _grey(image: Image, structure: Structure) -> Grey:
     values = grey_values(image)
     own = image.values
     low, high = float(values.min()), float(values.max())
-    ends = (np.iinfo(own.dtype).min, np.iinfo(own.dtype).max) if own.dtype.kind in "iu" else (own.min(), own.max())
+    ends = (
+        (np.iinfo(own.dtype).min, np.iinfo(own.dtype).max)
+        if own.dtype.kind in "iu"
+        else (own.min(), own.max())
+    )
     saturated = np.count_nonzero((own == ends[0]) | (own == ends[1])) / own.size
     noise = float(values.std(dtype=np.float64)) * structure.noise**0.5
     threshold, share = (None, 0.0) if low == high else _otsu(image, values)
@@ -277,11 +301,17 @@ def _phases(image: Image) -> dict[str, Phase]:
             continue
         sizes = label_components(inside)[1]
         part = box == number
-        thick = thickness(part.astype(np.uint8)) if part.any() and not part.all() and min(part.shape) > 1 else None
+        thick = (
+            thickness(part.astype(np.uint8))
+            if part.any() and not part.all() and min(part.shape) > 1
+            else None
+        )
         through = percolates(inside.astype(np.uint8))
         mean = None if thick is None else float(thick)
         share = float(sizes.max() / sizes.sum())
-        found[name] = Phase(np.count_nonzero(inside) / inside.size, mean, len(sizes), share, through)
+        found[name] = Phase(
+            np.count_nonzero(inside) / inside.size, mean, len(sizes), share, through
+        )
     return found
 
 

@@ -9,13 +9,19 @@ from typing import Any
 import numpy as np
 
 SEPARATE, WEAK = 0.8, 0.7
-"""Otsu's share of the variance from which two classes are apart, and below which a normal distribution (.64) splits as well."""
+"""Otsu's share of the variance from which two classes are apart, and below which a normal
+distribution (.64) splits as well.
+"""
 THIN = 3.0
-"""Voxels: a phase that is thinner breaks in a method's coarser levels, and its thickness is half error."""
+"""Voxels: a phase that is thinner breaks in a method's coarser levels, and its thickness is half
+error.
+"""
 SATURATED = 0.01
 """Share of the voxels at the ends of the range from which greys are lost."""
 DIRECTED = 0.2
-"""Degree of anisotropy above which a material looks different along one axis; chance alone reaches .1 in small scans."""
+"""Degree of anisotropy above which a material looks different along one axis; chance alone reaches
+.1 in small scans.
+"""
 WIDTH, HEAD = 110, 14
 
 
@@ -41,7 +47,11 @@ def table(found: Any) -> str:
     for head, text in rows:
         lead = ("" if head == before else head).ljust(HEAD + 2)
         lines += textwrap.wrap(
-            text, WIDTH, initial_indent=lead, subsequent_indent=" " * (HEAD + 2), break_on_hyphens=False
+            text,
+            WIDTH,
+            initial_indent=lead,
+            subsequent_indent=" " * (HEAD + 2),
+            break_on_hyphens=False,
         )
         before = head
     text = "\n".join(lines)
@@ -49,7 +59,11 @@ def table(found: Any) -> str:
 
 
 def _scan(found: Any) -> str:
-    box = "" if found.whole is None else f", the centre box of {_size(found.whole)}: the rest was not looked at"
+    box = (
+        ""
+        if found.whole is None
+        else f", the centre box of {_size(found.whole)}: the rest was not looked at"
+    )
     return f"{_size(found.shape)} voxels of {found.kind} ({found.origin.get('kind', 'given')}){box}"
 
 
@@ -97,15 +111,27 @@ def _grey(found: Any) -> Iterator[str]:
     yield f"{grey.bits} bit a value, from {grey.low:g} to {grey.high:g}, {lost}{noise}"
     if grey.threshold is None or found.kind == "colour":
         return
-    word = "well" if grey.separability >= SEPARATE else "weakly" if grey.separability >= WEAK else "badly"
-    more = "" if word == "well" else ": look at slices, give --threshold, or keep greys with --threshold none"
+    word = (
+        "well"
+        if grey.separability >= SEPARATE
+        else "weakly"
+        if grey.separability >= WEAK
+        else "badly"
+    )
+    more = (
+        ""
+        if word == "well"
+        else ": look at slices, give --threshold, or keep greys with --threshold none"
+    )
     share = f"{grey.separability:.2f} of the variance lies between the classes"
     yield f"threshold {grey.threshold:g} (Otsu) parts {word}: {share}{more}"
 
 
 def _correlation(found: Any) -> str:
     axes = ", ".join(_axes(found.margins.size))
-    lengths = ", ".join(f"{length:.1f}" if np.isfinite(length) else "unknown" for length in found.structure.lengths)
+    lengths = ", ".join(
+        f"{length:.1f}" if np.isfinite(length) else "unknown" for length in found.structure.lengths
+    )
     sizes = ", ".join(
         f"{size:.0f}" if np.isfinite(length) else "few"
         for size, length in zip(found.sizes, found.structure.lengths, strict=True)
@@ -155,8 +181,16 @@ def _stationarity(found: Any) -> str:
     state = found.stationarity
     if state.stationary is None:
         return f"not decided: {state.windows} windows of {_size(state.edge)} voxels are too few"
-    names = [name for name in found.phases if name != "void"] if found.kind == "labels" else ["grey"]
-    what = names[-1] if len(names) == 1 else "all but void" if "void" in found.phases else f"all but {names[0]}"
+    names = (
+        [name for name in found.phases if name != "void"] if found.kind == "labels" else ["grey"]
+    )
+    what = (
+        names[-1]
+        if len(names) == 1
+        else "all but void"
+        if "void" in found.phases
+        else f"all but {names[0]}"
+    )
     trends = [
         f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} ({trend.errors:.1f} standard errors)"
         for trend in state.trends
@@ -169,7 +203,9 @@ def _stationarity(found: Any) -> str:
 
 def _along(name: str) -> str:
     return (
-        f"along {name}" if len(name) == 1 else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
+        f"along {name}"
+        if len(name) == 1
+        else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
     )
 
 
@@ -180,7 +216,11 @@ def _order(found: Any) -> str:
         text = f"regular: repeats {offset} voxels on, correlated by {structure.order:.2f}"
     else:
         text = "none beyond 5 correlation lengths"
-    return text if found.bodies is None else f"{text}; {found.bodies} consists of separate bodies of one shape"
+    return (
+        text
+        if found.bodies is None
+        else f"{text}; {found.bodies} consists of separate bodies of one shape"
+    )
 
 
 def _number(value: float) -> str:

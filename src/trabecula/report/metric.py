@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trabecula.core.image import Image, describe_fields
-from trabecula.report.figures import GROUPS, figure_of
+from trabecula.report.metrics import GROUPS, figure_of
 
 IN_SPACE = ("connectivity", "physics")
 """Groups that are about three dimensions: no picture can pass them."""
@@ -21,16 +21,21 @@ class Metric:
     value: Any
     """Number; for `percolates` one truth value per axis; `None` where it does not exist."""
     real_band: tuple[float, float] | None = None
-    """The figure's spread between parts of the exemplar; `None` where the exemplar is too small, or no band makes
-    sense."""
+    """The figure's spread between parts of the exemplar; `None` where the exemplar is too small, or
+    no band makes sense."""
     passed: bool | None = None
     """Inside the band; `None` where there is nothing to judge by."""
     exemplar: Any = None
-    """The exemplar's own value (0 for a distance to it; a count is scaled to the image's volume)."""
+    """The exemplar's own value (0 for a distance to it; a count is scaled to the image's volume).
+    """
 
     def to_json(self) -> dict[str, Any]:
         """Value, band and verdict by the names that scripts rely on."""
-        return {"value": self.value, "real_band": list(self.real_band) if self.real_band else None, "pass": self.passed}
+        return {
+            "value": self.value,
+            "real_band": list(self.real_band) if self.real_band else None,
+            "pass": self.passed,
+        }
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,21 +48,30 @@ class Certificate:
     """What to know before believing the figures."""
     name: str = "image"
     curves: Mapping[str, Any] = field(default_factory=dict)
-    """By "exemplar", "image", "baseline" and "parts" (a list): the curves that were compared, by name."""
+    """By "exemplar", "image", "baseline" and "parts" (a list): the curves that were compared, by
+    name.
+    """
     about: Mapping[str, Any] = field(default_factory=dict)
-    """Shape, spacing, unit, phases and recipe of "exemplar" and "image"; "level"; "physics" of both at level "full"."""
+    """Shape, spacing, unit, phases and recipe of "exemplar" and "image"; "level"; "physics" of both
+    at level "full".
+    """
     baseline: Mapping[str, Metric] | None = None
-    """The same figures of a thresholded Gaussian field with the exemplar's fraction and two-point function: what a
-    method has to beat. `None` where none was made."""
+    """The same figures of a thresholded Gaussian field with the exemplar's fraction and two-point
+    function: what a method has to beat. `None` where none was made."""
     undecided: tuple[str, ...] = ()
-    """Why nothing can be passed even where nothing fails: an exemplar that is too small or not stationary, figures that noise
-    passes as well, what a picture cannot tell, what was not examined."""
+    """Why nothing can be passed even where nothing fails: an exemplar that is too small or not
+    stationary, figures that noise passes as well, what a picture cannot tell, what was not
+    examined."""
     local_fractions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across that axis."""
+    """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across
+    that axis.
+    """
 
     @property
     def passed(self) -> bool | None:
-        """False where a metric failed; None where none did and `undecided` says why that proves nothing; else True."""
+        """False where a metric failed; None where none did and `undecided` says why that proves
+        nothing; else True.
+        """
         verdict = _all_passed(self.metrics.values())
         return None if verdict and self.undecided else verdict
 
@@ -73,22 +87,28 @@ class Certificate:
 
     @property
     def groups(self) -> dict[str, bool | None]:
-        """The verdict of every group of figures that was measured: "two-point", "connectivity", ... None where none was judged;
-        slices that match a picture decide nothing about connections in space."""
+        """The verdict of every group of figures that was measured: "two-point", "connectivity", ...
+        None where none was judged; slices that match a picture decide nothing about connections in
+        space."""
         found = group_verdicts(self.metrics)
         pictures = "planes" in self.about
-        return {name: None if pictures and name in IN_SPACE and passed else passed for name, passed in found.items()}
+        return {
+            name: None if pictures and name in IN_SPACE and passed else passed
+            for name, passed in found.items()
+        }
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON: metrics with value, real_band and pass; the verdict, whole and by group; the baseline's metrics;
-        notes."""
+        """Plain JSON: metrics with value, real_band and pass; the verdict, whole and by group; the
+        baseline's metrics; notes."""
         return {
             "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
             "verdict": self.verdict,
             "passed": self.passed,
             "undecided": list(self.undecided),
             "groups": self.groups,
-            "baseline": None if self.baseline is None else {n: m.to_json() for n, m in self.baseline.items()},
+            "baseline": None
+            if self.baseline is None
+            else {n: m.to_json() for n, m in self.baseline.items()},
             "level": self.about.get("level"),
             "notes": list(self.notes),
         }
@@ -110,7 +130,10 @@ class Certificate:
         return table(self)
 
     def to_html(
-        self, path: str | Path | None = None, *, pictures: Iterable[tuple[str, str | Path | bytes]] = ()
+        self,
+        path: str | Path | None = None,
+        *,
+        pictures: Iterable[tuple[str, str | Path | bytes]] = (),
     ) -> str:
         """One self-contained page; written to `path` where one is given.
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.exemplar.margins import margin_note
-from trabecula.measure.physics import physics_notes
+from trabecula.measure.effective_properties import physics_notes
 from trabecula.report.band import CONFIDENCE
+from trabecula.report.descriptors import Measured
 from trabecula.report.evenness import windows_note
 from trabecula.report.metric import Metric
 from trabecula.report.reference import Reference
-from trabecula.report.sticks import Measured
 
 
 def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Iterable[str]:
@@ -36,7 +36,9 @@ def exemplar_notes(reference: Reference, *, what: str = "The exemplar") -> Itera
         yield f"{what}: {margin}"
 
 
-def image_notes(exemplar: Image, image: Image, metrics: Mapping[str, Metric], measured: Measured) -> Iterable[str]:
+def image_notes(
+    exemplar: Image, image: Image, metrics: Mapping[str, Metric], measured: Measured
+) -> Iterable[str]:
     """Of an image that is judged: its size, specks, what does not span it, solvers."""
     if np.prod(image.shape) < np.prod(exemplar.shape) / 8:
         yield "The image is smaller than an eighth of the exemplar: it may leave the band by chance."

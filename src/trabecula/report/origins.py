@@ -11,17 +11,25 @@ FIELDS = ("kind", "phases", "spacing", "unit")
 
 
 def origins_of(image: Image) -> dict[str, str]:
-    """Tell of each field whether it was given, stated by the file, found in the content, or is the default."""
+    """Tell of each field whether it was given, stated by the file, found in the content, or is the
+    default.
+    """
     found = {name: _unknown(image, name) for name in FIELDS}
     for step in image.recipe.steps:
         found.update(_of_step(step, image))
-    return found if image.kind == "labels" else {name: value for name, value in found.items() if name != "phases"}
+    return (
+        found
+        if image.kind == "labels"
+        else {name: value for name, value in found.items() if name != "phases"}
+    )
 
 
 def _unknown(image: Image, name: str) -> str:
     if name == "phases" and image.phases == default_phases(len(image.phases)):
         return "default names"
-    if (name == "spacing" and set(image.spacing) == {1.0}) or (name == "unit" and image.unit == "voxel"):
+    if (name == "spacing" and set(image.spacing) == {1.0}) or (
+        name == "unit" and image.unit == "voxel"
+    ):
         return "default: nothing states it"
     return "given with the array"
 
@@ -36,7 +44,11 @@ def _of_step(step: Mapping[str, Any], image: Image) -> dict[str, str]:
     if verb == "segment":
         how = step.get("found_by", "given")
         threshold = step["threshold"]
-        text = ", ".join(f"{number:g}" for number in threshold) if isinstance(threshold, list) else f"{threshold:g}"
+        text = (
+            ", ".join(f"{number:g}" for number in threshold)
+            if isinstance(threshold, list)
+            else f"{threshold:g}"
+        )
         found = {"kind": f"segmented at {text} ({'given' if how == 'given' else f'found: {how}'})"}
         return found | {"phases": "default names" if image.phases == ("void", "solid") else "given"}
     if verb == "generate":
@@ -59,5 +71,7 @@ def _of_step(step: Mapping[str, Any], image: Image) -> dict[str, str]:
         found |= dict.fromkeys(("spacing", "unit"), step["spacing_from"])
     found |= dict.fromkeys((name for name in step.get("options", {}) if name in FIELDS), "given")
     if "ignored" in step:
-        found["spacing"] = f"{found.get('spacing', _unknown(image, 'spacing'))} (ignored: {step['ignored']})"
+        found["spacing"] = (
+            f"{found.get('spacing', _unknown(image, 'spacing'))} (ignored: {step['ignored']})"
+        )
     return found

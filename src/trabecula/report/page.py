@@ -1,4 +1,6 @@
-"""The certificate as one page: no script, no remote asset, readable without colour, made to be printed."""
+"""The certificate as one page: no script, no remote asset, readable without colour, made to be
+printed.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,10 @@ import numpy as np
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine.files import replacing
 from trabecula.measure.correlation import covariance_form
-from trabecula.report.figures import GROUPS, figure_of
 from trabecula.report.metric import Certificate, group_verdicts
+from trabecula.report.metrics import GROUPS, figure_of
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
-from trabecula.report.words import VERDICTS, band, headline, number, sentences
+from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences
 
 Pictures = Iterable[tuple[str, str | Path | bytes]]
 
@@ -117,7 +119,9 @@ def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Certificate</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style></head>\n<body>{hatching()}\n" + "\n".join(body) + "\n</body></html>\n"
+        f"<style>{_STYLE}</style></head>\n<body>{hatching()}\n"
+        + "\n".join(body)
+        + "\n</body></html>\n"
     )
 
 
@@ -130,13 +134,17 @@ def write_page(html: str, path: str | Path) -> None:
 def _front(certificates: Sequence[Certificate]) -> str:
     boxes = [_box(certificate) for certificate in certificates]
     lines = [_about("Exemplar", certificates[0].about.get("exemplar"))]
-    lines += [_about(certificate.name, certificate.about.get("image")) for certificate in certificates]
+    lines += [
+        _about(certificate.name, certificate.about.get("image")) for certificate in certificates
+    ]
     return "<h1>Is it the same material?</h1>" + "".join(boxes) + "".join(lines)
 
 
 def _box(certificate: Certificate) -> str:
     """The verdict in words; a box that passes also says what was not examined."""
-    kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "NOT DECIDED")}[certificate.passed]
+    kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "NOT DECIDED")}[
+        certificate.passed
+    ]
     sentence = headline(certificate)
     for verdict, short in (
         (": PASS, ", ": "),
@@ -144,7 +152,10 @@ def _box(certificate: Certificate) -> str:
         (": NOT DECIDED, though", ":"),
     ):
         sentence = sentence.replace(verdict, short)
-    items = [*sentences(certificate), *([_unexamined(certificate)] if _unexamined(certificate) else [])]
+    items = [
+        *sentences(certificate),
+        *([_unexamined(certificate)] if _unexamined(certificate) else []),
+    ]
     told = "".join(f"<li>{escape(text)}</li>" for text in items)
     return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{f"<ul>{told}</ul>" if told else ""}</div>'
 
@@ -158,11 +169,20 @@ def _unexamined(certificate: Certificate) -> str:
 
 
 def summary_html(certificate: Certificate) -> str:
-    """Return the verdict and the groups of a certificate for a notebook; nothing in it depends on a page's style."""
-    border = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}[certificate.passed]
-    told = "".join(f"<li>{escape(text)}</li>" for text in [*sentences(certificate), _unexamined(certificate)] if text)
+    """Return the verdict and the groups of a certificate for a notebook; nothing in it depends on a
+    page's style.
+    """
+    border = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}[
+        certificate.passed
+    ]
+    told = "".join(
+        f"<li>{escape(text)}</li>"
+        for text in [*sentences(certificate), _unexamined(certificate)]
+        if text
+    )
     rows = "".join(
-        f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>" for group, passed in certificate.groups.items()
+        f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>"
+        for group, passed in certificate.groups.items()
     )
     return (
         f'<div style="border:{border};padding:.5em 1em"><b>{escape(headline(certificate))}</b><ul>{told}</ul></div>'
@@ -205,7 +225,11 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
     """Every figure of every image beside the exemplar's, the band and the baseline's."""
     first = certificates[0]
     names = [certificate.name for certificate in certificates]
-    marks = names if len(names) == 1 else [f"{place} {name}" for place, name in enumerate(names, start=1)]
+    marks = (
+        names
+        if len(names) == 1
+        else [f"{place} {name}" for place, name in enumerate(names, start=1)]
+    )
     heads = [*marks, "exemplar", "real band", *([BASELINE] if first.baseline else [])]
     head = "".join(f'<th class="n">{escape(text)}</th>' for text in heads)
     rows, group = [], None
@@ -213,7 +237,9 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
         figure = figure_of(name)
         if figure.group != group:
             group = figure.group
-            rows.append(f'<tr class="group"><th colspan="{len(heads) + 2}">{GROUPS[group]}</th></tr>')
+            rows.append(
+                f'<tr class="group"><th colspan="{len(heads) + 2}">{GROUPS[group]}</th></tr>'
+            )
         rows.append(_row(name, certificates))
     return (
         f'<h2>Figures</h2><table><thead><tr><th>Figure</th>{head}<th class="place">place</th></tr></thead>'
@@ -223,18 +249,31 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
 
 def _row(name: str, certificates: Sequence[Certificate]) -> str:
     figure, unit = figure_of(name), certificates[0].about.get("image", {}).get("unit", "voxel")
-    suffix = {0: "", 1: unit, 2: f"{unit}\u00b2", -1: f"1/{unit}", -2: f"1/{unit}\u00b2", -3: f"1/{unit}\u00b3"}
+    suffix = {
+        0: "",
+        1: unit,
+        2: f"{unit}\u00b2",
+        -1: f"1/{unit}",
+        -2: f"1/{unit}\u00b2",
+        -3: f"1/{unit}\u00b3",
+    }
     metrics = [certificate.metrics[name] for certificate in certificates]
     first, baseline = metrics[0], certificates[0].baseline
     cells = [_verdict_cell(metric.passed, number(metric.value), "n") for metric in metrics]
     cells += [f'<td class="n">{number(first.exemplar)}</td>', f'<td class="n">{band(first)}</td>']
     if baseline:
         other = baseline.get(name)
-        cells.append(_verdict_cell(other.passed, number(other.value), "n soft") if other else "<td></td>")
+        cells.append(
+            _verdict_cell(other.passed, number(other.value), "n soft") if other else "<td></td>"
+        )
     place = ""
     if first.real_band is not None:
         # Counts are scaled to each image's volume: the first image's place alone.
-        shown = metrics if all(metric.real_band == first.real_band for metric in metrics) else metrics[:1]
+        shown = (
+            metrics
+            if all(metric.real_band == first.real_band for metric in metrics)
+            else metrics[:1]
+        )
         place = place_plot([metric.value for metric in shown], first.real_band, first.exemplar)
     return (
         f'<tr><td>{escape(figure.title)} <span class="unit">{escape(suffix[figure.power])}</span><br>'
@@ -250,14 +289,19 @@ def _maps(certificates: Sequence[Certificate]) -> str:
     planes = [plane for maps in rows.values() for plane in maps.values()]
     if not planes:
         return ""
-    low, high = min(float(plane.min()) for plane in planes), max(float(plane.max()) for plane in planes)
+    low, high = (
+        min(float(plane.min()) for plane in planes),
+        max(float(plane.max()) for plane in planes),
+    )
     largest = max(max(plane.shape) for plane in planes)
     drawn = []
     for who, maps in rows.items():
         drawn.append('<div class="maps">')
         for axis, plane in maps.items():
             svg = density_map(plane, low=low, high=high, side=170 * max(plane.shape) / largest)
-            drawn.append(f"<figure>{svg}<figcaption>{escape(who)}, middle across {axis}</figcaption></figure>")
+            drawn.append(
+                f"<figure>{svg}<figcaption>{escape(who)}, middle across {axis}</figcaption></figure>"
+            )
         drawn.append("</div>")
     of = first.about["exemplar"]["phases"]
     what = f"fraction of {of[-1]}" if of else "mean value"
@@ -271,7 +315,10 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     first = certificates[0]
     if not first.curves:
         return ""
-    lines = {"exemplar": first.curves["exemplar"], **{c.name: c.curves["image"] for c in certificates}}
+    lines = {
+        "exemplar": first.curves["exemplar"],
+        **{c.name: c.curves["image"] for c in certificates},
+    }
     baseline = BASELINE if "baseline" in first.curves else None
     if baseline:
         lines[baseline] = first.curves["baseline"]
@@ -292,18 +339,25 @@ def _curves(certificates: Sequence[Certificate]) -> str:
                 )
             )
     told = f"spread of {len(parts)} parts of the exemplar" if parts else None
-    return (
-        f'<h2>Curves</h2>{key(list(lines), band=told, baseline=baseline)}<div class="figures">{"".join(figures)}</div>'
-    )
+    return f'<h2>Curves</h2>{key(list(lines), band=told, baseline=baseline)}<div class="figures">{"".join(figures)}</div>'
 
 
 def _phase_curves(curves: Mapping[str, Any]) -> dict[str, str]:
     """Titles of the curves of single phases and of pairs of them, without those along an axis."""
-    stems = {"two_point": "Two-point function", "lineal_path": "Lineal path", "cross": "Cross-correlation"}
+    stems = {
+        "two_point": "Two-point function",
+        "lineal_path": "Lineal path",
+        "cross": "Cross-correlation",
+    }
     found = {}
     for name in curves:
         stem = next((known for known in stems if name.startswith(f"{known}_")), None)
-        if stem and name not in _CURVES and "_axis_" not in name and name[-2:] not in ("_z", "_y", "_x"):
+        if (
+            stem
+            and name not in _CURVES
+            and "_axis_" not in name
+            and name[-2:] not in ("_z", "_y", "_x")
+        ):
             found[name] = f"{stems[stem]} of {name[len(stem) + 1 :]}"
     return found
 
@@ -329,7 +383,11 @@ def _step(name: str, spacing: Sequence[float]) -> float:
 def _section(certificate: Certificate) -> str:
     notes = "".join(f"<li>{escape(note)}</li>" for note in certificate.notes)
     return (
-        (f'<h2>{escape(certificate.name)}: notes</h2><ul class="notes">{notes}</ul>' if notes else "")
+        (
+            f'<h2>{escape(certificate.name)}: notes</h2><ul class="notes">{notes}</ul>'
+            if notes
+            else ""
+        )
         + _physics(certificate)
         + _json(f"{certificate.name}: figures as JSON", certificate.to_json())
         + _json(f"{certificate.name}: fields and recipe", certificate.about.get("image", {}))
@@ -354,7 +412,9 @@ def _physics(certificate: Certificate) -> str:
                     f"{result['imbalance']:.2%}",
                     halving,
                 )
-                rows.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+                rows.append(
+                    "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+                )
     heads = ("Image", "Property", "converged", "flux differs by", "halving the voxel changes it by")
     head = "".join(f"<th>{text}</th>" for text in heads)
     return (
@@ -379,7 +439,9 @@ def _png(source: str | Path | bytes) -> bytes:
         try:
             data = Path(source).read_bytes()
         except OSError as error:
-            raise FileError(f"cannot read the picture {source}: {error.strerror}; render it first") from error
+            raise FileError(
+                f"cannot read the picture {source}: {error.strerror}; render it first"
+            ) from error
     if not data.startswith(b"\x89PNG"):
         raise InputError("a picture of the page is not PNG: save it as PNG first")
     return data

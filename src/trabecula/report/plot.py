@@ -1,5 +1,5 @@
-"""Small SVG figures: curves with a band, and where a number lies in its range. Told apart by dashes and not by
-colour."""
+"""Small SVG figures: curves with a band, and where a number lies in its range. Told apart by dashes
+and not by colour."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def curve_plot(
     step: float = 1.0,
     baseline: str | None = None,
 ) -> str:
-    """Curves over r = 0, step, 2 step, ...: the first drawn full, the others dashed each in its way; the band hatched.
+    """Curves over r = 0, step, 2 step, ...: the first drawn full, the others dashed each in its
+    way; the band hatched.
 
     Parameters
     ----------
@@ -43,7 +44,9 @@ def curve_plot(
         Needs the pattern of `hatching` in the same page.
     """
     lines = {name: np.asarray(curve, np.float64) for name, curve in curves.items()}
-    low, high = (np.asarray(edge, np.float64) for edge in band) if band else (np.empty(0), np.empty(0))
+    low, high = (
+        (np.asarray(edge, np.float64) for edge in band) if band else (np.empty(0), np.empty(0))
+    )
     everything = np.concatenate([*lines.values(), low, high])
     bottom, top = min(0.0, everything.min()), max(everything.max(), 1e-12)
     right = step * max(1, max(len(line) for line in lines.values()) - 1)
@@ -52,21 +55,31 @@ def curve_plot(
 
     def points(curve: np.ndarray) -> list[str]:
         x = across[0] + across[1] * step * np.arange(len(curve))
-        return [f"{a:.1f},{b:.1f}" for a, b in zip(x, up[0] + up[1] * (curve - bottom), strict=True)]
+        return [
+            f"{a:.1f},{b:.1f}" for a, b in zip(x, up[0] + up[1] * (curve - bottom), strict=True)
+        ]
 
     body = [f'<text class="title" x="{_LEFT}" y="16">{escape(title)}</text>']
     for tick in ticks(bottom, top):
         y = up[0] + up[1] * (tick - bottom)
-        body.append(f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        body.append(f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{tick:g}</text>')
+        body.append(
+            f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        )
+        body.append(
+            f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{tick:g}</text>'
+        )
     for tick in ticks(0, right):
         x = across[0] + across[1] * tick
-        body.append(f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" text-anchor="middle">{tick:g}</text>')
+        body.append(
+            f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" text-anchor="middle">{tick:g}</text>'
+        )
     body.append(
         f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 6}" text-anchor="end">{escape(x_label)}</text>'
     )
     if band:
-        body.append(f'<polygon class="band" points="{" ".join(points(low) + points(high)[::-1])}"/>')
+        body.append(
+            f'<polygon class="band" points="{" ".join(points(low) + points(high)[::-1])}"/>'
+        )
     for style, line in zip(_styles(list(lines), baseline), lines.values(), strict=True):
         body.append(f'<polyline class="{style}" points="{" ".join(points(line))}"/>')
     return _svg(_WIDTH, _HEIGHT, title, body)
@@ -83,8 +96,8 @@ def _styles(names: Sequence[str], baseline: str | None) -> list[str]:
 
 
 def place_plot(values: Sequence[float | None], band: tuple[float, float], own: float | None) -> str:
-    """Where numbers (dots, numbered where they are several) lie: the band as a hatched bar, the exemplar's own number as
-    a tick. An arrow: beyond the figure."""
+    """Where numbers (dots, numbered where they are several) lie: the band as a hatched bar, the
+    exemplar's own number as a tick. An arrow: beyond the figure."""
     width, height = 150, 18
     spread = max(band[1] - band[0], 1e-9 * abs(band[1]), 1e-12)
     start, end = band[0] - spread, band[1] + spread
@@ -103,7 +116,9 @@ def place_plot(values: Sequence[float | None], band: tuple[float, float], own: f
             body.append(_dot(min(max(x(value), 0.0), width), value < start, value > end, width))
             if len(values) > 1:
                 at = min(max(x(value), 6.0), width - 6.0)
-                body.append(f'<text class="mark" x="{at:.1f}" y="12.3" text-anchor="middle">{place}</text>')
+                body.append(
+                    f'<text class="mark" x="{at:.1f}" y="12.3" text-anchor="middle">{place}</text>'
+                )
     return _svg(width, height, "place in the band", body)
 
 
@@ -160,7 +175,9 @@ def density_map(values: ArrayLike, *, low: float, high: float, side: float) -> s
     for y in range(rows):
         for x in range(columns):
             red, green, blue = (round(255 - (255 - end) * shares[y, x]) for end in (20, 60, 105))
-            squares.append(f'<rect x="{x}" y="{y}" width="1.02" height="1.02" fill="#{red:02x}{green:02x}{blue:02x}"/>')
+            squares.append(
+                f'<rect x="{x}" y="{y}" width="1.02" height="1.02" fill="#{red:02x}{green:02x}{blue:02x}"/>'
+            )
     scale = side / max(rows, columns)
     return (
         f'<svg width="{columns * scale:.0f}" height="{rows * scale:.0f}" viewBox="0 0 {columns} {rows}" role="img">'

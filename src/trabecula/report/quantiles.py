@@ -1,7 +1,7 @@
 """Quantiles of the distributions that bands are made of, from draws that are always the same.
 
-A quarter of a million draws know a quantile of 0.995 to about a hundredth of its value, which is far finer than what eight
-parts of a scan know. It spares the base install a statistics library.
+A quarter of a million draws know a quantile of 0.995 to about a hundredth of its value, which is
+far finer than what eight parts of a scan know. It spares the base install a statistics library.
 """
 
 from __future__ import annotations

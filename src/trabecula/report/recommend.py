@@ -1,6 +1,8 @@
-"""Which method and preset fit an exemplar, and why: from what the methods' cards and the tables of figures say.
+"""Which method and preset fit an exemplar, and why: from what the methods' cards and the tables of
+figures say.
 
-Only what a card or a table says is used: docs/guide/figures.md for pictures, the known failures of `texture` for volumes.
+Only what a card or a table says is used: docs/guide/figures.md for pictures, the known failures of
+`texture` for volumes.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ from trabecula.core.image import Image
 from trabecula.report.structure import has_bodies, structure_of
 
 LEAST = 12
-"""Voxels along every axis that methods of neighbourhoods need: a neighbourhood of 8 and 4 places for it."""
+"""Voxels along every axis that methods of neighbourhoods need: a neighbourhood of 8 and 4 places
+for it.
+"""
 LEAST_NOISE = 8
 FINE = 3.0
-"""Pixels: a picture whose lines change phase more often than this on average is finer than what `kopf` can follow, which draws
-stripes of three pixels only on its finest level."""
+"""Pixels: a picture whose lines change phase more often than this on average is finer than what
+`kopf` can follow, which draws stripes of three pixels only on its finest level."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,12 @@ class Recommendation:
     def to_json(self) -> dict[str, Any]:
         """Plain JSON."""
         settings = dict(self.settings)
-        return {"method": self.method, "preset": self.preset, "settings": settings, "reason": self.reason}
+        return {
+            "method": self.method,
+            "preset": self.preset,
+            "settings": settings,
+            "reason": self.reason,
+        }
 
 
 def recommend(image: Image) -> Recommendation:
@@ -73,7 +82,8 @@ def _for_little(image: Image) -> Recommendation:
             "and the two-point function alone",
         )
     return Recommendation(
-        None, f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a larger scan"
+        None,
+        f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a larger scan",
     )
 
 
@@ -89,7 +99,8 @@ def _for_volume(image: Image) -> Recommendation:
         )
     if image.kind != "labels":
         return Recommendation(
-            "texture", f"it learns {image.kind} values as they are; segment first for a part to be printed"
+            "texture",
+            f"it learns {image.kind} values as they are; segment first for a part to be printed",
         )
     body = has_bodies(image)
     if body is not None:
@@ -105,7 +116,9 @@ def _for_volume(image: Image) -> Recommendation:
             f"with {len(image.phases)} phases the default preset's two-point function drifts; best keeps it, and copies",
             preset="best",
         )
-    return Recommendation("texture", "a volume of two phases without long-range order: new material, not copied")
+    return Recommendation(
+        "texture", "a volume of two phases without long-range order: new material, not copied"
+    )
 
 
 def _for_picture(image: Image) -> Recommendation:
@@ -117,7 +130,8 @@ def _for_picture(image: Image) -> Recommendation:
     width = _mean_run(image)
     if width < FINE:
         return Recommendation(
-            "mrf", f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws structures that fine"
+            "mrf",
+            f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws structures that fine",
         )
     return Recommendation(
         "kopf",
@@ -128,13 +142,17 @@ def _for_picture(image: Image) -> Recommendation:
 
 def _mean_run(image: Image) -> float:
     """Return the mean length of runs of one phase along rows and columns, pixels."""
-    changes = [(image.values[1:] != image.values[:-1]).mean(), (image.values[:, 1:] != image.values[:, :-1]).mean()]
+    changes = [
+        (image.values[1:] != image.values[:-1]).mean(),
+        (image.values[:, 1:] != image.values[:, :-1]).mean(),
+    ]
     mean = sum(map(float, changes)) / 2
     return 1 / mean if mean else float("inf")
 
 
 def misfit(image: Image, method: str, exemplar: str | None, *, flat: bool) -> str | None:
-    """Say why a method cannot learn from an exemplar of these axes, and which can; None where it can.
+    """Say why a method cannot learn from an exemplar of these axes, and which can; None where it
+    can.
 
     Parameters
     ----------

@@ -13,17 +13,40 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
 from trabecula.measure.evenness import Evenness
-from trabecula.report.band import LEAST_COUNT, Sizes, distance_limit, draw_limit, excess_limit, parts, value_band
+from trabecula.report.band import (
+    LEAST_COUNT,
+    Sizes,
+    distance_limit,
+    draw_limit,
+    excess_limit,
+    parts,
+    value_band,
+)
+from trabecula.report.descriptors import Measured, Stick
 from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
-from trabecula.report.figures import AT_LEAST, AT_MOST, AXES, COUNT, DISTANCE, SHOWN, TOLD, figure_of, in_order, stem_of
 from trabecula.report.metric import Metric
-from trabecula.report.sticks import Measured, Stick
+from trabecula.report.metrics import (
+    AT_LEAST,
+    AT_MOST,
+    AXES,
+    COUNT,
+    DISTANCE,
+    SHOWN,
+    TOLD,
+    figure_of,
+    in_order,
+    stem_of,
+)
 
 LAG = 4
-"""Coherence is told over this many voxels: beyond chance, and shorter than the pieces that patch methods copy."""
+"""Coherence is told over this many voxels: beyond chance, and shorter than the pieces that patch
+methods copy.
+"""
 
 SAMPLES = 500
-"""Voxels whose sources are looked up: the share is known to 0.022 at worst, to 0.01 near the independent 0.05."""
+"""Voxels whose sources are looked up: the share is known to 0.022 at worst, to 0.01 near the
+independent 0.05.
+"""
 
 
 NORMALISED = (
@@ -51,27 +74,36 @@ class Reference:
         Of parts, where they are to be smaller than halves.
     """
 
-    def __init__(self, exemplar: Image, stick: Stick, *, copying: bool, shape: Sequence[int] | None = None) -> None:
+    def __init__(
+        self, exemplar: Image, stick: Stick, *, copying: bool, shape: Sequence[int] | None = None
+    ) -> None:
         self.exemplar, self.stick, self.copying = exemplar, stick, copying
         pieces = list(parts(exemplar, shape=shape))
         self.own = stick.measure(exemplar)
         self.exponent = min(map(scaling_exponent, self.own.evenness.values()), default=1.0)
         self.parts = [
-            stick.measure(piece, part=True) for piece in progress.track(pieces, "measuring the exemplar's parts")
+            stick.measure(piece, part=True)
+            for piece in progress.track(pieces, "measuring the exemplar's parts")
         ]
         distances = [stick.distances(part, self.own) for part in self.parts]
         first = distances[0] if distances else {}
-        self.spread: dict[str, list[float | None]] = {name: [found[name] for found in distances] for name in first}
+        self.spread: dict[str, list[float | None]] = {
+            name: [found[name] for found in distances] for name in first
+        }
         if copying:
-            self.spread["coherence"] = independent_coherence(list(parts(exemplar, shape=shape, share=2)))
+            self.spread["coherence"] = independent_coherence(
+                list(parts(exemplar, shape=shape, share=2))
+            )
 
     def measure(self, image: Image) -> Measured:
         """An image by the same stick."""
         return self.stick.measure(image)
 
-    def judge(self, image: Image, measured: Measured, *, copying: bool | None = None) -> dict[str, Metric]:
-        """Every figure of an image with its band and verdict, in the order of the table; whether it is a copy only where
-        that is asked for."""
+    def judge(
+        self, image: Image, measured: Measured, *, copying: bool | None = None
+    ) -> dict[str, Metric]:
+        """Every figure of an image with its band and verdict, in the order of the table; whether it
+        is a copy only where that is asked for."""
         found = self.judged(measured)
         if self.copying if copying is None else copying:
             found["coherence"] = self.judged_coherence(coherence_of(self.exemplar, image))
@@ -105,11 +137,19 @@ class Reference:
         for suffix, own in self.own.evenness.items():
             found |= self._judged_local(own, measured.evenness[suffix], suffix, WHATS[:1])
         if first in self.own.evenness:
-            found |= self._judged_local(self.own.evenness[first], measured.evenness[first], "", WHATS[1:])
+            found |= self._judged_local(
+                self.own.evenness[first], measured.evenness[first], "", WHATS[1:]
+            )
         return found
 
-    def _judged_local(self, own: Evenness, image: Evenness, suffix: str, whats: Sequence[str]) -> dict[str, Metric]:
-        bands = evenness_bands(own, image, suffix, whats=whats) if len(self.parts) >= LEAST_COUNT else {}
+    def _judged_local(
+        self, own: Evenness, image: Evenness, suffix: str, whats: Sequence[str]
+    ) -> dict[str, Metric]:
+        bands = (
+            evenness_bands(own, image, suffix, whats=whats)
+            if len(self.parts) >= LEAST_COUNT
+            else {}
+        )
         known = evenness_numbers(own, suffix, whats=whats)
         found = {}
         for name, value in evenness_numbers(image, suffix, whats=whats).items():
@@ -119,7 +159,8 @@ class Reference:
         return found
 
     def _sizes(self, measured: Measured, name: str) -> Sizes:
-        # Long waves move the density and what goes with it; figures that take the density out do not feel them.
+        # Long waves move the density and what goes with it; figures that take the density out do
+        # not feel them.
         exponent = 1.0 if stem_of(name) in NORMALISED else self.exponent
         return Sizes(
             float(np.prod(self.parts[0].shape)),
@@ -134,7 +175,9 @@ class Reference:
         if len(known) < LEAST_COUNT:
             return Metric(value, None, None, 0.0)
         high = distance_limit(known, self._sizes(measured, name))
-        return Metric(value, (0.0, high), None if figure_of(name).rule == SHOWN else value <= high, 0.0)
+        return Metric(
+            value, (0.0, high), None if figure_of(name).rule == SHOWN else value <= high, 0.0
+        )
 
     def _judged(self, name: str, value: Any, own: Any, measured: Measured) -> Metric:
         figure = figure_of(name)
@@ -142,9 +185,16 @@ class Reference:
         if rule == AXES:
             holds = all(value[axis] for axis, through in own.items() if through)
             return Metric(value, None, holds if self.parts else None, own)
-        # Counts grow with the volume: their density is judged, and told for the volume of the image.
-        volumes = [np.prod(part.shape) for part in self.parts] if rule == COUNT else [1.0] * len(self.parts)
-        scale, whole = (np.prod(measured.shape), np.prod(self.exemplar.shape)) if rule == COUNT else (1.0, 1.0)
+        # Counts grow with the volume: their density is judged, and told for the volume of the
+        # image.
+        volumes = (
+            [np.prod(part.shape) for part in self.parts]
+            if rule == COUNT
+            else [1.0] * len(self.parts)
+        )
+        scale, whole = (
+            (np.prod(measured.shape), np.prod(self.exemplar.shape)) if rule == COUNT else (1.0, 1.0)
+        )
         numbers = [part.numbers.get(name) for part in self.parts]
         known = [n / volume for n, volume in zip(numbers, volumes, strict=True) if n is not None]
         shown = None if own is None else own * scale / whole
@@ -167,10 +217,15 @@ def _passes(value: float, band: tuple[float, float], rule: str) -> bool:
 
 
 def independent_coherence(pieces: Sequence[Image]) -> list[float | None]:
-    """The coherence of real material that was not copied: parts of the exemplar searched in the part farthest away."""
+    """The coherence of real material that was not copied: parts of the exemplar searched in the
+    part farthest away.
+    """
     count = len(pieces)
     pairs = [(pieces[n], pieces[count - 1 - n]) for n in range(max(count // 2, min(count, 2)))]
-    return [coherence_of(there, here) for here, there in progress.track(pairs, "searching the exemplar's parts")]
+    return [
+        coherence_of(there, here)
+        for here, there in progress.track(pairs, "searching the exemplar's parts")
+    ]
 
 
 def coherence_of(exemplar: Image, image: Image) -> float | None:

@@ -11,13 +11,17 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.exemplar.views import as_axis
 from trabecula.measure.correlation import decay_length, two_point
-from trabecula.measure.correlation.preference import preference, preference_of, two_point_diagonal
+from trabecula.measure.correlation.axis_preference import (
+    preference,
+    preference_of,
+    two_point_diagonal,
+)
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
+from trabecula.report.descriptors import Measured, Stick, TextureStick
 from trabecula.report.evenness import merge_evenness
-from trabecula.report.faces import slices_of
-from trabecula.report.figures import COUNT, figure_of, stem_of
-from trabecula.report.sticks import Measured, Stick, TextureStick
+from trabecula.report.metrics import COUNT, figure_of, stem_of
+from trabecula.report.planes import slices_of
 
 _NOT_OF_SLICES = ("percolates", "euler")
 """Of one slice they are chance, and a mean of them says nothing."""
@@ -32,7 +36,8 @@ class SliceStick:
     ----------
     inner : LabelStick or TextureStick
     reach : int
-        Largest distance at which lines along the axes are compared with lines along diagonals, pixels.
+        Largest distance at which lines along the axes are compared with lines along diagonals,
+        pixels.
     """
 
     def __init__(self, inner: Stick, *, reach: int) -> None:
@@ -41,7 +46,11 @@ class SliceStick:
     def measure(self, image: Image, *, part: bool = False) -> Measured:
         """A picture, a part of one, or one slice."""
         found = self.inner.measure(image, part=part)
-        numbers = {name: value for name, value in found.numbers.items() if stem_of(name) not in _NOT_OF_SLICES}
+        numbers = {
+            name: value
+            for name, value in found.numbers.items()
+            if stem_of(name) not in _NOT_OF_SLICES
+        }
         curves = {**found.curves, **self._diagonal(image)}
         return replace(found, numbers={**numbers, **self._preference(curves)}, curves=curves)
 
@@ -55,12 +64,18 @@ class SliceStick:
     def mean(self, found: Sequence[Measured]) -> Measured:
         """The mean of several, counts scaled to the size of the first."""
         sizes = [float(np.prod(each.shape)) for each in found]
-        numbers = {name: _mean([each.numbers.get(name) for each in found]) for name in found[0].numbers}
+        numbers = {
+            name: _mean([each.numbers.get(name) for each in found]) for name in found[0].numbers
+        }
         for name in numbers:
             if figure_of(name).rule == COUNT:
                 counts = [each.numbers[name] for each in found]
-                numbers[name] = float(np.mean([n * sizes[0] / size for n, size in zip(counts, sizes, strict=True)]))
-        curves = {name: np.mean([each.curves[name] for each in found], axis=0) for name in found[0].curves}
+                numbers[name] = float(
+                    np.mean([n * sizes[0] / size for n, size in zip(counts, sizes, strict=True)])
+                )
+        curves = {
+            name: np.mean([each.curves[name] for each in found], axis=0) for name in found[0].curves
+        }
         shares = np.concatenate([each.sizes for each in found])
         names = found[0].evenness
         local = {name: merge_evenness([each.evenness[name] for each in found]) for name in names}
@@ -81,7 +96,9 @@ class SliceStick:
         rho = autocorrelation(image, lags=min(self.reach, self.inner.lags))
         row, column = (side // 2 for side in rho.shape)  # of offset 0
         steps = np.arange(int(min(row, column) / np.sqrt(2)) + 1)
-        return {_DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2}
+        return {
+            _DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2
+        }
 
     def _preference(self, curves: Mapping[str, np.ndarray]) -> dict[str, float]:
         if _DIAGONAL not in curves:
@@ -99,14 +116,16 @@ class SliceStick:
 
 
 def reach_of(picture: Image, r_max: int) -> int:
-    """How far a picture's covariance says something: three correlation lengths, `r_max` at most. Beyond, lines along axes and
-    along diagonals differ by chance alone."""
+    """How far a picture's covariance says something: three correlation lengths, `r_max` at most.
+    Beyond, lines along axes and along diagonals differ by chance alone."""
     if picture.kind == "labels":
         line = two_point(picture, r_max=r_max)
         length = decay_length(line)
     else:
         lines = autocorrelation_lines(picture, lags=r_max).values()
-        length = max(float(np.max(np.flatnonzero(np.abs(line) >= np.exp(-1)), initial=0)) for line in lines)
+        length = max(
+            float(np.max(np.flatnonzero(np.abs(line) >= np.exp(-1)), initial=0)) for line in lines
+        )
     return int(min(max(8, 3 * length), r_max))
 
 

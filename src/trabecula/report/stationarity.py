@@ -1,12 +1,17 @@
-"""Whether a scan is the same material everywhere: trends of the local fraction along the axes and from the centre to the rim.
+"""Whether a scan is the same material everywhere: trends of the local fraction along the axes and
+from the centre to the rim.
 
-The image is cut into windows about `WIDE` correlation lengths wide. Their fractions are fitted by a constant, a slope along
-every axis and a term in the squared distance from the centre. A term counts as a trend where both hold:
+The image is cut into windows about `WIDE` correlation lengths wide. Their fractions are fitted by a
+constant, a slope along every axis and a term in the squared distance from the centre. A term counts
+as a trend where both hold:
 
-- it is larger than `SURE` standard errors. Windows next to each other are still a little alike, which makes fewer of them
-  independent: the variance is multiplied by (1 + rho) / (1 - rho) for every axis, rho being the correlation of the residuals of
-  neighbours (the effective number of observations of a first-order process: Bayley and Hammersley 1946, doi:10.2307/2983560).
-- it changes the fraction by more than `MATTERS` of the rarer phase's (grey: of the standard deviation).
+- it is larger than `SURE` standard errors. Windows next to each other are still a little alike,
+which makes fewer of them
+  independent: the variance is multiplied by (1 + rho) / (1 - rho) for every axis, rho being the
+  correlation of the residuals of neighbours (the effective number of observations of a first-order
+  process: Bayley and Hammersley 1946, doi:10.2307/2983560).
+- it changes the fraction by more than `MATTERS` of the rarer phase's (grey: of the standard
+deviation).
 """
 
 from __future__ import annotations
@@ -27,11 +32,14 @@ MOST_WINDOWS = 12
 FEWEST_LEFT = 8
 """Windows more than there are terms, below which nothing is decided."""
 SURE = 4.0
-"""Standard errors: 1 of 1,380 stationary Gaussian fields (volumes from 64^3, pictures from 160^2) was said to have a trend."""
+"""Standard errors: 1 of 1,380 stationary Gaussian fields (volumes from 64^3, pictures from 160^2)
+was said to have a trend.
+"""
 MATTERS = 0.1
 ALIKE = 0.25
-"""The largest correlation of neighbouring windows that is taken for chance: that of windows `WIDE` lengths wide of an exponential
-covariance. What is more comes from a material that differs from place to place, and would hide just that."""
+"""The largest correlation of neighbouring windows that is taken for chance: that of windows `WIDE`
+lengths wide of an exponential covariance. What is more comes from a material that differs from
+place to place, and would hide just that."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,9 @@ class Trend:
 
 @dataclass(frozen=True)
 class Stationarity:
-    """Trends of all axes, and the number of windows; `stationary` is None where there are too few of them."""
+    """Trends of all axes, and the number of windows; `stationary` is None where there are too few
+    of them.
+    """
 
     trends: tuple[Trend, ...]
     windows: int
@@ -72,7 +82,10 @@ class Stationarity:
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON."""
-        trends = {trend.name: {k: v for k, v in vars(trend).items() if k != "name"} for trend in self.trends}
+        trends = {
+            trend.name: {k: v for k, v in vars(trend).items() if k != "name"}
+            for trend in self.trends
+        }
         return {
             "stationary": self.stationary,
             "windows": self.windows,
@@ -106,7 +119,9 @@ def find_trends(image: Image, lengths: Sequence[float]) -> Stationarity:
     rest = windows - (design @ fitted).reshape(windows.shape)
     variance = float((rest**2).sum()) / left * _inflation(rest)
     mean, p = float(windows.mean()), float(field.mean(dtype=np.float64))
-    least = MATTERS * (min(p, 1 - p) if image.kind == "labels" else float(field.std(dtype=np.float64)))
+    least = MATTERS * (
+        min(p, 1 - p) if image.kind == "labels" else float(field.std(dtype=np.float64))
+    )
     scale = 1.0 if image.kind == "labels" else _unscaled(image, field)
     trends = []
     for n, (name, term) in enumerate(zip(names, terms, strict=True), start=1):
@@ -117,7 +132,9 @@ def find_trends(image: Image, lengths: Sequence[float]) -> Stationarity:
         if image.kind == "labels":
             start, end = np.clip([start, end], 0, 1)
         errors = abs(change) / error if error > 0 else np.inf
-        trends.append(Trend(name, float(start * scale), float(end * scale), float(min(errors, 999.0)), found))
+        trends.append(
+            Trend(name, float(start * scale), float(end * scale), float(min(errors, 999.0)), found)
+        )
     return Stationarity(tuple(trends), windows.size, tuple(edges))
 
 
@@ -132,14 +149,18 @@ def _unscaled(image: Image, field: np.ndarray) -> float:
 def _window_means(field: np.ndarray, edges: Sequence[int]) -> np.ndarray:
     """Return the means of the windows that fit, centred in the image."""
     counts = [side // edge for side, edge in zip(field.shape, edges, strict=True)]
-    starts = [(side - n * edge) // 2 for side, n, edge in zip(field.shape, counts, edges, strict=True)]
+    starts = [
+        (side - n * edge) // 2 for side, n, edge in zip(field.shape, counts, edges, strict=True)
+    ]
     box = tuple(slice(a, a + n * edge) for a, n, edge in zip(starts, counts, edges, strict=True))
     split = field[box].reshape([part for pair in zip(counts, edges, strict=True) for part in pair])
     return np.asarray(split.mean(axis=tuple(range(1, 2 * field.ndim, 2)), dtype=np.float64))
 
 
 def _terms(counts: Sequence[int], ndim: int) -> tuple[list[np.ndarray], list[str]]:
-    """Return what the windows' fractions are fitted by, each of mean 0, for axes of three windows or more."""
+    """Return what the windows' fractions are fitted by, each of mean 0, for axes of three windows
+    or more.
+    """
     places = np.meshgrid(*((2 * np.arange(n) + 1 - n) / n for n in counts), indexing="ij")
     long = [n for n, count in enumerate(counts) if count >= 3]
     terms = [places[n].ravel() for n in long]

@@ -1,4 +1,6 @@
-"""What a scan is like, from its own covariance and components: correlation lengths, noise, order, bodies of one shape."""
+"""What a scan is like, from its own covariance and components: correlation lengths, noise, order,
+bodies of one shape.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +14,30 @@ from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
 
 BOX = {2: 512, 3: 128}
-"""Edge of the centre box, voxels, that the covariance of every offset is measured in: about a second of work."""
+"""Edge of the centre box, voxels, that the covariance of every offset is measured in: about a
+second of work.
+"""
 ORDER_FROM, ORDER = 5.0, 0.25
-"""A material is called regular where places farther apart than 5 correlation lengths are correlated by .25. Disordered
-materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes .04 to .14; a picture of bricks .28."""
+"""A material is called regular where places farther apart than 5 correlation lengths are correlated
+by .25. Disordered materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes
+.04 to .14; a picture of bricks .28."""
 ORDER_SURE = 2.5
-"""Standard errors by which such a peak has to exceed what the highest of as many independent offsets is expected to reach,
-sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is known at ten offsets alone. 4 of 1,380 Gaussian fields
-(volumes from 64^3, pictures from 160^2) were called regular, all of them sparse pictures."""
+"""Standard errors by which such a peak has to exceed what the highest of as many independent
+offsets is expected to reach, sqrt(2 ln n): 6.8 in all of 10^4, 4.6 of layers, whose covariance is
+known at ten offsets alone. 4 of 1,380 Gaussian fields (volumes from 64^3, pictures from 160^2) were
+called regular, all of them sparse pictures."""
 ORDER_PAIRS = 0.4
 """Of all voxels: the fewest that have to have another at such an offset."""
 ORDER_DEEP = 0.2
-"""By how much the covariance has to fall between a place and its peak: a slow gradient has no peak."""
+"""By how much the covariance has to fall between a place and its peak: a slow gradient has no peak.
+"""
 BODIES, BODY = 20, 60
 """As many components, of so many voxels at least, tell whether they are of one shape."""
 ALONE = 0.3
 """Of a phase: the largest share of one component at which the phase still consists of bodies."""
 COMPACT = 0.75
-"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube .89, a rod three
-times as long as wide .38."""
+"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube
+.89, a rod three times as long as wide .38."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +47,13 @@ class Structure:
     Attributes
     ----------
     lengths : tuple of float
-        Along every axis, in voxels: from where the covariance stays below 1/e of its value without noise; infinite where it
-        does not within half of the box.
+        Along every axis, in voxels: from where the covariance stays below 1/e of its value without
+        noise; infinite where it does not within half of the box.
     noise : float
         Share of the variance that neighbours do not have in common, 0..1; 0 of labels.
     order : float
-        The highest covariance, over that at distance 0, of places more than `ORDER_FROM` correlation lengths apart.
+        The highest covariance, over that at distance 0, of places more than `ORDER_FROM`
+        correlation lengths apart.
     period : tuple of int or None
         The offset of that place, voxels, where it makes the material regular.
     """
@@ -57,7 +65,8 @@ class Structure:
 
 
 def indicator_of(image: Image, side: int | None = None) -> np.ndarray:
-    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the first phase), or the grey.
+    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the
+    first phase), or the grey.
 
     With a side only of the centre box of at most so many voxels an axis.
     """
@@ -90,12 +99,15 @@ def structure_of(image: Image) -> Structure:
         return Structure((0.0,) * field.ndim, 0.0, 0.0, None)
     noise = 0.0
     if image.kind != "labels":
-        # A covariance that falls linearly near 0, as that of sharp interfaces does, meets 2 c(1) - c(2) there.
+        # A covariance that falls linearly near 0, as that of sharp interfaces does, meets 2 c(1) -
+        # c(2) there.
         shared = np.mean([2 * line[1] - line[2] for line in lines if len(line) > 2] or [variance])
         noise = float(np.clip(1 - shared / variance, 0.0, 1 - 1e-3))
     scale = variance * (1 - noise)
     lengths = tuple(_last_below(np.abs(np.r_[1.0, line[1:] / scale])) for line in lines)
-    order, period = _order(covariance / scale, overlap, reach, [_first_below(line / scale) for line in lines])
+    order, period = _order(
+        covariance / scale, overlap, reach, [_first_below(line / scale) for line in lines]
+    )
     return Structure(lengths, noise, order, period)
 
 
@@ -107,9 +119,15 @@ def _detrended(field: np.ndarray) -> np.ndarray:
         if side < 3:
             continue
         along = np.linspace(-1, 1, side)
-        profile = found.mean(axis=tuple(other for other in range(found.ndim) if other != axis), dtype=np.float64)
+        profile = found.mean(
+            axis=tuple(other for other in range(found.ndim) if other != axis), dtype=np.float64
+        )
         slope = float(along @ profile / (along @ along))
-        found -= (slope * along).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(found.ndim)])
+        found -= (
+            (slope * along)
+            .astype(np.float32)
+            .reshape([-1 if a == axis else 1 for a in range(found.ndim)])
+        )
     return found
 
 
@@ -128,15 +146,26 @@ def _first_below(curve: np.ndarray) -> float:
 def _last_below(curve: np.ndarray) -> float:
     """Return where a curve falls below 1/e for good, between its samples."""
     r = int(np.flatnonzero(curve >= np.exp(-1))[-1])
-    return float("inf") if r == len(curve) - 1 else float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
+    return (
+        float("inf")
+        if r == len(curve) - 1
+        else float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
+    )
 
 
 def _order(
     rho: np.ndarray, overlap: np.ndarray, reach: tuple[int, ...], lengths: list[float]
 ) -> tuple[float, tuple[int, ...] | None]:
-    """Return the highest far covariance, and the offset of its place where it is a peak that no chance explains."""
+    """Return the highest far covariance, and the offset of its place where it is a peak that no
+    chance explains.
+    """
     axes = np.ogrid[tuple(slice(-far, far + 1) for far in reach)]
-    distance = np.sqrt(sum(((r / length) ** 2 for r, length in zip(axes, lengths, strict=True)), np.zeros(rho.shape)))
+    distance = np.sqrt(
+        sum(
+            ((r / length) ** 2 for r, length in zip(axes, lengths, strict=True)),
+            np.zeros(rho.shape),
+        )
+    )
     far = (distance >= ORDER_FROM) & (overlap >= ORDER_PAIRS * overlap.max())
     if not far.any():
         return 0.0, None
@@ -188,6 +217,8 @@ def _are_bodies(inside: np.ndarray) -> bool:
     spread = np.full(len(sizes), 3 / 12)  # of a voxel about its own centre
     for place in places:
         mean = np.bincount(numbers, weights=place, minlength=len(sizes)) / sizes
-        spread += np.bincount(numbers, weights=(place - mean[numbers]) ** 2, minlength=len(sizes)) / sizes
+        spread += (
+            np.bincount(numbers, weights=(place - mean[numbers]) ** 2, minlength=len(sizes)) / sizes
+        )
     ball = 4 / 3 * np.pi * (5 / 3 * spread) ** 1.5
     return bool(np.median((sizes / ball)[whole]) >= COMPACT)

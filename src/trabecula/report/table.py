@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import textwrap
 
-from trabecula.report.figures import GROUPS, figure_of
 from trabecula.report.metric import Certificate
-from trabecula.report.words import VERDICTS, band, headline, number, sentences
+from trabecula.report.metrics import GROUPS, figure_of
+from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences
 
 
 def table(certificate: Certificate) -> str:
     """The verdict in words, then the figures by group, one a line."""
     baseline = certificate.baseline
-    heads = ["figure", certificate.name, "exemplar", "real band", *(["Gaussian"] if baseline else [])]
+    heads = [
+        "figure",
+        certificate.name,
+        "exemplar",
+        "real band",
+        *(["Gaussian"] if baseline else []),
+    ]
     rows: dict[str, list[list[str]]] = {}
     for name, metric in certificate.metrics.items():
         cells = [name, number(metric.value), number(metric.exemplar), band(metric)]
@@ -23,10 +29,17 @@ def table(certificate: Certificate) -> str:
     widths = [max(len(cells[column]) for cells in everything) for column in range(len(heads))]
 
     def line(cells: list[str]) -> str:
-        numbers = [cell.rjust(width) for cell, width in zip(cells[1 : len(heads)], widths[1:], strict=True)]
+        numbers = [
+            cell.rjust(width) for cell, width in zip(cells[1 : len(heads)], widths[1:], strict=True)
+        ]
         return "  ".join([cells[0].ljust(widths[0]), *numbers, *cells[len(heads) :]]).rstrip()
 
-    lines = [headline(certificate), *(_folded("", text) for text in sentences(certificate)), "", line(heads)]
+    lines = [
+        headline(certificate),
+        *(_folded("", text) for text in sentences(certificate)),
+        "",
+        line(heads),
+    ]
     verdicts = certificate.groups
     for group, members in rows.items():
         lines.append(f"[{GROUPS[group]}: {VERDICTS[verdicts[group]]}]")
@@ -35,7 +48,9 @@ def table(certificate: Certificate) -> str:
 
 
 def summary(certificate: Certificate) -> str:
-    """Return the verdict in words and a line a group: what a terminal shows of a certificate, in at most 60 lines."""
+    """Return the verdict in words and a line a group: what a terminal shows of a certificate, in at
+    most 60 lines.
+    """
     lines = [headline(certificate), *(_folded("", text) for text in sentences(certificate)), ""]
     members: dict[str, list[bool | None]] = {}
     for name, metric in certificate.metrics.items():

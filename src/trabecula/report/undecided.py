@@ -13,11 +13,18 @@ from trabecula.report.reference import Reference
 from trabecula.report.stationarity import find_trends
 from trabecula.report.structure import structure_of
 
-_ALONG = {"z": "along z", "y": "along y", "x": "along x", "centre to rim": "from its centre to its rim"}
+_ALONG = {
+    "z": "along z",
+    "y": "along y",
+    "x": "along x",
+    "centre to rim": "from its centre to its rim",
+}
 
 
 def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Iterator[str]:
-    """Yield what an exemplar cannot decide: too few parts, too few correlation lengths, a trend of its own."""
+    """Yield what an exemplar cannot decide: too few parts, too few correlation lengths, a trend of
+    its own.
+    """
     exemplar = reference.exemplar
     count = len(reference.parts)
     if count < LEAST_COUNT:
@@ -28,9 +35,15 @@ def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Ite
         )
     if exemplar.kind == "labels":
         length = decay_length(reference.own.curves["two_point"])
-        shortest = min(np.array(exemplar.shape) * np.array(exemplar.spacing)) / min(exemplar.spacing)
+        shortest = min(np.array(exemplar.shape) * np.array(exemplar.spacing)) / min(
+            exemplar.spacing
+        )
         if shortest < LONG_RANGE * length:
-            reach = f"over {length:.0f} voxels" if np.isfinite(length) else "further than the curves run"
+            reach = (
+                f"over {length:.0f} voxels"
+                if np.isfinite(length)
+                else "further than the curves run"
+            )
             yield f"{what} is correlated {reach} and only {shortest:.0f} wide: it may be no typical piece of its material"
     named = exemplar.kind != "labels" or "void" in exemplar.phases
     for trend in find_trends(exemplar, structure_of(exemplar).lengths).trends if named else ():
@@ -48,7 +61,10 @@ def picture_reason() -> str:
 
 
 def level_reasons(
-    reference: Reference, level: str, baseline: Mapping[str, Metric] | None, metrics: Mapping[str, Metric]
+    reference: Reference,
+    level: str,
+    baseline: Mapping[str, Metric] | None,
+    metrics: Mapping[str, Metric],
 ) -> Iterator[str]:
     """Yield what was not examined, or examined in vain."""
     if reference.exemplar.kind != "labels":

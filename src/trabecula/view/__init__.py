@@ -1,7 +1,8 @@
-"""Image -> picture: stills of volumes, sheets of slices, a page that turns. One table of looks for all of them.
+"""Image -> picture: stills of volumes, sheets of slices, a page that turns. One table of looks for
+all of them.
 
-`tb.view(image)` is the function `trabecula.view.page.view`; this room has the same name, so the room can be called and
-passes the call on (as `trabecula.mesh`).
+`tb.view(image)` is the function `trabecula.view.page.view`; this room has the same name, so the
+room can be called and passes the call on (as `trabecula.mesh`).
 """
 
 import sys

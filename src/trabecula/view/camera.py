@@ -14,7 +14,8 @@ from trabecula.view.cut import direction
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where the rays start and go, in true lengths; x to the right, y away from the viewer, z up at azimuth 0.
+    """Where the rays start and go, in true lengths; x to the right, y away from the viewer, z up at
+    azimuth 0.
 
     Parameters
     ----------
@@ -33,8 +34,17 @@ class Camera:
     pixel: float
 
     def in_voxels(self, edges: np.ndarray) -> np.ndarray:
-        """(4, 3): corner, step right and step down in voxels, direction in voxels per smallest edge of a voxel."""
-        steps = np.stack([self.corner, self.right * self.pixel, -self.up * self.pixel, -self.viewer * edges.min()])
+        """(4, 3): corner, step right and step down in voxels, direction in voxels per smallest edge
+        of a voxel.
+        """
+        steps = np.stack(
+            [
+                self.corner,
+                self.right * self.pixel,
+                -self.up * self.pixel,
+                -self.viewer * edges.min(),
+            ]
+        )
         return steps / edges
 
 
@@ -45,7 +55,9 @@ def as_angles(camera: tuple[float, float]) -> tuple[float, float]:
     except (TypeError, ValueError):
         raise InputError(f"camera {camera!r} should be (azimuth, elevation) in degrees") from None
     if not math.isfinite(azimuth) or not -90 <= elevation <= 90:
-        raise InputError(f"camera {(azimuth, elevation)}: the elevation runs from -90 to 90 degrees, both are finite")
+        raise InputError(
+            f"camera {(azimuth, elevation)}: the elevation runs from -90 to 90 degrees, both are finite"
+        )
     return azimuth, elevation
 
 
@@ -78,7 +90,9 @@ def place(
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * extent
     width, height = np.ptp(corners @ right), np.ptp(corners @ up)
     if pixel is None:
-        pixel = max(width / max(size[0] - 2 * margin, 1), height / max(size[1] - 2 * margin - foot, 1))
+        pixel = max(
+            width / max(size[0] - 2 * margin, 1), height / max(size[1] - 2 * margin - foot, 1)
+        )
     far = extent / 2 + viewer * np.linalg.norm(extent)
     across, down = (size[0] - 1) / 2 * pixel, (size[1] - foot - 1) / 2 * pixel
     return Camera(right, up, viewer, far - right * across + up * down, pixel)

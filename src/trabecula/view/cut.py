@@ -21,9 +21,11 @@ class Cut:
     Parameters
     ----------
     box : (4, 3) float
-        Lower and upper corner of what is kept, then of what is taken out of it; (x, y, z) in voxels.
+        Lower and upper corner of what is kept, then of what is taken out of it; (x, y, z) in
+        voxels.
     plane : (4,) float
-        Normal (x, y, z) in true space and offset in smallest voxel edges: what lies beyond is cut away.
+        Normal (x, y, z) in true space and offset in smallest voxel edges: what lies beyond is cut
+        away.
     """
 
     box: np.ndarray
@@ -37,7 +39,9 @@ def as_words(cut: str | Sequence[str]) -> tuple[str, ...]:
     for name in names:
         check_name(name, WORDS, name="cut")
     if not words or len(set(names)) < len(names) or ("none" in names and len(names) > 1):
-        raise InputError(f"cut {' '.join(words) or '()'}: give none alone, or each of corner, x, y, z and plane once")
+        raise InputError(
+            f"cut {' '.join(words) or '()'}: give none alone, or each of corner, x, y, z and plane once"
+        )
     for word in words:
         _numbers(word)
     return words
@@ -49,9 +53,9 @@ def make(words: Sequence[str], shape: Sequence[int], edges: np.ndarray, viewer: 
     Parameters
     ----------
     words : sequence of str
-        "none"; "corner": the octant that faces the viewer; "x=0.5" (y, z): what faces the viewer beyond that share of
-        the axis; "plane=AZ,EL,0.5": what lies beyond that share of the box along the direction of azimuth AZ and
-        elevation EL (degrees, as of a camera).
+        "none"; "corner": the octant that faces the viewer; "x=0.5" (y, z): what faces the viewer
+        beyond that share of the axis; "plane=AZ,EL,0.5": what lies beyond that share of the box
+        along the direction of azimuth AZ and elevation EL (degrees, as of a camera).
     shape : (X, Y, Z)
     edges : (3,) float
         Of a voxel along x, y, z.
@@ -83,7 +87,9 @@ def _plane(numbers: Sequence[float], extent: np.ndarray) -> np.ndarray:
 def direction(azimuth: float, elevation: float) -> np.ndarray:
     """(3,) unit vector (x, y, z) to a viewer at that azimuth and elevation, degrees."""
     turn, lift = math.radians(azimuth), math.radians(elevation)
-    return np.array([math.sin(turn) * math.cos(lift), -math.cos(turn) * math.cos(lift), math.sin(lift)])
+    return np.array(
+        [math.sin(turn) * math.cos(lift), -math.cos(turn) * math.cos(lift), math.sin(lift)]
+    )
 
 
 def _numbers(word: str) -> list[float]:

@@ -1,4 +1,6 @@
-"""The ray marcher of stills: plain functions on arrays; see `rays` for what meets a ray, `shading` for its light."""
+"""The ray marcher of stills: plain functions on arrays; see `rays` for what meets a ray, `shading`
+for its light.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,18 @@ from trabecula.view.shading import DEPTH, openness, reflected, way_through
 
 @kernel
 def blur_axis(values, weights, out):
-    """Convolve (A, B, C) along its middle axis with weights that sum to 256; edge values are repeated."""
+    """Convolve (A, B, C) along its middle axis with weights that sum to 256; edge values are
+    repeated.
+    """
     reach = len(weights) // 2
     for a in range(values.shape[0]):
         for b in range(values.shape[1]):
             for c in range(values.shape[2]):
                 total = 128
                 for k in range(len(weights)):
-                    total += weights[k] * values[a, min(max(b + k - reach, 0), values.shape[1] - 1), c]
+                    total += (
+                        weights[k] * values[a, min(max(b + k - reach, 0), values.shape[1] - 1), c]
+                    )
                 out[a, b, c] = total >> 8
 
 
@@ -36,11 +42,12 @@ def march(
     field, labels, occupied, pyramid, offsets, shapes, camera, stretch, box, plane, directions, lights, strength,
     palette, finishes, sampling, first, last, out,
 ):  # fmt: skip
-    """Shade the rows `first`..`last` of `out` (H, W, 3), linear light, with sampling**2 rays a pixel.
+    """Shade the rows `first`..`last` of `out` (H, W, 3), linear light, with sampling**2 rays a
+    pixel.
 
-    camera (4, 3): middle of the upper left pixel, steps to the next pixel and the next row (voxels), direction of the
-    rays (voxels per unit length). palette: background, dye of cut faces, nothing, phases. finishes: a row a phase. The
-    rest is as in `rays` and `shading`.
+    camera (4, 3): middle of the upper left pixel, steps to the next pixel and the next row
+    (voxels), direction of the rays (voxels per unit length). palette: background, dye of cut faces,
+    nothing, phases. finishes: a row a phase. The rest is as in `rays` and `shading`.
     """
     direction = camera[3]
     origin, normal = np.empty(3), np.empty(3)
@@ -52,12 +59,18 @@ def march(
                 down = row + (s // sampling + 0.5) / sampling - 0.5
                 for k in range(3):
                     origin[k] = camera[0, k] + right * camera[1, k] + down * camera[2, k]
-                t, flat = hit(field, occupied, origin, direction, box, plane, stretch, lights[1], normal)
+                t, flat = hit(
+                    field, occupied, origin, direction, box, plane, stretch, lights[1], normal
+                )
                 if t == FAR:
                     for c in range(3):
                         out[row, column, c] += share * palette[0, c]
                     continue
-                x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
+                x, y, z = (
+                    origin[0] + t * direction[0],
+                    origin[1] + t * direction[1],
+                    origin[2] + t * direction[2],
+                )
                 phase = _label(labels, x, y, z, normal)
                 nx, ny, nz = normal[0] / stretch[0], normal[1] / stretch[1], normal[2] / stretch[2]
                 way = way_through(

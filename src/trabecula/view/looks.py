@@ -1,7 +1,7 @@
 """The one table of looks: what materials are made to look like, and the colours of phases.
 
-Stills and the page in a browser are shaded by the same model with these figures (see `kernels` and page/march.frag).
-Colours are sRGB, 0..255; both work on linear light.
+Stills and the page in a browser are shaded by the same model with these figures (see `kernels` and
+page/march.frag). Colours are sRGB, 0..255; both work on linear light.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Look:
-    """How a material answers to light, in the words of Burley (2012), which Baravalle et al. (2016, section 5) render with.
+    """How a material answers to light, in the words of Burley (2012), which Baravalle et al. (2016,
+    section 5) render with.
 
     Parameters
     ----------
@@ -31,19 +32,22 @@ class Look:
     background : colour
         Behind a still.
     shade : colour
-        Of the light that reaches a point from all round; what is hidden from the lamp takes this hue.
+        Of the light that reaches a point from all round; what is hidden from the lamp takes this
+        hue.
     cut : colour
-        Dye of the faces of the box and of the cut (255 leaves a channel as it is), to tell them from the surface.
+        Dye of the faces of the box and of the cut (255 leaves a channel as it is), to tell them
+        from the surface.
     roughness : float
-        0 (polished) .. 1 (matt): width of the highlight, and how much light comes straight back at grazing angles.
+        0 (polished) .. 1 (matt): width of the highlight, and how much light comes straight back at
+        grazing angles.
     specular : float
         0..1: share of light that is mirrored, 0.08 of it when looked at squarely.
     absorption : float
-        Per voxel edge, 0 or more, of what is black; of a colour the share that it does not reflect. High: light does not
-        get through thin walls.
+        Per voxel edge, 0 or more, of what is black; of a colour the share that it does not reflect.
+        High: light does not get through thin walls.
     scattering : float
-        Per voxel edge, 0 or more: how often light in the material is turned. High beside the absorption: light that goes
-        in comes out again nearby, and shadows have soft, warm edges.
+        Per voxel edge, 0 or more: how often light in the material is turned. High beside the
+        absorption: light that goes in comes out again nearby, and shadows have soft, warm edges.
     """
 
     solid: Colour
@@ -91,7 +95,8 @@ LAMP = (-0.26, 0.56, 0.78)
 LAMP_STRENGTH, AMBIENCE, FILL = 0.92, 0.38, 0.12
 """Light of the lamp, from all round, and from the viewer, on a white surface that faces each."""
 
-# Further phases, far apart in hue and lightness for all kinds of colour vision (an order after Okabe and Ito 2008).
+# Further phases, far apart in hue and lightness for all kinds of colour vision (an order after
+# Okabe and Ito 2008).
 _FURTHER: tuple[Colour, ...] = (
     (86, 150, 196),
     (214, 122, 60),
@@ -110,8 +115,8 @@ def look_named(name: str) -> Look:
 
 
 def all_round() -> np.ndarray:
-    """(14, 3): directions in which light from all round is looked for, the faces and the corners of a cube; the second
-    half is opposite to the first."""
+    """(14, 3): directions in which light from all round is looked for, the faces and the corners of
+    a cube; the second half is opposite to the first."""
     corners = np.array([(x, y, 1) for x in (-1, 1) for y in (-1, 1)]) / np.sqrt(3)
     half = np.concatenate([np.eye(3), corners])
     return np.concatenate([half, -half])
@@ -142,5 +147,13 @@ def to_srgb(light: np.ndarray) -> np.ndarray:
 
 def as_table() -> dict[str, Any]:
     """Looks, light and further colours as plain JSON, for the page in a browser."""
-    light = {"lamp": LAMP, "strength": (LAMP_STRENGTH, AMBIENCE, FILL), "around": all_round()[:7].tolist()}
-    return {"looks": {name: asdict(look) for name, look in LOOKS.items()}, "light": light, "further": _FURTHER}
+    light = {
+        "lamp": LAMP,
+        "strength": (LAMP_STRENGTH, AMBIENCE, FILL),
+        "around": all_round()[:7].tolist(),
+    }
+    return {
+        "looks": {name: asdict(look) for name, look in LOOKS.items()},
+        "light": light,
+        "further": _FURTHER,
+    }

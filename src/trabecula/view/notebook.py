@@ -1,4 +1,6 @@
-"""What a notebook shows for an Image: a line, the slices through its middle and, of a volume of labels, a still."""
+"""What a notebook shows for an Image: a line, the slices through its middle and, of a volume of
+labels, a still.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,17 @@ from trabecula.view.slices import slices
 from trabecula.view.still import render
 
 _LARGEST = 256**3
-"""Voxels up to which a still is made without being asked for: above, a cell would wait for its picture."""
+"""Voxels up to which a still is made without being asked for: above, a cell would wait for its
+picture.
+"""
 
 
 def as_html(image: Image) -> str:
     """The image as HTML without script."""
     pictures = [("slices", slices(image, side=240))]
-    drawn = image.kind == "labels" and image.ndim == 3 and any(name != "void" for name in image.phases)
+    drawn = (
+        image.kind == "labels" and image.ndim == 3 and any(name != "void" for name in image.phases)
+    )
     if drawn and image.values.size <= _LARGEST:
         pictures.append(("still", render(image, size=(400, 300))))
     shown = "".join(

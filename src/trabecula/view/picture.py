@@ -22,7 +22,9 @@ def check_suffix(path: str | PathLike[str] | None, suffix: str) -> None:
     """Raise where a path does not end in .png (.gif, .html); asked before the work, not after it."""
     if path is not None and Path(path).suffix.lower() != suffix:
         found = Path(path).suffix
-        raise InputError(f"{_WRITTEN[suffix]} written as {suffix}, the path ends in {found!r}: {Path(path).name}")
+        raise InputError(
+            f"{_WRITTEN[suffix]} written as {suffix}, the path ends in {found!r}: {Path(path).name}"
+        )
 
 
 def kept(picture: Image, path: str | PathLike[str] | None) -> Image:
@@ -33,14 +35,24 @@ def kept(picture: Image, path: str | PathLike[str] | None) -> Image:
 
 
 def save_gif(pictures: Sequence[np.ndarray], path: str | PathLike[str], *, seconds: float) -> Path:
-    """Write (H, W, 3) pictures as a GIF that repeats, each shown for so long; all share the first one's 256 colours."""
+    """Write (H, W, 3) pictures as a GIF that repeats, each shown for so long; all share the first
+    one's 256 colours.
+    """
     from PIL import Image as Pillow
 
     first = Pillow.fromarray(pictures[0]).quantize(256, dither=Pillow.Dither.NONE)
-    frames = [Pillow.fromarray(picture).quantize(palette=first, dither=Pillow.Dither.NONE) for picture in pictures]
+    frames = [
+        Pillow.fromarray(picture).quantize(palette=first, dither=Pillow.Dither.NONE)
+        for picture in pictures
+    ]
     with replacing(Path(path)) as temporary:
         frames[0].save(
-            temporary, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 * seconds), loop=0
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(1000 * seconds),
+            loop=0,
         )
     return Path(path)
 

@@ -1,10 +1,11 @@
 """Where rays meet a surface: plain functions on arrays.
 
-Glossary: positions are in voxels as (x, y, z), the corner of voxel 0 at 0, so a voxel's centre is at +0.5. `stretch` is
-the spacing over its smallest axis; directions of rays are divided by it, so that their parameter t is a true length in
-smallest voxel edges. `field` is the drawn phases' indicator, slightly blurred, 0..255; the surface is where it crosses
-ISO. `box` (4, 3): the lower and upper corner of what is kept, then of what is taken out of it. `plane` (4,): a normal
-in true space and an offset in smallest voxel edges; kept is where normal . position <= offset.
+Glossary: positions are in voxels as (x, y, z), the corner of voxel 0 at 0, so a voxel's centre is
+at +0.5. `stretch` is the spacing over its smallest axis; directions of rays are divided by it, so
+that their parameter t is a true length in smallest voxel edges. `field` is the drawn phases'
+indicator, slightly blurred, 0..255; the surface is where it crosses ISO. `box` (4, 3): the lower
+and upper corner of what is kept, then of what is taken out of it. `plane` (4,): a normal in true
+space and an offset in smallest voxel edges; kept is where normal . position <= offset.
 """
 
 from __future__ import annotations
@@ -28,7 +29,11 @@ def sample(field, x, y, z):
     w = min(max(z - 0.5, 0.0), field.shape[0] - 1.0)
     i, j, k = int(u), int(v), int(w)
     fu, fv, fw = u - i, v - j, w - k
-    i1, j1, k1 = min(i + 1, field.shape[2] - 1), min(j + 1, field.shape[1] - 1), min(k + 1, field.shape[0] - 1)
+    i1, j1, k1 = (
+        min(i + 1, field.shape[2] - 1),
+        min(j + 1, field.shape[1] - 1),
+        min(k + 1, field.shape[0] - 1),
+    )
     low = (field[k, j, i] * (1 - fu) + field[k, j, i1] * fu) * (1 - fv) + (
         field[k, j1, i] * (1 - fu) + field[k, j1, i1] * fu
     ) * fv
@@ -40,12 +45,23 @@ def sample(field, x, y, z):
 
 @inline
 def is_cut(box, plane, stretch, x, y, z):
-    """Whether a point was cut away: beyond what is kept, inside what is taken out, or beyond the plane."""
-    if x < box[0, 0] or y < box[0, 1] or z < box[0, 2] or x > box[1, 0] or y > box[1, 1] or z > box[1, 2]:
+    """Whether a point was cut away: beyond what is kept, inside what is taken out, or beyond the
+    plane.
+    """
+    if (
+        x < box[0, 0]
+        or y < box[0, 1]
+        or z < box[0, 2]
+        or x > box[1, 0]
+        or y > box[1, 1]
+        or z > box[1, 2]
+    ):
         return True
     if box[2, 0] < x < box[3, 0] and box[2, 1] < y < box[3, 1] and box[2, 2] < z < box[3, 2]:
         return True
-    return plane[0] * x * stretch[0] + plane[1] * y * stretch[1] + plane[2] * z * stretch[2] > plane[3]
+    return (
+        plane[0] * x * stretch[0] + plane[1] * y * stretch[1] + plane[2] * z * stretch[2] > plane[3]
+    )
 
 
 @inline
@@ -70,7 +86,9 @@ def _span(origin, direction, low, high):
 
 @inline
 def _kept(origin, direction, box, plane, stretch, normal):
-    """Where a ray is inside what is kept: start and stop; `normal` is written, outward at the start."""
+    """Where a ray is inside what is kept: start and stop; `normal` is written, outward at the
+    start.
+    """
     start, stop, axis, _ = _span(origin, direction, box[0], box[1])
     normal[:] = 0.0
     normal[axis] = -np.sign(direction[axis])
@@ -108,11 +126,17 @@ def _skip(occupied, x, y, z, direction):
 
 @inline
 def _first_inside(field, occupied, origin, direction, start, stop):
-    """Length at which the ray enters the surface after `start`, or FAR. Half a voxel a step, then bisection."""
+    """Length at which the ray enters the surface after `start`, or FAR. Half a voxel a step, then
+    bisection.
+    """
     before = start
     t = start
     while t < stop:
-        x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
+        x, y, z = (
+            origin[0] + t * direction[0],
+            origin[1] + t * direction[1],
+            origin[2] + t * direction[2],
+        )
         jump = _skip(occupied, x, y, z, direction)
         if jump > 0:
             before = t
@@ -139,7 +163,9 @@ def _first_inside(field, occupied, origin, direction, start, stop):
 
 @inline
 def _gradient(field, x, y, z, stretch, normal):
-    """Outward normal of the surface: minus the gradient of the field over a voxel to each side; False where it is flat."""
+    """Outward normal of the surface: minus the gradient of the field over a voxel to each side;
+    False where it is flat.
+    """
     for axis in range(3):
         dx, dy, dz = 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2)
         fall = sample(field, x - dx, y - dy, z - dz) - sample(field, x + dx, y + dy, z + dz)
@@ -153,7 +179,11 @@ def _gradient(field, x, y, z, stretch, normal):
 @inline
 def _in_plane(field, origin, direction, t):
     """Whether a ray that comes through a plane at `t` is in the solid there."""
-    x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
+    x, y, z = (
+        origin[0] + t * direction[0],
+        origin[1] + t * direction[1],
+        origin[2] + t * direction[2],
+    )
     return sample(field, x, y, z) >= ISO
 
 
@@ -161,8 +191,8 @@ def _in_plane(field, origin, direction, t):
 def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal):
     """Length to the surface (or FAR), and whether it lies in a plane; `normal` is written.
 
-    Where a ray enters the solid through a face of the box or of a cut, the normal is the plane's: the gradient there
-    is that of the inside and would come out speckled.
+    Where a ray enters the solid through a face of the box or of a cut, the normal is the plane's:
+    the gradient there is that of the inside and would come out speckled.
     """
     start, stop = _kept(origin, direction, box, plane, stretch, normal)
     out, back, _, axis = _span(origin, direction, box[2], box[3])
@@ -184,7 +214,11 @@ def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal)
             return first, True
         t = _first_inside(field, occupied, origin, direction, first, last - 1e-6)
         if t < FAR:
-            x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
+            x, y, z = (
+                origin[0] + t * direction[0],
+                origin[1] + t * direction[1],
+                origin[2] + t * direction[2],
+            )
             if not _gradient(field, x, y, z, stretch, normal):
                 normal[:] = viewer
             return t, False

@@ -7,7 +7,8 @@ from typing import Any
 
 from trabecula.view.picture import font
 
-# Pillow's lettering has neither the micro sign nor the Angstrom's ring: units stand as they are named in an Image.
+# Pillow's lettering has neither the micro sign nor the Angstrom's ring: units stand as they are
+# named in an Image.
 _THOUSAND = {"nm": "um", "um": "mm", "m": "km"}
 
 
@@ -31,9 +32,18 @@ def bar_height(size: int) -> int:
 
 
 def draw_bar(
-    canvas: Any, left: float, bottom: float, *, pixel: float, unit: str, room: float, ink: Any, size: int
+    canvas: Any,
+    left: float,
+    bottom: float,
+    *,
+    pixel: float,
+    unit: str,
+    room: float,
+    ink: Any,
+    size: int,
 ) -> None:
-    """Draw a bar of at most `room` pixels with its length above, the lower left corner at (left, bottom).
+    """Draw a bar of at most `room` pixels with its length above, the lower left corner at (left,
+    bottom).
 
     Parameters
     ----------
@@ -46,4 +56,10 @@ def draw_bar(
     length = round_length(room * pixel)
     thick = max(2, size // 4)
     canvas.rectangle((left, bottom - thick, left + round(length / pixel) - 1, bottom - 1), fill=ink)
-    canvas.text((left, bottom - thick - size // 3), words(length, unit), fill=ink, font=font(size), anchor="ls")
+    canvas.text(
+        (left, bottom - thick - size // 3),
+        words(length, unit),
+        fill=ink,
+        font=font(size),
+        anchor="ls",
+    )

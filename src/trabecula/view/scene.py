@@ -1,4 +1,6 @@
-"""What a still needs while the camera turns: the image, prepared and cut, in its look; and the light that comes of it."""
+"""What a still needs while the camera turns: the image, prepared and cut, in its look; and the
+light that comes of it.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_shape
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.parallel import for_slabs
 from trabecula.engine.plan import Plan, check_budget
-from trabecula.engine.tiles import for_slabs
 from trabecula.view import cut as cuts
 from trabecula.view import kernels
 from trabecula.view.camera import Camera, as_angles, place
@@ -62,27 +64,50 @@ class Scene:
         extent, foot = self.edges * self.image.shape[::-1], bar_height(_letters(self.size[1]))
         return place(angles, extent, self.size, margin=self.margin, foot=foot, pixel=pixel)
 
-    def picture(self, angles: tuple[float, float], pixel: float | None = None) -> tuple[np.ndarray, float]:
+    def picture(
+        self, angles: tuple[float, float], pixel: float | None = None
+    ) -> tuple[np.ndarray, float]:
         """(H, W, 3) uint8 with its scale bar, and the edge of a pixel."""
         view = self.camera(angles, pixel)
-        return _with_bar(to_srgb(self.light(view)), view.pixel, self.image.unit, self.look, self.margin), view.pixel
+        return _with_bar(
+            to_srgb(self.light(view)), view.pixel, self.image.unit, self.look, self.margin
+        ), view.pixel
 
     def light(self, view: Camera) -> np.ndarray:
         """Linear light, (H, W, 3)."""
         lamp = np.array(LAMP) @ np.stack([view.right, view.up, view.viewer])
         lamp /= np.linalg.norm(lamp)
         half = lamp + view.viewer
-        lights = np.stack([lamp, view.viewer, half / np.linalg.norm(half), to_linear(self.look.shade)])
+        lights = np.stack(
+            [lamp, view.viewer, half / np.linalg.norm(half), to_linear(self.look.shade)]
+        )
         light = np.zeros((self.size[1], self.size[0], 3))
         stretch = self.edges / self.edges.min()
         strength = np.array([LAMP_STRENGTH, AMBIENCE, FILL])
         palette = _palette(self.image, self.look)
         finishes = np.array([self.look.finish] * len(self.image.phases))
         volume = self.volume
-        scene = (volume.field, volume.labels, volume.occupied, volume.pyramid, volume.offsets, volume.shapes)
-        stage = (view.in_voxels(self.edges), stretch, self.cut.box, self.cut.plane, all_round(), lights, strength)
+        scene = (
+            volume.field,
+            volume.labels,
+            volume.occupied,
+            volume.pyramid,
+            volume.offsets,
+            volume.shapes,
+        )
+        stage = (
+            view.in_voxels(self.edges),
+            stretch,
+            self.cut.box,
+            self.cut.plane,
+            all_round(),
+            lights,
+            strength,
+        )
         for_slabs(
-            lambda first, last: kernels.march(*scene, *stage, palette, finishes, SAMPLING, first, last, light),
+            lambda first, last: kernels.march(
+                *scene, *stage, palette, finishes, SAMPLING, first, last, light
+            ),
             len(light),
         )
         return light
@@ -102,8 +127,13 @@ def scene_of(
     chosen, words = look_named(look), cuts.as_words(cut)
     width, height = _as_size(size)
     angles = as_angles(camera)
-    check_budget(forecast(drawable.shape, (width, height)), advice="render a crop, or a coarser level of a .zarr")
-    made = cuts.make(words, drawable.shape[::-1], np.array(drawable.spacing[::-1]), cuts.direction(*angles))
+    check_budget(
+        forecast(drawable.shape, (width, height)),
+        advice="render a crop, or a coarser level of a .zarr",
+    )
+    made = cuts.make(
+        words, drawable.shape[::-1], np.array(drawable.spacing[::-1]), cuts.direction(*angles)
+    )
     volume = prepare(drawable.values, drawn_phases(drawable, phase))
     return Scene(drawable, volume, made, chosen, (width, height)), angles
 
@@ -116,17 +146,25 @@ def forecast(shape: Sequence[int], size: tuple[int, int]) -> Plan:
 def _as_drawable(image: Image | ArrayLike, threshold: float | None) -> Image:
     image = as_image(image)
     if image.ndim != 3:
-        raise InputError(f"a still needs a volume, the image has shape {image.shape}: show it with slices()")
+        raise InputError(
+            f"a still needs a volume, the image has shape {image.shape}: show it with slices()"
+        )
     if image.kind == "colour":
-        raise InputError("a still needs labels or grey, the image is colour: show it with slices() or view()")
+        raise InputError(
+            "a still needs labels or grey, the image is colour: show it with slices() or view()"
+        )
     if image.kind == "grey":
         if threshold is None:
             raise InputError(
                 "a still of a grey image needs a threshold=...: give one, or segment it first (tb.segment)"
             )
-        return Image(image.values >= threshold, "labels", image.spacing, image.unit, recipe=image.recipe)
+        return Image(
+            image.values >= threshold, "labels", image.spacing, image.unit, recipe=image.recipe
+        )
     if threshold is not None:
-        raise InputError("threshold is for grey images, this one holds labels: choose with phase=...")
+        raise InputError(
+            "threshold is for grey images, this one holds labels: choose with phase=..."
+        )
     return image
 
 

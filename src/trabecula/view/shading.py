@@ -1,17 +1,23 @@
 """How a point of a surface is lit: plain functions on arrays; the page's march.frag does the same.
 
-1. From the lamp, a soft shadow: a narrow cone through a pyramid of densities gives the length of the way through
-   material, tau. Behind it light is left by exp(-sigma tau), per channel, with the transport coefficient of a thick
-   medium, sigma = sqrt(3 a (a + s)) (Jensen et al. 2001, doi:10.1145/383259.383319, section 2), where a is the
-   absorption times what the colour does not reflect and s the scattering.
-2. The share s / (s + a) of that light goes in and comes out nearby. What comes out is what the lamp sends to a point
+1. From the lamp, a soft shadow: a narrow cone through a pyramid of densities gives the length of
+the way through
+   material, tau. Behind it light is left by exp(-sigma tau), per channel, with the transport
+   coefficient of a thick medium, sigma = sqrt(3 a (a + s)) (Jensen et al. 2001,
+   doi:10.1145/383259.383319, section 2), where a is the absorption times what the colour does not
+   reflect and s the scattering.
+2. The share s / (s + a) of that light goes in and comes out nearby. What comes out is what the lamp
+sends to a point
    DEPTH below the surface: soft shadows, lit rims, glowing thin walls.
-3. The rest is reflected by Burley's diffuse term (2012, section 5.3), with retro-reflection by roughness, and his
+3. The rest is reflected by Burley's diffuse term (2012, section 5.3), with retro-reflection by
+roughness, and his
    specular one (section 5.4): GGX distribution, Smith shadowing, Schlick's Fresnel.
-4. Light from all round by wide cones, more of it between bright walls; and a little from the viewer.
+4. Light from all round by wide cones, more of it between bright walls; and a little from the
+viewer.
 
-Positions, `stretch`, `box` and `plane` are as in `rays`. `pyramid` holds means of the field over cells of 1, 2, 4, ...
-voxels, one level after the other (`offsets` and `shapes` say where); beyond the box and in the cut there is nothing.
+Positions, `stretch`, `box` and `plane` are as in `rays`. `pyramid` holds means of the field over
+cells of 1, 2, 4, ... voxels, one level after the other (`offsets` and `shapes` say where); beyond
+the box and in the cut there is nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +31,9 @@ DEPTH = 1.5
 """How far below the surface light is turned, voxels."""
 
 ENTRY = 0.8
-"""The way through material that a cone finds from there to a flat face above, as far as it counts: voxels."""
+"""The way through material that a cone finds from there to a flat face above, as far as it counts:
+voxels.
+"""
 
 LEAST = 0.04
 """Share of the light from all round that bounces into the deepest pore."""
@@ -57,10 +65,16 @@ def _density(pyramid, offsets, shapes, level, x, y, z):
 
 @inline
 def openness(pyramid, offsets, shapes, directions, x, y, z, normal, box, plane, stretch):
-    """Share of the light from all round that reaches a point: wide cones along fixed directions, weighted by cosine."""
+    """Share of the light from all round that reaches a point: wide cones along fixed directions,
+    weighted by cosine.
+    """
     total, weight = 0.0, 0.0
     for c in range(len(directions)):
-        cosine = directions[c, 0] * normal[0] + directions[c, 1] * normal[1] + directions[c, 2] * normal[2]
+        cosine = (
+            directions[c, 0] * normal[0]
+            + directions[c, 1] * normal[1]
+            + directions[c, 2] * normal[2]
+        )
         if cosine > 0.05:
             through = 1.0
             for level in range(1, len(offsets)):
@@ -71,7 +85,9 @@ def openness(pyramid, offsets, shapes, directions, x, y, z, normal, box, plane, 
                 py = y + reach * directions[c, 1] / stretch[1]
                 pz = z + reach * directions[c, 2] / stretch[2]
                 if not is_cut(box, plane, stretch, px, py, pz):
-                    through *= 1 - min(1.0, 1.5 * _density(pyramid, offsets, shapes, level, px, py, pz))
+                    through *= 1 - min(
+                        1.0, 1.5 * _density(pyramid, offsets, shapes, level, px, py, pz)
+                    )
             total += cosine * through
             weight += cosine
     return LEAST + (1 - LEAST) * total / weight
@@ -79,9 +95,13 @@ def openness(pyramid, offsets, shapes, directions, x, y, z, normal, box, plane, 
 
 @inline
 def way_through(pyramid, offsets, shapes, x, y, z, lamp, box, plane, stretch):
-    """Length of the way through material from a point to the lamp: a narrow cone, so that shadows soften with distance."""
+    """Length of the way through material from a point to the lamp: a narrow cone, so that shadows
+    soften with distance.
+    """
     way, reach = 0.0, 1.0
-    limit = 1.8 * max(shapes[0, 0] * stretch[2], shapes[0, 1] * stretch[1], shapes[0, 2] * stretch[0])
+    limit = 1.8 * max(
+        shapes[0, 0] * stretch[2], shapes[0, 1] * stretch[1], shapes[0, 2] * stretch[0]
+    )
     while reach < limit and way < 12.0:
         level = 0
         while level + 1 < len(offsets) and reach * 0.16 > (1 << level):
@@ -91,26 +111,39 @@ def way_through(pyramid, offsets, shapes, x, y, z, lamp, box, plane, stretch):
             y + reach * lamp[1] / stretch[1],
             z + reach * lamp[2] / stretch[2],
         )
-        if px < 0 or py < 0 or pz < 0 or px > shapes[0, 2] or py > shapes[0, 1] or pz > shapes[0, 0]:
+        if (
+            px < 0
+            or py < 0
+            or pz < 0
+            or px > shapes[0, 2]
+            or py > shapes[0, 1]
+            or pz > shapes[0, 0]
+        ):
             break
         step = max(0.8, 0.2 * reach)
         if not is_cut(box, plane, stretch, px, py, pz):
             # What a blurred surface leaves beside it is no material.
-            way += step * min(1.0, max(0.0, (_density(pyramid, offsets, shapes, level, px, py, pz) - 0.2) * 1.8))
+            way += step * min(
+                1.0, max(0.0, (_density(pyramid, offsets, shapes, level, px, py, pz) - 0.2) * 1.8)
+            )
         reach += step
     return way
 
 
 @inline
 def diffuse(roughness, to_lamp, to_viewer, between):
-    """Burley's diffuse term over that of Lambert; cosines of the normal with both, and of the lamp with the half way."""
+    """Burley's diffuse term over that of Lambert; cosines of the normal with both, and of the lamp
+    with the half way.
+    """
     grazing = 2 * roughness * between * between - 0.5
     return (1 + grazing * (1 - to_lamp) ** 5) * (1 + grazing * (1 - to_viewer) ** 5)
 
 
 @inline
 def mirrored(roughness, specular, to_lamp, to_viewer, to_half, between):
-    """Burley's specular term times pi, so that the lamp's strength is that of a white surface facing it."""
+    """Burley's specular term times pi, so that the lamp's strength is that of a white surface
+    facing it.
+    """
     sharp = max(0.02, roughness * roughness) ** 2
     peak = sharp / (1 + (sharp - 1) * to_half * to_half) ** 2
     base = 0.08 * specular
@@ -125,10 +158,10 @@ def mirrored(roughness, specular, to_lamp, to_viewer, to_half, between):
 def reflected(albedo, finish, tint, normal, lights, strength, way, inner, around, out, share):
     """Add to `out` the light that a point sends to the viewer.
 
-    albedo (3,): linear colour. finish (4,): roughness, specular, absorption, scattering. lights (4, 3): directions to
-    the lamp, to the viewer and half between them, colour of the light from all round. strength (3,): of lamp, light
-    from all round and from the viewer. way, inner: lengths through material to the lamp from the surface and from
-    DEPTH below. around: openness.
+    albedo (3,): linear colour. finish (4,): roughness, specular, absorption, scattering. lights (4,
+    3): directions to the lamp, to the viewer and half between them, colour of the light from all
+    round. strength (3,): of lamp, light from all round and from the viewer. way, inner: lengths
+    through material to the lamp from the surface and from DEPTH below. around: openness.
     """
     lamp, viewer, half = lights[0], lights[1], lights[2]
     to_lamp = normal[0] * lamp[0] + normal[1] * lamp[1] + normal[2] * lamp[2]

@@ -1,4 +1,6 @@
-"""`slices` and `montage`: sheets of slices, every voxel a block of whole pixels, with captions and scale bars."""
+"""`slices` and `montage`: sheets of slices, every voxel a block of whole pixels, with captions and
+scale bars.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ def slices(
     look: str = "bone",
     side: int = 320,
 ) -> Image:
-    """A sheet of slices across z, y and x: labels in the colours of their phases, grey and colour as they are.
+    """A sheet of slices across z, y and x: labels in the colours of their phases, grey and colour
+    as they are.
 
     Parameters
     ----------
@@ -57,7 +60,8 @@ def slices(
     look : str
         Names the colours.
     side : int
-        Pixels, 32..4096, that the longest edge of the image is enlarged to, at most and by whole factors.
+        Pixels, 32..4096, that the longest edge of the image is enlarged to, at most and by whole
+        factors.
 
     Returns
     -------
@@ -77,7 +81,10 @@ def slices(
     smallest = min(image.spacing)
     zoom = _zoom(image, smallest, side)
     rows = [
-        [_panel(image, axis, at, chosen, smallest, zoom) for at in _places(image.shape[axis], per_axis)]
+        [
+            _panel(image, axis, at, chosen, smallest, zoom)
+            for at in _places(image.shape[axis], per_axis)
+        ]
         for axis in _axes(image)
     ]
     if per_axis == 1:
@@ -95,7 +102,8 @@ def montage(
     look: str = "bone",
     side: int = 320,
 ) -> Image:
-    """The middle slices of several images below each other, all at one scale where they share a unit.
+    """The middle slices of several images below each other, all at one scale where they share a
+    unit.
 
     Parameters
     ----------
@@ -119,16 +127,28 @@ def montage(
     check_suffix(path, ".png")
     several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
     if not several or len(names) != len(several):
-        raise InputError(f"a montage needs images and a name for each: got {len(several)} images, {len(names)} names")
+        raise InputError(
+            f"a montage needs images and a name for each: got {len(several)} images, {len(names)} names"
+        )
     chosen = look_named(look)
     rows = []
     for image in several:
         peers = [other for other in several if other.unit == image.unit]
         smallest = min(min(other.spacing) for other in peers)
         zoom = min(_zoom(other, smallest, side) for other in peers)
-        rows.append([_panel(image, axis, image.shape[axis] // 2, chosen, smallest, zoom) for axis in _axes(image)])
+        rows.append(
+            [
+                _panel(image, axis, image.shape[axis] // 2, chosen, smallest, zoom)
+                for axis in _axes(image)
+            ]
+        )
     values = _sheet(rows, list(names), chosen)
-    made = {"names": list(names), "look": look, "side": side, "images": [image.recipe.to_json() for image in several]}
+    made = {
+        "names": list(names),
+        "look": look,
+        "side": side,
+        "images": [image.recipe.to_json() for image in several],
+    }
     return kept(Image(values, "colour", recipe=Recipe().then("montage", values, **made)), path)
 
 
@@ -143,7 +163,9 @@ def _places(length: int, count: int) -> list[int]:
 
 
 def _zoom(image: Image, smallest: float, side: int) -> float:
-    """Pixels per smallest voxel edge: a whole number, or 1 / a whole number where the image is larger than a panel."""
+    """Pixels per smallest voxel edge: a whole number, or 1 / a whole number where the image is
+    larger than a panel.
+    """
     if not 32 <= side <= 4096:
         raise InputError(f"side {side} is outside 32..4096 pixels")
     ratios = [edge / smallest for edge in image.spacing]
@@ -151,8 +173,12 @@ def _zoom(image: Image, smallest: float, side: int) -> float:
     if longest > max(side, _WIDE):
         return 1 / -(-longest // max(side, _WIDE))
     most = max(1, int(side // longest))
-    # Unequal edges become whole factors too: take the zoom that distorts least, the larger of equals.
-    return min(range((most + 1) // 2, most + 1), key=lambda zoom: (round(_distortion(ratios, zoom), 2), -zoom))
+    # Unequal edges become whole factors too: take the zoom that distorts least, the larger of
+    # equals.
+    return min(
+        range((most + 1) // 2, most + 1),
+        key=lambda zoom: (round(_distortion(ratios, zoom), 2), -zoom),
+    )
 
 
 def _distortion(ratios: Sequence[float], zoom: int) -> float:
@@ -170,7 +196,10 @@ def _panel(image: Image, axis: int, at: int, look: Look, smallest: float, zoom: 
             pixels, pixel = np.repeat(pixels, round(factor), axis=index), edge / round(factor)
         else:
             every = round(1 / factor)
-            pixels, pixel = np.take(pixels, np.arange(0, pixels.shape[index], every), axis=index), edge * every
+            pixels, pixel = (
+                np.take(pixels, np.arange(0, pixels.shape[index], every), axis=index),
+                edge * every,
+            )
     size = " x ".join(map(str, image.shape))
     caption = size if axis < 0 else f"{AXES[axis]} = {at} of {image.shape[axis]}"
     # The pixel is that of the last axis, along which the scale bar lies.
@@ -178,14 +207,18 @@ def _panel(image: Image, axis: int, at: int, look: Look, smallest: float, zoom: 
 
 
 def _coloured(image: Image, plane: np.ndarray, look: Look) -> np.ndarray:
-    """(H, W, 3) uint8; grey of other types than uint8 runs from the image's lowest to its highest value."""
+    """(H, W, 3) uint8; grey of other types than uint8 runs from the image's lowest to its highest
+    value.
+    """
     if image.kind == "colour":
         return plane
     if image.kind == "labels":
         return phase_colours(image, look)[plane]
     if plane.dtype != np.uint8:
         low, high = float(image.values.min()), float(image.values.max())
-        plane = np.round((plane.astype(np.float64) - low) * (255 / (high - low) if high > low else 0)).astype(np.uint8)
+        plane = np.round(
+            (plane.astype(np.float64) - low) * (255 / (high - low) if high > low else 0)
+        ).astype(np.uint8)
     return np.repeat(plane[..., None], 3, axis=-1)
 
 
@@ -196,7 +229,9 @@ def _sheet(rows: list[list[_Panel]], titles: Sequence[str | None], look: Look) -
 
     heads = [_HEAD if title else 0 for title in titles]
     heights = [max(panel.pixels.shape[0] for panel in row) for row in rows]
-    widths = [sum(max(panel.pixels.shape[1], _least(panel)) + _GAP for panel in row) for row in rows]
+    widths = [
+        sum(max(panel.pixels.shape[1], _least(panel)) + _GAP for panel in row) for row in rows
+    ]
     named = [int(font(_LETTERS + 3).getlength(title)) + _GAP if title else 0 for title in titles]
     width = max(*widths, *named) + _GAP
     height = sum(heads) + sum(heights) + len(rows) * (_FOOT + _GAP) + _GAP

@@ -1,9 +1,13 @@
 """`render` and `turntable`: stills of a volume, by a ray marcher on the CPU.
 
-1. The drawn phases' indicator, blurred by 0.7 voxel, is the field whose middle value is the surface.
-2. A ray per sample, parallel to the others, steps through the box and skips empty blocks. Where it enters the solid
-   through a face of the box or of a cut, the normal is that plane's; elsewhere it is the field's gradient.
-3. A lamp from the upper left with soft shadows, light that goes through thin walls, and light from all round, by cones
+1. The drawn phases' indicator, blurred by 0.7 voxel, is the field whose middle value is the
+surface.
+2. A ray per sample, parallel to the others, steps through the box and skips empty blocks. Where it
+enters the solid
+   through a face of the box or of a cut, the normal is that plane's; elsewhere it is the field's
+   gradient.
+3. A lamp from the upper left with soft shadows, light that goes through thin walls, and light from
+all round, by cones
    through a pyramid of densities: without random numbers, so without speckle (see `shading`).
 4. A scale bar, exact since the view is orthographic.
 """
@@ -49,12 +53,12 @@ def render(
     phase : str, int or a sequence of them, optional
         What to draw. Default: every phase but the one named "void".
     camera : (azimuth, elevation)
-        Degrees. At (0, 0) x runs to the right, z up, y away; azimuth carries the viewer to the right around z,
-        elevation lifts him (-90..90).
+        Degrees. At (0, 0) x runs to the right, z up, y away; azimuth carries the viewer to the
+        right around z, elevation lifts him (-90..90).
     cut : str or sequence of str
-        What to take away, to see inside: "corner" (the octant that faces the viewer), "none", "x=0.5" (what faces the
-        viewer beyond that share of the axis; "y", "z"), "plane=AZ,EL,0.5" (what lies beyond that share of the box in the
-        direction of an azimuth and an elevation).
+        What to take away, to see inside: "corner" (the octant that faces the viewer), "none",
+        "x=0.5" (what faces the viewer beyond that share of the axis; "y", "z"), "plane=AZ,EL,0.5"
+        (what lies beyond that share of the box in the direction of an azimuth and an elevation).
     threshold : float, optional
         Of a grey image: what lies at or above it is drawn.
 
@@ -66,13 +70,22 @@ def render(
     Raises
     ------
     InputError
-        Not a volume, colour, grey without threshold, unknown look, phase or cut, size or camera out of range.
+        Not a volume, colour, grey without threshold, unknown look, phase or cut, size or camera out
+        of range.
     """
     check_suffix(path, ".png")
     scene, angles = scene_of(image, look, phase, camera, cut, size, threshold)
     values, pixel = scene.picture(angles)
-    made = {"look": look, "size": list(scene.size), "phase": phase, "camera": angles, "threshold": threshold}
-    recipe = scene.image.recipe.then("render", values, cut=cut if isinstance(cut, str) else list(cut), **made)
+    made = {
+        "look": look,
+        "size": list(scene.size),
+        "phase": phase,
+        "camera": angles,
+        "threshold": threshold,
+    }
+    recipe = scene.image.recipe.then(
+        "render", values, cut=cut if isinstance(cut, str) else list(cut), **made
+    )
     return kept(Image(values, "colour", (pixel, pixel), scene.image.unit, recipe=recipe), path)
 
 
@@ -114,9 +127,13 @@ def turntable(
     """
     check_suffix(path, ".gif")
     if not (2 <= frames <= 360 and 0 < seconds <= 600):
-        raise InputError(f"a turn of {frames} frames in {seconds} s: 2..360 frames and at most 600 s are needed")
+        raise InputError(
+            f"a turn of {frames} frames in {seconds} s: 2..360 frames and at most 600 s are needed"
+        )
     scene, (azimuth, elevation) = scene_of(image, look, phase, camera, cut, size, threshold)
     turns = [(azimuth + 360 * k / frames, elevation) for k in range(frames)]
     pixel = max(scene.camera(angles).pixel for angles in turns)
-    pictures = [scene.picture(angles, pixel)[0] for angles in track(turns, "turntable", total=frames)]
+    pictures = [
+        scene.picture(angles, pixel)[0] for angles in track(turns, "turntable", total=frames)
+    ]
     return save_gif(pictures, path, seconds=seconds / frames)

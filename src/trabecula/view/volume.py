@@ -1,4 +1,6 @@
-"""What the ray marcher needs of an image: a smooth field, an index of empty blocks, a pyramid of densities."""
+"""What the ray marcher needs of an image: a smooth field, an index of empty blocks, a pyramid of
+densities.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from trabecula.view.rays import BLOCK, ISO
 
 LEVELS = 6
 
-# A Gaussian of sigma 0.7 voxel, in 1/256: takes the staircase off binary labels and keeps walls of one voxel.
+# A Gaussian of sigma 0.7 voxel, in 1/256: takes the staircase off binary labels and keeps walls of
+# one voxel.
 WEIGHTS = np.array([3, 51, 148, 51, 3], np.int64)
 
 
@@ -31,7 +34,9 @@ class Volume:
 
 
 def drawn_phases(image: Image, phase: str | int | Sequence[str | int] | None) -> list[int]:
-    """The labels that a still shows: those asked for, by default every phase but the one named "void"."""
+    """The labels that a still shows: those asked for, by default every phase but the one named
+    "void".
+    """
     if phase is None:
         others = [index for index, name in enumerate(image.phases) if name != "void"]
         return others
@@ -74,7 +79,9 @@ def _blurred(values: np.ndarray) -> np.ndarray:
 
 
 def _spread(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Labels where hidden voxels beside drawn ones take theirs: smoothing may move a surface by half a voxel."""
+    """Labels where hidden voxels beside drawn ones take theirs: smoothing may move a surface by
+    half a voxel.
+    """
     if np.count_nonzero(table) == 1:
         return np.full((1, 1, 1), np.flatnonzero(table)[0], np.uint8)
     spread = labels.copy()

@@ -1,10 +1,14 @@
-"""Growth told voxel by voxel in NumPy, straight from its definition: what the kernels must agree with."""
+"""Growth told voxel by voxel in NumPy, straight from its definition: what the kernels must agree
+with.
+"""
 
 import numpy as np
 
 
 def void(places, brakes, points, *, wall, level, across=1.0, along=1.0, flow=(0, 0, 0)):
-    """Where among points (N, 3) the first bubble comes before T^2 = level, and no other meets it within half a wall."""
+    """Where among points (N, 3) the first bubble comes before T^2 = level, and no other meets it
+    within half a wall.
+    """
     return np.concatenate(
         [
             _void(places, brakes, part, wall, level, across, along, flow)

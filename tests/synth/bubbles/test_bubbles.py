@@ -5,12 +5,14 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, RequestError
-from trabecula.synth.bubbles import stop
+from trabecula.synth.bubbles import porosity_level
 from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.growth import Growth
-from trabecula.synth.bubbles.law import law_of
+from trabecula.synth.bubbles.growth_law import law_of
 
-BALL = np.hypot.outer(np.arange(-20, 20), np.hypot.outer(np.arange(-20, 20), np.arange(-20, 20))) < 19
+BALL = (
+    np.hypot.outer(np.arange(-20, 20), np.hypot.outer(np.arange(-20, 20), np.arange(-20, 20))) < 19
+)
 
 
 def porosity_of(image, mask=None):
@@ -19,7 +21,12 @@ def porosity_of(image, mask=None):
 
 @pytest.mark.parametrize(
     ("shape", "more"),
-    [((40, 44, 38), {}), ((90, 120), {}), ((40, 40, 40), {"periodic": True}), ((40, 40, 40), {"mask": BALL})],
+    [
+        ((40, 44, 38), {}),
+        ((90, 120), {}),
+        ((40, 40, 40), {"periodic": True}),
+        ((40, 40, 40), {"mask": BALL}),
+    ],
     ids=["volume", "picture", "periodic", "mask"],
 )
 @pytest.mark.parametrize("asked", [0.05, 0.62])
@@ -39,11 +46,14 @@ def test_porosity_is_that_of_the_crumb():
 
 def test_scattered_blocks_tell_the_level_of_what_is_large(monkeypatch):
     """Both ways of counting, of one picture: 1.4 million voxels, of which 1 in 20 is looked at."""
-    model, request = tb.method("bubbles", distance=12.0, porosity=0.6).fit(), tb.Request((1200, 1200), seed=3)
+    model, request = (
+        tb.method("bubbles", distance=12.0, porosity=0.6).fit(),
+        tb.Request((1200, 1200), seed=3),
+    )
     assert porosity_of(model.generate(request)) == pytest.approx(0.6, abs=1e-6)
-    monkeypatch.setattr(stop, "COUNTED", 1 << 16)
-    monkeypatch.setattr(stop, "_FEWEST", 1 << 14)
-    monkeypatch.setattr(stop, "_MOST", 1 << 14)
+    monkeypatch.setattr(porosity_level, "COUNTED", 1 << 16)
+    monkeypatch.setattr(porosity_level, "_FEWEST", 1 << 14)
+    monkeypatch.setattr(porosity_level, "_MOST", 1 << 14)
     near = tb.method("bubbles", distance=12.0, porosity=0.6).fit().generate(request)
     assert porosity_of(near) != 0.6
     assert porosity_of(near) == pytest.approx(0.6, abs=0.004)
@@ -64,7 +74,9 @@ def test_a_field_of_porosity_is_followed():
 
 def test_a_porosity_that_walls_forbid_is_refused_with_the_most():
     model = tb.method("bubbles", distance=10.0, separation=3.0).fit()
-    with pytest.raises(RequestError, match=r"porosity 0\.9 is out of reach, 0\.\d+ is the most") as refusal:
+    with pytest.raises(
+        RequestError, match=r"porosity 0\.9 is out of reach, 0\.\d+ is the most"
+    ) as refusal:
         model.generate((40, 40, 40), seed=1, target={"porosity": 0.9})
     most = float(str(refusal.value).split("reach, ")[1].split(" ")[0])
     full = porosity_of(model.generate((40, 40, 40), seed=1))
@@ -123,7 +135,9 @@ def test_particles_start_where_fronts_do_and_are_made_whole():
     voxels = np.floor(places).astype(int)[:, 1:]
     voxels = voxels[((voxels >= 0) & (voxels < shape)).all(1)]
     assert len(voxels) > 10
-    assert (made.values[tuple(voxels.T)] == 0).mean() > 0.9, "but for those that start within the separation of others"
+    assert (made.values[tuple(voxels.T)] == 0).mean() > 0.9, (
+        "but for those that start within the separation of others"
+    )
     assert made.recipe.steps[-1]["report"]["alive"] == 0, "at fullness all are dead"
     with pytest.raises(RequestError, match="set growth to fronts"):
         model.window(shape, ((0, 9), (0, 9)), seed=1)
@@ -134,7 +148,9 @@ def test_porosity_and_size_do_not_depend_on_the_grid():
     found = {}
     for spacing, side in ((1.0, 40), (0.5, 80)):
         made = [
-            tb.method("bubbles", density=8.0**-3, separation=1.2).fit(spacing=spacing).generate((side,) * 3, seed=seed)
+            tb.method("bubbles", density=8.0**-3, separation=1.2)
+            .fit(spacing=spacing)
+            .generate((side,) * 3, seed=seed)
             for seed in range(6)
         ]
         found[spacing] = np.array([porosity_of(one) for one in made])
@@ -149,7 +165,9 @@ def test_bubbles_stay_where_they_are_when_the_volume_grows():
 
 
 def test_the_law_is_one_of_lengths():
-    fine, coarse = (law_of(BubblesConfig(density=0.001, separation=2.0), spacing, 3) for spacing in (0.5, 1.0))
+    fine, coarse = (
+        law_of(BubblesConfig(density=0.001, separation=2.0), spacing, 3) for spacing in (0.5, 1.0)
+    )
     assert (fine.apart, fine.wall) == (20, 4)
     assert (coarse.apart, coarse.wall) == (10, 2)
     assert Growth(fine, 1, (0, 0, 0), (1, 1, 1), None).law.latest == 32

@@ -1,4 +1,6 @@
-"""Settings found for an exemplar: the search on functions that are known, the distances, and bubbles whose settings are."""
+"""Settings found for an exemplar: the search on functions that are known, the distances, and
+bubbles whose settings are.
+"""
 
 import json
 
@@ -8,8 +10,8 @@ import pytest
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.synth.bubbles.calibrate import reduced
-from trabecula.synth.bubbles.likeness import FARTHEST, apart, look_of
-from trabecula.synth.bubbles.search import Scale, Search, even
+from trabecula.synth.bubbles.fit_objective import FARTHEST, apart, look_of
+from trabecula.synth.bubbles.fit_search import Scale, Search, even
 
 TWO = [Scale("a", -2.0, 2.0, 0.5), Scale("b", 0.0, 1.0, 0.25)]
 
@@ -51,7 +53,12 @@ def test_a_second_start_leaves_a_hollow_that_is_not_the_deepest():
 
 def test_even_points_fill_the_ranges_that_are_near():
     points = np.array(even(TWO, (0.0, 0.5), 64))
-    assert points[:, 0].min() >= -2 and points[:, 0].max() <= 2 and points[:, 1].min() >= 0 and points[:, 1].max() <= 1
+    assert (
+        points[:, 0].min() >= -2
+        and points[:, 0].max() <= 2
+        and points[:, 1].min() >= 0
+        and points[:, 1].max() <= 1
+    )
     for axis, (low, high) in enumerate([(-2, 2), (0, 1)]):
         counts, _ = np.histogram(points[:, axis], bins=4, range=(low, high))
         assert counts.min() >= 13
@@ -73,15 +80,24 @@ def test_distances_are_none_to_itself_and_tell_what_differs():
     flat = tb.Image(np.repeat(balls(6).values[::2], 2, axis=0)[:48], "labels")
     stretched = np.repeat(balls(6).values, 2, axis=0)[:48]
     assert (
-        apart(look_of(tb.Image(stretched, "labels")), six)["anisotropy"] > 3 * apart(look_of(flat), six)["anisotropy"]
+        apart(look_of(tb.Image(stretched, "labels")), six)["anisotropy"]
+        > 3 * apart(look_of(flat), six)["anisotropy"]
     )
-    assert apart(look_of(tb.Image(np.zeros((20, 20, 20), np.uint8), "labels")), six)["pore_size"] == FARTHEST
+    assert (
+        apart(look_of(tb.Image(np.zeros((20, 20, 20), np.uint8), "labels")), six)["pore_size"]
+        == FARTHEST
+    )
 
 
 def test_an_exemplar_is_made_coarser_and_cut_no_further_than_needed():
     fine = np.kron(balls(6, side=64).values, np.ones((3, 3, 3), np.uint8))
-    seen = reduced(tb.Image(fine, "labels", 2.0, "um"))  # 36 voxels across, of which their discs tell a little less
-    assert seen.image.spacing == (4.0,) * 3 and seen.image.unit == "um" and seen.image.shape == (72, 72, 72)
+    # 36 voxels across, of which their discs tell a little less
+    seen = reduced(tb.Image(fine, "labels", 2.0, "um"))
+    assert (
+        seen.image.spacing == (4.0,) * 3
+        and seen.image.unit == "um"
+        and seen.image.shape == (72, 72, 72)
+    )
     # Balls on a lattice grow and shrink all at once: a measure of the middle comes no nearer.
     assert seen.look.porosity == pytest.approx(np.mean(fine == 0), abs=0.025)
     named = reduced(tb.Image(1 - balls(6).values, "labels", 1.0, "um", ("rock", "void")))
@@ -89,8 +105,18 @@ def test_an_exemplar_is_made_coarser_and_cut_no_further_than_needed():
 
 
 def exemplar(side=40, **settings):
-    plain = {"distance": 12.0, "spread": 0.3, "thickness": 0.15, "regularity": 0.8, "porosity": 0.55}
-    return tb.method("bubbles", **{**plain, **settings}).fit(spacing=0.5, unit="mm").generate(side, seed=9)
+    plain = {
+        "distance": 12.0,
+        "spread": 0.3,
+        "thickness": 0.15,
+        "regularity": 0.8,
+        "porosity": 0.55,
+    }
+    return (
+        tb.method("bubbles", **{**plain, **settings})
+        .fit(spacing=0.5, unit="mm")
+        .generate(side, seed=9)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +133,9 @@ def test_a_foams_own_settings_are_nearly_found(own):
     assert report["end"]["total"] < 0.75 * report["start"]["total"]
     assert np.mean([check["total"] for check in report["checks"]]) < report["start"]["total"]
     assert len(report["trace"]) == 20 and np.all(np.diff(report["trace"]) <= 0)
-    assert (model.found.density * 6.0**3) ** (-1 / 3) == pytest.approx(1, rel=0.3), "12 voxels of 0.5 mm"
+    assert (model.found.density * 6.0**3) ** (-1 / 3) == pytest.approx(1, rel=0.3), (
+        "12 voxels of 0.5 mm"
+    )
     made = model.generate(64, seed=3)
     assert made.spacing == (0.5,) * 3 and made.unit == "mm"
     assert tb.measure.porosity(made) == pytest.approx(tb.measure.porosity(known), abs=0.02)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from trabecula.synth.bubbles.config import BubblesConfig
-from trabecula.synth.bubbles.law import SWALLOWED, counts_of, law_of
+from trabecula.synth.bubbles.growth_law import SWALLOWED, counts_of, law_of
 
 
 def drawn(side, *, seed=1, ndim=3, periodic=False, **settings):
@@ -15,7 +15,9 @@ def drawn(side, *, seed=1, ndim=3, periodic=False, **settings):
     model = tb.method("bubbles", **{"roughness": 0.0, **settings}).fit()
     shape = (side,) * ndim
     growth = model._growth(tb.Request(shape, seed=seed, periodic=periodic))
-    _, places, brakes, _, names = growth.world(tuple((0, length) for length in (1,) * (3 - ndim) + shape))[1]
+    _, places, brakes, _, names = growth.world(
+        tuple((0, length) for length in (1,) * (3 - ndim) + shape)
+    )[1]
     inside = ((places >= 0) & (places < side)).all(1)
     return places[inside][:, 3 - ndim :], brakes[inside], names[inside]
 
@@ -35,7 +37,9 @@ def test_the_most_regular_counts_keep_the_mean():
 @pytest.mark.parametrize("regularity", [0.0, 1.0])
 def test_there_are_as_many_bubbles_as_the_density_says(ndim, side, regularity):
     """Where none swallows another."""
-    places, _, _ = drawn(side, ndim=ndim, distance=10.0, spread=0.0, regularity=regularity, separation=0.0)
+    places, _, _ = drawn(
+        side, ndim=ndim, distance=10.0, spread=0.0, regularity=regularity, separation=0.0
+    )
     expected = (side / 10) ** ndim
     assert abs(len(places) - expected) < 3.5 * np.sqrt(expected)
     assert stats.kstest(places.ravel() / side, "uniform").pvalue > 0.001
@@ -57,9 +61,13 @@ def test_sizes_follow_the_law():
         speeds = 1 / law_of(BubblesConfig(spread=0.4), 1.0, ndim).brakes
         assert np.mean(speeds**ndim) == pytest.approx(1, abs=1e-4)
         # A normal law cut off at 2.5 standard deviations has 0.9550 of its spread.
-        assert np.log(speeds).std() == pytest.approx(0.4 * stats.truncnorm(-2.5, 2.5).std(), rel=1e-3)
+        assert np.log(speeds).std() == pytest.approx(
+            0.4 * stats.truncnorm(-2.5, 2.5).std(), rel=1e-3
+        )
     _, brakes, names = drawn(150, distance=10.0, spread=0.4, separation=0.0)
-    assert 0.28 < np.log(brakes).std() < 0.382, "of those that are left: slow ones are swallowed first"
+    assert 0.28 < np.log(brakes).std() < 0.382, (
+        "of those that are left: slow ones are swallowed first"
+    )
     assert len(np.unique(names)) > 0.999 * len(names)
 
 
@@ -76,12 +84,16 @@ def test_slow_bubbles_in_front_of_fast_ones_are_swallowed():
 
 
 def test_the_same_bubbles_on_any_grid():
-    model = {s: tb.method("bubbles", density=1e-3, regularity=0.5).fit(spacing=s) for s in (1.0, 0.4)}
+    model = {
+        s: tb.method("bubbles", density=1e-3, regularity=0.5).fit(spacing=s) for s in (1.0, 0.4)
+    }
     found = []
     for spacing, side in ((1.0, 40), (0.4, 100)):
         growth = model[spacing]._growth(tb.Request((side,) * 3, seed=7))
         _, places, _, _, names = growth.world(((0, side),) * 3)[1]
-        found.append({int(name): place * spacing for name, place in zip(names, places, strict=True)})
+        found.append(
+            {int(name): place * spacing for name, place in zip(names, places, strict=True)}
+        )
     common = set(found[0]) & set(found[1])
     assert len(common) > 64
     assert max(np.abs(found[0][name] - found[1][name]).max() for name in common) < 0.02

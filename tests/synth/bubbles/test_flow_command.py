@@ -33,18 +33,50 @@ def loaf(here):
 
 
 def test_a_mesh_is_filled_with_a_preset_and_made_again(loaf):
-    words = ("--set", "preset=baguette", "--set", "distance=8", "--mask", "loaf.ply", "--shape", 48, "--seed", 2)
+    words = (
+        "--set",
+        "preset=baguette",
+        "--set",
+        "distance=8",
+        "--mask",
+        "loaf.ply",
+        "--shape",
+        48,
+        "--seed",
+        2,
+    )
     made = trabecula(*START, *words, "--out", "crumb.npy")
     crumb, form = tb.read("crumb.npy"), tb.voxelise(tb.read_mesh("loaf.ply"), spacing=1.0)
     assert crumb.shape == (48, 48, 48)
-    held = crumb.values.any(axis=(1, 2)).sum(), crumb.values.any(axis=(0, 2)).sum(), crumb.values.any(axis=(0, 1)).sum()
-    assert max(held) == 48 and np.allclose(np.divide(held, held[2]), np.divide(form.shape, form.shape[2]), atol=0.05)
+    held = (
+        crumb.values.any(axis=(1, 2)).sum(),
+        crumb.values.any(axis=(0, 2)).sum(),
+        crumb.values.any(axis=(0, 1)).sum(),
+    )
+    assert max(held) == 48 and np.allclose(
+        np.divide(held, held[2]), np.divide(form.shape, form.shape[2]), atol=0.05
+    )
     assert trabecula("rerun", "crumb.npy").sha256 == made.sha256
-    assert trabecula(*START, "--preset", "baguette", *words[2:], "--out", "again.npy").sha256 == made.sha256
+    assert (
+        trabecula(*START, "--preset", "baguette", *words[2:], "--out", "again.npy").sha256
+        == made.sha256
+    )
 
 
 def test_the_crust_of_a_form_is_solid(loaf):
-    trabecula(*START, "--set", "crust=3", "--set", "distance=8", "--mask", "loaf.ply", "--shape", 48, "--out", "a.npy")
+    trabecula(
+        *START,
+        "--set",
+        "crust=3",
+        "--set",
+        "distance=8",
+        "--mask",
+        "loaf.ply",
+        "--shape",
+        48,
+        "--out",
+        "a.npy",
+    )
     with_crust = tb.read("a.npy").values
     assert with_crust[24, 24, 0:3].all(), "the form fills the shape along x"
     assert 0.3 < porosity(tb.Image(with_crust[18:30, 18:30, 12:36], "labels")) < 0.95
@@ -80,6 +112,9 @@ def test_a_field_of_vectors_in_a_file_is_found_again(here):
 def test_presets_are_of_no_unit(preset):
     """The same voxels, whatever their edge is said to be."""
     method = tb.method("bubbles", preset=preset, distance=6.0)
-    one, other = method.fit().generate(20, seed=3), method.fit(spacing=0.25, unit="mm").generate(20, seed=3)
+    one, other = (
+        method.fit().generate(20, seed=3),
+        method.fit(spacing=0.25, unit="mm").generate(20, seed=3),
+    )
     assert np.array_equal(one.values, other.values) and other.unit == "mm"
     assert 0.05 < one.values.mean() < 0.95

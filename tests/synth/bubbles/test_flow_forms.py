@@ -1,4 +1,6 @@
-"""What the form of the material does to the flow: centres of slices, outlines, regions, shapes, crust."""
+"""What the form of the material does to the flow: centres of slices, outlines, regions, shapes,
+crust.
+"""
 
 import json
 from dataclasses import asdict
@@ -60,10 +62,14 @@ def test_a_leaning_rod_is_followed_slice_by_slice(axis):
     for i in range(0, side, 5):
         v, u = np.indices((side, side)) - np.array([10 + i // 3, 11 + i // 4])[:, None, None]
         far = rod[i] & (np.hypot(v, u) > 4)
-        outward = (found[i, ..., tall] * v + found[i, ..., wide] * u) / np.maximum(np.hypot(v, u), 1)
+        outward = (found[i, ..., tall] * v + found[i, ..., wide] * u) / np.maximum(
+            np.hypot(v, u), 1
+        )
         assert np.abs(outward[far]).max() < 0.13
     fixed = directions(FlowConfig(flow="concentric", flow_axis=axis, flow_centre="box"), mask)
-    assert np.array_equal(fixed, directions(FlowConfig(flow="concentric", flow_axis=axis), np.ones_like(mask)))
+    assert np.array_equal(
+        fixed, directions(FlowConfig(flow="concentric", flow_axis=axis), np.ones_like(mask))
+    )
 
 
 def test_parts_that_do_not_touch_can_turn_about_their_own_centres():
@@ -108,7 +114,9 @@ def test_the_outline_comes_before_the_system_inside():
 
 def test_a_form_that_fills_its_box_has_its_border_at_the_faces():
     found = directions(FlowConfig(silhouette=4), np.ones((30, 30), bool))
-    assert np.array_equal(np.abs(found[0, 15]), (0, 1)) and np.array_equal(np.abs(found[15, 29]), (1, 0))
+    assert np.array_equal(np.abs(found[0, 15]), (0, 1)) and np.array_equal(
+        np.abs(found[15, 29]), (1, 0)
+    )
     assert not found[15, 15].any()
 
 
@@ -119,7 +127,9 @@ def test_the_gradient_is_that_of_the_blurred_slice():
     rows, columns, every = along_outline(plane, 7)
     assert every == 1
     disc = np.hypot(*np.mgrid[-6:7, -6:7]) <= 6
-    smooth = ndimage.convolve(np.pad(plane, 20).astype(np.int64), disc.astype(np.int64), mode="constant")
+    smooth = ndimage.convolve(
+        np.pad(plane, 20).astype(np.int64), disc.astype(np.int64), mode="constant"
+    )
     down, right = (2 * np.gradient(smooth, axis=axis)[20:-20, 20:-20] for axis in (0, 1))
     held = plane.any(axis=1)[:, None] & plane.any(axis=0)
     assert np.array_equal(columns[held], down[held]) and np.array_equal(rows[held], -right[held])
@@ -138,7 +148,10 @@ def test_windows_of_a_form_agree_with_the_whole():
     mask = ndimage.gaussian_filter(rng.normal(size=(24, 28, 26)), 3) > 0
     config = FlowConfig(flow="spiral", silhouette=4, crust=1, flow_axis="y", flow_centre="piece")
     flow = flow_of(config, mask.shape, 1.0, mask)
-    whole, room = flow.directions(tuple((0, side) for side in mask.shape)), flow.room(((0, 24), (0, 28), (0, 26)))
+    whole, room = (
+        flow.directions(tuple((0, side) for side in mask.shape)),
+        flow.room(((0, 24), (0, 28), (0, 26))),
+    )
     box = ((3, 15), (0, 28), (11, 20))
     part = tuple(slice(*ends) for ends in box)
     assert np.array_equal(flow.directions(box), whole[part])
@@ -162,7 +175,9 @@ def test_regions_take_the_first_that_holds():
 
 def test_regions_are_parts_of_the_volume_whatever_the_axis():
     for axis in "zyx":
-        config = FlowConfig(flow="0, 0, 1", flow_axis=axis, flow_regions=[["z > 0 and x > 0", "1, 0, 0"]])
+        config = FlowConfig(
+            flow="0, 0, 1", flow_axis=axis, flow_regions=[["z > 0 and x > 0", "1, 0, 0"]]
+        )
         found = flow_of(config, (8, 8, 8), 2.0).directions(((0, 8),) * 3) / 127
         inside = np.zeros((8, 8, 8), bool)
         inside[4:, :, 4:] = True
@@ -177,7 +192,9 @@ def test_wide_slices_flow_horizontally_and_tall_ones_vertically():
     found = directions(FlowConfig(flow="1, 1", flow_aspect=1.5), mask)
     assert (found[0] == (0, 0, 1)).all() and (found[1] == (0, 1, 0)).all()
     assert np.allclose(found[2], (0, np.sqrt(0.5), np.sqrt(0.5)), atol=0.01)
-    box = flow_of(FlowConfig(flow_aspect=2), (2, 10, 30), 1.0).directions(((0, 2), (0, 10), (0, 30)))
+    box = flow_of(FlowConfig(flow_aspect=2), (2, 10, 30), 1.0).directions(
+        ((0, 2), (0, 10), (0, 30))
+    )
     assert (box == (0, 0, 127)).all(), "without a mask it is the slice of the box"
 
 
@@ -185,16 +202,22 @@ def test_crumb_is_what_lies_deeper_than_the_crust():
     mask = ball(41, 17.3)
     mask[:, 20, :5] = False
     for spacing in (1.0, 0.5):
-        room = flow_of(FlowConfig(crust=4 * spacing), mask.shape, spacing, mask).room(((0, 41),) * 3)
+        room = flow_of(FlowConfig(crust=4 * spacing), mask.shape, spacing, mask).room(
+            ((0, 41),) * 3
+        )
         depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1, 1:-1] - 0.5
         assert np.array_equal(room, depth > 4)
-    share = flow_of(FlowConfig(crust_share=0.5), mask.shape, 1.0, mask, distance=8.0).room(((0, 41),) * 3)
+    share = flow_of(FlowConfig(crust_share=0.5), mask.shape, 1.0, mask, distance=8.0).room(
+        ((0, 41),) * 3
+    )
     assert np.array_equal(share, depth > 4)
     assert flow_of(FlowConfig(flow="roll"), mask.shape, 1.0, mask).room(((0, 41),) * 3) is None
 
 
 def test_the_faces_of_the_box_are_a_surface_of_the_form():
-    room = flow_of(FlowConfig(crust=2), (9, 12), 1.0, np.ones((9, 12), bool)).room(((0, 9), (0, 12)))
+    room = flow_of(FlowConfig(crust=2), (9, 12), 1.0, np.ones((9, 12), bool)).room(
+        ((0, 9), (0, 12))
+    )
     assert np.array_equal(room, np.pad(np.ones((5, 8), bool), 2))
 
 

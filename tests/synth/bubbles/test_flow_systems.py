@@ -41,7 +41,9 @@ def test_a_step_ends_where_the_streamline_does():
         found = np.stack(step_direction(velocity, start, step), axis=-1)
         for begin, direction in zip(np.stack(start, axis=-1), found, strict=True):
             ends = [
-                solve_ivp(at_unit_speed, (0, half), begin, rtol=1e-12, atol=1e-13, method="DOP853").y[:, -1]
+                solve_ivp(
+                    at_unit_speed, (0, half), begin, rtol=1e-12, atol=1e-13, method="DOP853"
+                ).y[:, -1]
                 for half in (-step / 2, step / 2)
             ]
             chord = ends[1] - ends[0]
@@ -57,9 +59,13 @@ def test_on_a_circle_the_step_is_its_tangent():
 
 
 def test_what_stands_still_has_no_direction():
-    nowhere = step_direction(lambda point: (0 * point[0], 0 * point[0] * np.nan), (np.ones(2), np.ones(2)), 1.0)
+    nowhere = step_direction(
+        lambda point: (0 * point[0], 0 * point[0] * np.nan), (np.ones(2), np.ones(2)), 1.0
+    )
     assert not np.any(nowhere)
-    slow = step_direction(lambda point: (0 * point[0], 1e-12 + 0 * point[0]), (np.ones(2), np.ones(2)), 1.0)
+    slow = step_direction(
+        lambda point: (0 * point[0], 1e-12 + 0 * point[0]), (np.ones(2), np.ones(2)), 1.0
+    )
     assert not np.any(slow)
 
 
@@ -70,7 +76,9 @@ def test_streamlines_of_concentric_go_round_the_axis(axis):
     places = np.indices((SIDE,) * 3) - (SIDE - 1) / 2
     radius = np.hypot(places[tall], places[wide])
     far = radius > 8
-    outward = (found[..., tall] * places[tall] + found[..., wide] * places[wide]) / np.maximum(radius, 1)
+    outward = (found[..., tall] * places[tall] + found[..., wide] * places[wide]) / np.maximum(
+        radius, 1
+    )
     assert not found[..., along].any()
     assert np.abs(outward[far]).max() < 0.01
     turning = found[..., tall] * places[wide] - found[..., wide] * places[tall]
@@ -79,7 +87,8 @@ def test_streamlines_of_concentric_go_round_the_axis(axis):
 
 
 @pytest.mark.parametrize(
-    ("axis", "across", "up"), [("z", (0, 0, 1), (0, 1, 0)), ("y", (0, 0, 1), (1, 0, 0)), ("x", (0, 1, 0), (1, 0, 0))]
+    ("axis", "across", "up"),
+    [("z", (0, 0, 1), (0, 1, 0)), ("y", (0, 0, 1), (1, 0, 0)), ("x", (0, 1, 0), (1, 0, 0))],
 )
 def test_horizontal_and_vertical_are_those_of_the_slices(axis, across, up):
     shape = (4, 5, 6)
@@ -96,7 +105,9 @@ def test_a_spiral_leaves_its_centre_at_one_angle_and_a_roll_has_even_windings():
         outward = found[..., 0] * y + found[..., 1] * x
         round_ = found[..., 0] * x - found[..., 1] * y
         far = radius > 10
-        assert np.allclose((outward / radius)[far], (slope * round_ / radius)[far], atol=0.012), name
+        assert np.allclose((outward / radius)[far], (slope * round_ / radius)[far], atol=0.012), (
+            name
+        )
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -109,19 +120,28 @@ def test_every_named_system_is_its_own_formula(name):
 def test_three_formulas_are_of_the_volume_whatever_the_axis():
     for axis in "zyx":
         found = whole((3, 4, 5), flow="1, 2, 2", flow_axis=axis)
-        assert np.allclose(found, [2 / 3, 2 / 3, 1 / 3], atol=0.005), "z, y, x of x' = 1, y' = 2, z' = 2"
+        assert np.allclose(found, [2 / 3, 2 / 3, 1 / 3], atol=0.005), (
+            "z, y, x of x' = 1, y' = 2, z' = 2"
+        )
 
 
 def test_coordinates_are_shares_of_the_half_side_or_lengths():
     shares = whole((3, 8, 20), spacing=0.5, flow="x - 0.5, 0")[0, 0, :, 2]
-    assert np.flatnonzero(np.diff(shares) > 0).tolist() == [14], "x = 0.5 lies three quarters along the longest side"
+    assert np.flatnonzero(np.diff(shares) > 0).tolist() == [14], (
+        "x = 0.5 lies three quarters along the longest side"
+    )
     lengths = whole((3, 8, 20), spacing=0.5, flow="x - 2, 0", flow_extent=0)[0, 0, :, 2]
-    assert np.flatnonzero(np.diff(lengths) > 0).tolist() == [13], "2 units are 4 voxels from the middle of 20"
+    assert np.flatnonzero(np.diff(lengths) > 0).tolist() == [13], (
+        "2 units are 4 voxels from the middle of 20"
+    )
 
 
 @pytest.mark.parametrize("name", ["roll", "quadratic", "spiral", "9*x*x - z, y*y - x, z + y"])
 def test_a_finer_grid_has_the_same_flow(name):
-    coarse, fine = whole((12,) * 3, spacing=3.0, flow=name), whole((36,) * 3, spacing=1.0, flow=name)
+    coarse, fine = (
+        whole((12,) * 3, spacing=3.0, flow=name),
+        whole((36,) * 3, spacing=1.0, flow=name),
+    )
     middle = fine[1::3, 1::3, 1::3]
     cosine = (coarse * middle).sum(axis=-1)
     assert np.quantile(cosine, 0.02) > 0.97, "steps differ near points where the flow stands still"
@@ -212,7 +232,8 @@ def test_a_file_is_named_in_the_recipe_with_its_digest(tmp_path):
     assert again == config and "#sha256=" in plain["flow"]
     box = ((0, 6),) * 3
     one, two, three = (
-        flow_of(made, (6, 6, 6), 1.0).directions(box) for made in (config, again, FlowConfig(flow=field))
+        flow_of(made, (6, 6, 6), 1.0).directions(box)
+        for made in (config, again, FlowConfig(flow=field))
     )
     assert np.array_equal(one, two) and np.array_equal(one, three)
     np.save(tmp_path / "field.npy", field[::-1])

@@ -13,7 +13,9 @@ SHAPE = (14, 22, 19)
 
 
 def grown(shape, *, seed=1, spacing=1.0, **settings):
-    return tb.method("bubbles", **settings).fit(spacing=spacing).generate(shape, seed=seed).values == 0
+    return (
+        tb.method("bubbles", **settings).fit(spacing=spacing).generate(shape, seed=seed).values == 0
+    )
 
 
 def bubbles(shape, *, seed=1, **settings):
@@ -33,10 +35,14 @@ def points(shape):
 
 @pytest.mark.parametrize("shape", [SHAPE, (60, 50)], ids=["volume", "picture"])
 @pytest.mark.parametrize(
-    "more", [{}, {"time": 0.5}, {"randomness": 0.4, "flow": "horizontal"}], ids=["full", "time", "flow"]
+    "more",
+    [{}, {"time": 0.5}, {"randomness": 0.4, "flow": "horizontal"}],
+    ids=["full", "time", "flow"],
 )
 def test_voxels_are_those_of_the_definition(shape, more):
-    """Every voxel, but for those that lie on a border to within rounding and the first order of a wall's place."""
+    """Every voxel, but for those that lie on a border to within rounding and the first order of a
+    wall's place.
+    """
     settings = {"distance": 15.0, "roughness": 0.0, "spread": 0.3, "separation": 1.5, **more}
     places, brakes, _, law = bubbles(shape, **settings)
     q = (0, 0, 1) if "flow" in more else (0, 0, 0)
@@ -56,8 +62,17 @@ def test_without_walls_the_definition_holds_to_the_voxel():
 
 
 def alone(time, **settings):
-    """The void about one bubble that meets no other, where it starts, and when it stopped; L is 60 voxels."""
-    settings = {"distance": 60.0, "spread": 0.0, "roughness": 0.0, "regularity": 1.0, "time": time, **settings}
+    """The void about one bubble that meets no other, where it starts, and when it stopped; L is 60
+    voxels.
+    """
+    settings = {
+        "distance": 60.0,
+        "spread": 0.0,
+        "roughness": 0.0,
+        "regularity": 1.0,
+        "time": time,
+        **settings,
+    }
     for seed in range(50):
         places, _, _, law = bubbles((100, 100, 100), seed=seed, **settings)
         middle = places[(np.abs(places - 50) < 15).all(1)]
@@ -78,15 +93,26 @@ def test_a_bubble_that_nothing_stops_is_a_ball():
 
 def test_a_bubble_in_a_straight_flow_is_an_ellipsoid():
     body, place, radius = alone(0.2, randomness=0.5, flow="horizontal")
-    assert body.sum() == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.02), "a flow changes the shape, not the size"
+    assert body.sum() == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.02), (
+        "a flow changes the shape, not the size"
+    )
     spread = (np.argwhere(body) - place).std(0)
     assert spread[2] / spread[0] == pytest.approx(2, rel=0.03)
     assert spread[1] / spread[0] == pytest.approx(1, rel=0.03)
 
 
 def test_a_bubble_in_a_circling_flow_bends_with_it():
-    """Of two voxels ahead of its start, the one on the circle is its own, the one on the tangent is not."""
-    chosen = {"distance": 50.0, "spread": 0.0, "roughness": 0.0, "randomness": 0.1, "flow": "concentric", "time": 0.25}
+    """Of two voxels ahead of its start, the one on the circle is its own, the one on the tangent is
+    not.
+    """
+    chosen = {
+        "distance": 50.0,
+        "spread": 0.0,
+        "roughness": 0.0,
+        "randomness": 0.1,
+        "flow": "concentric",
+        "time": 0.25,
+    }
     places, _, _, _ = bubbles((300, 300), seed=2, **chosen)
     labels, _ = ndimage.label(grown((300, 300), seed=2, **chosen))
     on_circle = on_tangent = tried = 0
@@ -98,7 +124,9 @@ def test_a_bubble_in_a_circling_flow_bends_with_it():
         for angle in (0.35, -0.35):
             turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
             on_circle += labels[tuple(np.round(turn @ arm + 149.5).astype(int))] == own
-            on_tangent += labels[tuple(np.round(arm + np.sin(angle) * side + 149.5).astype(int))] == own
+            on_tangent += (
+                labels[tuple(np.round(arm + np.sin(angle) * side + 149.5).astype(int))] == own
+            )
             tried += 1
     assert tried >= 10
     assert on_circle > 0.6 * tried
@@ -116,7 +144,9 @@ def test_walls_are_as_thick_as_the_separation(separation):
     for i, one in enumerate(places):
         for two in places[:i]:
             middle = (one + two) / 2
-            if np.partition(np.linalg.norm(places - middle, axis=1), 2)[2] < 1.5 * np.linalg.norm(one - middle):
+            if np.partition(np.linalg.norm(places - middle, axis=1), 2)[2] < 1.5 * np.linalg.norm(
+                one - middle
+            ):
                 continue
             line = one + np.linspace(0, 1, 600)[:, None] * (two - one)
             solid = ~ndimage.map_coordinates(made.astype(np.int8), line.T, order=0).astype(bool)
@@ -133,7 +163,9 @@ def test_bubbles_that_all_merge_leave_no_wall():
 
 
 def test_the_same_seed_gives_the_same_bubbles_on_another_grid():
-    """Nodes of the coarse grid are nodes of the fine one; what lies between differs by the bend of shifts."""
+    """Nodes of the coarse grid are nodes of the fine one; what lies between differs by the bend of
+    shifts.
+    """
     settings = {"density": 12.0**-3, "roughness": 0.0}
     fine = grown((60, 60, 60), spacing=0.5, **settings)[::2, ::2, ::2]
     coarse = grown((30, 30, 30), spacing=1.0, **settings)
@@ -172,7 +204,10 @@ def test_a_turn_of_any_length_repeats(periodic):
     model, shape = tb.method("bubbles", distance=7.0, roughness=0.5).fit(), (19, 26, 37)
     whole = model.generate(shape, seed=4, periodic=periodic).values
     wraps = (True,) * 3 if periodic is True else periodic
-    box = tuple((-side - 3, 2 * side + 1) if wrap else (0, side) for side, wrap in zip(shape, wraps, strict=True))
+    box = tuple(
+        (-side - 3, 2 * side + 1) if wrap else (0, side)
+        for side, wrap in zip(shape, wraps, strict=True)
+    )
     round_ = model.window(shape, box, seed=4, periodic=periodic)
     at = np.ix_(*(np.arange(*ends) % side for ends, side in zip(box, shape, strict=True)))
     assert np.array_equal(round_, whole[at])
@@ -180,8 +215,15 @@ def test_a_turn_of_any_length_repeats(periodic):
 
 
 def test_nothing_shows_where_a_turn_ends():
-    """As many borders between void and solid between the last plane and the first as between any two."""
-    whole = tb.method("bubbles", distance=8.0).fit().generate((64, 64, 61), seed=1, periodic=True).values
+    """As many borders between void and solid between the last plane and the first as between any
+    two.
+    """
+    whole = (
+        tb.method("bubbles", distance=8.0)
+        .fit()
+        .generate((64, 64, 61), seed=1, periodic=True)
+        .values
+    )
     steps = np.count_nonzero(whole != np.roll(whole, 1, axis=2), axis=(0, 1))
     assert abs(steps[0] - steps[1:].mean()) < 4 * steps[1:].std()
 

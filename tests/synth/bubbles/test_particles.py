@@ -47,7 +47,9 @@ def test_particles_stay_apart(shape, separation):
 
 
 def test_full_means_that_nothing_more_fits():
-    """Every voxel of mass is within the separation of two particles, or of one and the seeds of none."""
+    """Every voxel of mass is within the separation of two particles, or of one and the seeds of
+    none.
+    """
     shape = (50, 50)
     result = grown(seeds_in(shape, 9), shape, seed=3, separation=2)
     assert result.alive == 0
@@ -88,8 +90,12 @@ def test_a_periodic_field_goes_round():
 def test_particles_follow_a_flow_with_little_randomness(angle):
     """The direction of a strand is that of the flow, also between the lattice's own directions."""
     shape = (301, 301)
-    flow = np.broadcast_to(np.rint(127 * np.array([np.sin(angle), np.cos(angle)])).astype(np.int8), (*shape, 2))
-    air = grown(np.array([[20, 20]]), shape, seed=4, directions=flow, randomness=0.0, rounds=200).air
+    flow = np.broadcast_to(
+        np.rint(127 * np.array([np.sin(angle), np.cos(angle)])).astype(np.int8), (*shape, 2)
+    )
+    air = grown(
+        np.array([[20, 20]]), shape, seed=4, directions=flow, randomness=0.0, rounds=200
+    ).air
     end = np.argwhere(air).max(0) - 20
     assert np.arctan2(*end) == pytest.approx(angle, abs=0.06)
     assert air.sum() == 200, "one voxel a round"
@@ -99,7 +105,14 @@ def test_randomness_widens():
     flow = np.broadcast_to(np.array([0, 127], np.int8), (81, 161, 2))
     widths = []
     for randomness in (0.02, 0.1, 1.0):
-        air = grown(np.array([[40, 80]]), (81, 161), seed=4, directions=flow, randomness=randomness, rounds=25).air
+        air = grown(
+            np.array([[40, 80]]),
+            (81, 161),
+            seed=4,
+            directions=flow,
+            randomness=randomness,
+            rounds=25,
+        ).air
         places = np.argwhere(air)
         widths.append(np.ptp(places[:, 0]) / np.ptp(places[:, 1]))
     assert widths[0] < widths[1] < widths[2] == 1.0

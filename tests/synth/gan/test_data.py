@@ -18,7 +18,9 @@ CONFIG = GanConfig(crop=40, width=2)
 
 
 def image_of(levels, seed=0, side=44):
-    return tb.Image(np.random.default_rng(seed).integers(0, levels, (side,) * 3).astype(np.uint8), "labels")
+    return tb.Image(
+        np.random.default_rng(seed).integers(0, levels, (side,) * 3).astype(np.uint8), "labels"
+    )
 
 
 def test_a_field_of_two_phases_rises_into_the_higher_label():
@@ -63,13 +65,20 @@ def test_crops_are_a_function_of_seed_and_iteration():
 
 def test_every_orientation_of_a_crop_occurs_and_no_other():
     whole = fields_of(image_of(2, side=40), GanConfig(crop=40, orientations="mirrors"))
-    wanted = {whole.values.permute(0, *order).flip(flips).numpy().tobytes() for order, flips in whole.turns}
-    seen = {crop.numpy().tobytes() for iteration in range(20) for crop in whole.crops(4, 0, iteration)}
+    wanted = {
+        whole.values.permute(0, *order).flip(flips).numpy().tobytes()
+        for order, flips in whole.turns
+    }
+    seen = {
+        crop.numpy().tobytes() for iteration in range(20) for crop in whole.crops(4, 0, iteration)
+    }
     assert seen == wanted
     assert len(wanted) == 8
 
 
-@pytest.mark.parametrize(("name", "count"), [("none", 1), ("inverted", 2), ("mirrors", 8), ("all", 48)])
+@pytest.mark.parametrize(
+    ("name", "count"), [("none", 1), ("inverted", 2), ("mirrors", 8), ("all", 48)]
+)
 def test_orientations_are_distinct_and_keep_what_they_promise(name, count):
     turns = turns_of(name)
     oblique = torch.arange(27.0).reshape(1, 3, 3, 3)
@@ -85,7 +94,11 @@ def test_balanced_offsets_give_the_fractions(weights, seed):
     fractions = np.array(weights) / sum(weights)
     field = np.random.default_rng(seed).normal(size=(len(weights), 4000)).astype(np.float32)
     share = (
-        np.bincount((field + np.float32(balanced(field, fractions))[:, None]).argmax(0), minlength=len(weights)) / 4000
+        np.bincount(
+            (field + np.float32(balanced(field, fractions))[:, None]).argmax(0),
+            minlength=len(weights),
+        )
+        / 4000
     )
     assert np.abs(share - fractions).max() < 5e-3
 
@@ -110,7 +123,9 @@ def test_labels_come_out_in_the_exemplars_fractions(network):
 
 
 def test_grey_values_come_out_in_the_exemplars_histogram(network):
-    image = tb.Image(np.random.default_rng(4).gamma(2, 30, (40,) * 3).clip(0, 255).astype(np.uint8), "grey")
+    image = tb.Image(
+        np.random.default_rng(4).gamma(2, 30, (40,) * 3).clip(0, 255).astype(np.uint8), "grey"
+    )
     field = held_out(network[1], 0, 2)
     found = decode(field[:, None, None], calibration_of(network[1], image, 0, tiles=2))
     assert found.dtype == np.uint8
@@ -123,4 +138,6 @@ def test_decoding_looks_at_one_voxel_at_a_time():
     calibration = {"kind": "labels", "present": [0, 1, 2], "offsets": [0.1, -0.2, 0.1]}
     whole = decode(field, calibration)
     assert np.array_equal(whole[1:3, 2:, :4], decode(field[:, 1:3, 2:, :4], calibration))
-    assert np.array_equal(whole, (field + np.float32([0.1, -0.2, 0.1])[:, None, None, None]).argmax(0))
+    assert np.array_equal(
+        whole, (field + np.float32([0.1, -0.2, 0.1])[:, None, None, None]).argmax(0)
+    )

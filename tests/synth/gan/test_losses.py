@@ -21,13 +21,17 @@ def test_the_standard_loss_is_the_cross_entropy_of_the_sigmoid():
         wanted = torch.nn.functional.binary_cross_entropy(
             torch.sigmoid(verdicts), torch.full_like(verdicts, float(real))
         )
-        assert float(losses.standard([verdicts], real=real)) == pytest.approx(float(wanted), rel=1e-5)
+        assert float(losses.standard([verdicts], real=real)) == pytest.approx(
+            float(wanted), rel=1e-5
+        )
 
 
 def test_the_relativistic_loss_counts_differences_alone():
     a, b = volume(1, 2, 1, 3, 3, 3), volume(2, 2, 1, 3, 3, 3)
     assert float(losses.relativistic([a, a], [a, a])) == pytest.approx(2 * np.log(2), rel=1e-6)
-    assert float(losses.relativistic([a + 5], [b + 5])) == pytest.approx(float(losses.relativistic([a], [b])), rel=1e-5)
+    assert float(losses.relativistic([a + 5], [b + 5])) == pytest.approx(
+        float(losses.relativistic([a], [b])), rel=1e-5
+    )
     assert losses.relativistic([a + 1], [b]) < losses.relativistic([a], [b])
 
 
@@ -42,7 +46,9 @@ def test_the_gradient_penalty_of_a_linear_judge_is_the_square_of_its_weights():
 
     judge = Linear()
     penalty = losses.gradient_penalty(judge, volume(4, 5, 1, 4, 4, 4))
-    assert float(penalty.detach()) == pytest.approx(float(judge.weights.detach().square().sum()), rel=1e-5)
+    assert float(penalty.detach()) == pytest.approx(
+        float(judge.weights.detach().square().sum()), rel=1e-5
+    )
     penalty.backward()
     assert torch.allclose(judge.weights.grad, 2 * judge.weights, rtol=1e-5)
 
@@ -72,7 +78,9 @@ def test_gram_against_its_definition():
         for axis in range(3):
             for number in range(SLICES):
                 at = number * 8 // SLICES + 8 // (2 * SLICES)
-                found.append(np.einsum("bmyx,bnyx->bmn", *[features.numpy().take(at, axis + 2)] * 2) / 64)
+                found.append(
+                    np.einsum("bmyx,bnyx->bmn", *[features.numpy().take(at, axis + 2)] * 2) / 64
+                )
         return np.stack(found, 1)
 
     wanted = np.square(naive(made) - naive(real)).mean()
@@ -84,7 +92,9 @@ def test_regions_are_the_cubes_of_the_features():
     features = volume(10, 2, 3, 4, 6, 9)  # the last voxel along x is left over
     cubes = regions_of(features, 2)
     assert cubes.shape == (2 * 2 * 3 * 4, 3 * 8)
-    assert torch.equal(cubes[2 * 3 * 4 + 1 * 12 + 2 * 4 + 3].reshape(3, 2, 2, 2), features[1, :, 2:4, 4:6, 6:8])
+    assert torch.equal(
+        cubes[2 * 3 * 4 + 1 * 12 + 2 * 4 + 3].reshape(3, 2, 2, 2), features[1, :, 2:4, 4:6, 6:8]
+    )
 
 
 def test_squared_distances():
@@ -97,7 +107,9 @@ def judge():
     with torch.random.fork_rng():
         torch.manual_seed(2)
         # Each crop on its own, or features would depend on which crops are in a chunk.
-        return discriminator_of(GanConfig(generator="subpixel", discriminator="score", crop=32, width=2), 1).eval()
+        return discriminator_of(
+            GanConfig(generator="subpixel", discriminator="score", crop=32, width=2), 1
+        ).eval()
 
 
 @pytest.mark.parametrize("chunk", [1, 2, 5])
@@ -107,10 +119,15 @@ def test_the_structural_loss_finds_the_nearest_region_whatever_the_chunks(judge,
         features, candidates = judge.features(made), judge.features(real)
         wanted = 0.0
         for layer, edge in enumerate(EDGES):
-            asked, offered = regions_of(features[layer], edge).numpy(), regions_of(candidates[layer], edge).numpy()
+            asked, offered = (
+                regions_of(features[layer], edge).numpy(),
+                regions_of(candidates[layer], edge).numpy(),
+            )
             apart = np.square(asked[:, None] - offered[None]).sum(2)
             wanted += np.square(asked - offered[apart.argmin(1)]).mean()
-        assert float(Table(real, chunk=chunk).loss(judge, features)) == pytest.approx(float(wanted), rel=1e-4)
+        assert float(Table(real, chunk=chunk).loss(judge, features)) == pytest.approx(
+            float(wanted), rel=1e-4
+        )
         assert float(Table(made, chunk=chunk).loss(judge, features)) == pytest.approx(0, abs=1e-8)
 
 

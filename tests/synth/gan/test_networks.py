@@ -38,12 +38,18 @@ def network(request):
 
 def latent(network, *cells):
     draw = torch.Generator().manual_seed(7)
-    return torch.randn(1, network.latent, *(side + 2 * network.halo for side in cells), generator=draw)
+    return torch.randn(
+        1, network.latent, *(side + 2 * network.halo for side in cells), generator=draw
+    )
 
 
 def test_cells_have_the_promised_size(network):
     with torch.inference_mode():
-        assert network.cells(latent(network, 1, 2, 3)).shape == (1, 2, *(network.cell * side for side in (1, 2, 3)))
+        assert network.cells(latent(network, 1, 2, 3)).shape == (
+            1,
+            2,
+            *(network.cell * side for side in (1, 2, 3)),
+        )
 
 
 def test_a_voxel_does_not_know_where_its_tile_ends(network):
@@ -53,7 +59,9 @@ def test_a_voxel_does_not_know_where_its_tile_ends(network):
         whole = network.cells(z)
         for first in (0, 1, 2):
             part = network.cells(z[:, :, first : first + 1 + 2 * halo])
-            torch.testing.assert_close(part, whole[:, :, first * edge : (first + 1) * edge], rtol=1e-5, atol=1e-6)
+            torch.testing.assert_close(
+                part, whole[:, :, first * edge : (first + 1) * edge], rtol=1e-5, atol=1e-6
+            )
 
 
 def test_a_latent_reaches_no_farther_than_the_halo(network):
@@ -66,7 +74,9 @@ def test_a_latent_reaches_no_farther_than_the_halo(network):
             other[:, :, cell] = -3
             changed = (network.cells(other) != before).flatten(3).any(-1)[0].any(0)
             reached = torch.nonzero(changed).flatten() // edge + halo  # in cells of the latent
-            assert (reached - cell).abs().max() <= halo if len(reached) else cell in (0, 4 + 2 * halo)
+            assert (
+                (reached - cell).abs().max() <= halo if len(reached) else cell in (0, 4 + 2 * halo)
+            )
             assert not halo <= cell < 5 + halo or bool((reached == cell).any())
 
 
@@ -87,14 +97,21 @@ def test_no_chequerboard_passes_the_blur():
 @pytest.mark.parametrize(
     ("reading", "maps"),
     [
-        ("deconvolution+conv", [(100, 512), (512, 512), (512, 256), (256, 128), (128, 64), (64, 1)]),
+        (
+            "deconvolution+conv",
+            [(100, 512), (512, 512), (512, 256), (256, 128), (128, 64), (64, 1)],
+        ),
         ("deconvolution", [(100, 512), (512, 512), (512, 256), (256, 128), (128, 1)]),
     ],
 )
 def test_the_papers_generator(reading, maps):
     with torch.device("meta"):
         network = generator_of(GanConfig(**{**PRESETS["paper"], "generator": reading}), 1)
-        layers = [m for m in network.modules() if isinstance(m, (torch.nn.ConvTranspose3d, torch.nn.Conv3d))]
+        layers = [
+            m
+            for m in network.modules()
+            if isinstance(m, (torch.nn.ConvTranspose3d, torch.nn.Conv3d))
+        ]
         assert [(layer.in_channels, layer.out_channels) for layer in layers] == maps
         assert all(layer.kernel_size == (4, 4, 4) for layer in layers[:5])
         assert network(torch.empty(1, 100, 1, 1, 1)).shape == (1, 1, 64, 64, 64)
@@ -128,7 +145,10 @@ def test_the_judge_of_two_scales_takes_the_crops_that_the_config_allows(crop):
 
 def test_polish_comes_after_the_training():
     """Two blurs as it becomes material, one as the judge sees it."""
-    networks = [generator_of(GanConfig(width=2, latent=2, smoothing=1, polish=polish), 1) for polish in (0, 1)]
+    networks = [
+        generator_of(GanConfig(width=2, latent=2, smoothing=1, polish=polish), 1)
+        for polish in (0, 1)
+    ]
     networks[1].load_state_dict(networks[0].state_dict())
     z = latent(networks[0], 1, 1, 1)
     with torch.inference_mode():
@@ -140,6 +160,11 @@ def test_polish_comes_after_the_training():
 
 
 def test_crops_that_no_network_takes_are_refused():
-    for settings in ({"crop": 32}, {"crop": 44}, {**PRESETS["paper"], "crop": 48}, {**PRESETS["paper"], "crop": 32}):
+    for settings in (
+        {"crop": 32},
+        {"crop": 44},
+        {**PRESETS["paper"], "crop": 48},
+        {**PRESETS["paper"], "crop": 32},
+    ):
         with pytest.raises(InputError, match="crop"):
             GanConfig(**settings)

@@ -10,13 +10,17 @@ from trabecula.synth.gan.specks import without_specks
 
 
 def by_labelling(labels, edge):
-    """The definition, piece by piece: every phase's components, their boxes, and what lies before their first voxel."""
+    """The definition, piece by piece: every phase's components, their boxes, and what lies before
+    their first voxel.
+    """
     found = labels.copy()
     for label in np.unique(labels):
         numbers, _ = ndimage.label(labels == label)
         for number, box in enumerate(ndimage.find_objects(numbers), start=1):
             small = all(side.stop - side.start <= edge for side in box)
-            inside = all(side.start > 0 and side.stop < n for side, n in zip(box, labels.shape, strict=True))
+            inside = all(
+                side.start > 0 and side.stop < n for side, n in zip(box, labels.shape, strict=True)
+            )
             if small and inside:
                 z, y, x = np.argwhere(numbers == number)[0]
                 found[numbers == number] = labels[z, y, x - 1]

@@ -1,4 +1,6 @@
-"""The training: it learns, resumes where it stopped, sees when it fails, and says what it cannot do."""
+"""The training: it learns, resumes where it stopped, sees when it fails, and says what it cannot
+do.
+"""
 
 import csv
 import subprocess
@@ -13,12 +15,12 @@ import trabecula as tb  # noqa: E402
 from trabecula.core.progress import listen  # noqa: E402
 from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noqa: E402
 from trabecula.synth.gan import train  # noqa: E402
+from trabecula.synth.gan.adversarial import Players  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
 from trabecula.synth.gan.data import fields_of  # noqa: E402
 from trabecula.synth.gan.figures import trouble_with  # noqa: E402
 from trabecula.synth.gan.networks import Subpixel  # noqa: E402
 from trabecula.synth.gan.perceptual import Table  # noqa: E402
-from trabecula.synth.gan.players import Players  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
 
@@ -52,7 +54,8 @@ def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "preset", [{"sliced": 1.0}, {"discriminator": "score", "crop": 64, "gram": 0.1, "structural": 1.0}]
+    "preset",
+    [{"sliced": 1.0}, {"discriminator": "score", "crop": 64, "gram": 0.1, "structural": 1.0}],
 )
 def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, preset):
     big = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
@@ -80,7 +83,9 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, prese
 
 def test_the_seed_of_the_training_makes_the_model(stripes):
     settings = {**TINY, "iterations": 2, "warmup": 0.5}
-    one, again, other = (weights_of(train.trained(GanConfig(**settings, seed=s), stripes)) for s in (1, 1, 2))
+    one, again, other = (
+        weights_of(train.trained(GanConfig(**settings, seed=s), stripes)) for s in (1, 1, 2)
+    )
     assert all(np.array_equal(one[name], again[name]) for name in one)
     assert not all(np.array_equal(one[name], other[name]) for name in one)
 
@@ -137,15 +142,26 @@ print(plan.peak, 1024 * int(re.search("VmHWM:\\s+(\\d+)", Path("/proc/self/statu
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_the_forecast_of_memory_holds():
-    done = subprocess.run([sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True
+    )
     forecast, peak = map(int, done.stdout.split())
     assert peak <= forecast <= 2 * peak
 
 
 @pytest.mark.parametrize("reading", ["deconvolution", "deconvolution+conv"])
 def test_a_step_of_the_papers_recipe(stripes, reading):
-    """Every part of equation 2 is there, and Adam's first step moves no weight by more than the rate, most by just that."""
-    settings = {**PRESETS["paper"], "generator": reading, "width": 2, "latent": 4, "batch": 2, "precision": "float32"}
+    """Every part of equation 2 is there, and Adam's first step moves no weight by more than the
+    rate, most by just that.
+    """
+    settings = {
+        **PRESETS["paper"],
+        "generator": reading,
+        "width": 2,
+        "latent": 4,
+        "batch": 2,
+        "precision": "float32",
+    }
     config = GanConfig(**settings)
     image = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
     fields = fields_of(image, config)
@@ -153,11 +169,16 @@ def test_a_step_of_the_papers_recipe(stripes, reading):
     players.table = Table(fields.crops(2, 0, 1), chunk=2)
     before = players.state()
     told = players.play(fields.crops(2, 0, 0), torch.Generator().manual_seed(0), 0, 0.0)
-    assert set(told) == {"judge", "maker", "gram", "structural"} and all(value > 0 for value in told.values())
+    assert set(told) == {"judge", "maker", "gram", "structural"} and all(
+        value > 0 for value in told.values()
+    )
     for net in ("maker", "judge"):
         part = {name: tensor for name, tensor in getattr(players, net).named_parameters()}
         moved = torch.cat(
-            [(tensor.detach() - before[f"{net}.{name}"]).abs().flatten() for name, tensor in part.items()]
+            [
+                (tensor.detach() - before[f"{net}.{name}"]).abs().flatten()
+                for name, tensor in part.items()
+            ]
         )
         assert float(moved.max()) <= 1.001 * config.rate
         assert float(moved.median()) == pytest.approx(config.rate, rel=0.05)
@@ -172,13 +193,17 @@ def test_collapse_is_seen():
     assert "one phase" in trouble_with(torch.full_like(made, 0.9) + 0.01 * made, real, told)
     assert "one phase" in trouble_with(0.001 * made, real, told)
     assert trouble_with(0.1 * made, real, told) == ""  # narrow around 0: it is only slow
-    assert "again and again" in trouble_with(made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told)
+    assert "again and again" in trouble_with(
+        made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told
+    )
     assert "not a number" in trouble_with(made, real, {"maker": float("inf")})
     assert trouble_with(0.01 * made, real, told, grown=False) == ""
 
 
 def test_it_stops_when_nothing_improves(stripes):
-    state = train.trained(GanConfig(**{**TINY, "looks": 100}, iterations=200, patience=1, rate=1e-6), stripes)
+    state = train.trained(
+        GanConfig(**{**TINY, "looks": 100}, iterations=200, patience=1, rate=1e-6), stripes
+    )
     assert state["training"]["iterations"] < 60
 
 
@@ -211,14 +236,21 @@ def test_a_gpu_that_is_too_small_is_told(stripes, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["three phases", "grey"])
 def test_other_kinds_are_learnt_and_made(kind):
-    values = np.random.default_rng(0).integers(0, 3, (12, 12, 12)).repeat(4, 0).repeat(4, 1).repeat(4, 2)
+    values = (
+        np.random.default_rng(0).integers(0, 3, (12, 12, 12)).repeat(4, 0).repeat(4, 1).repeat(4, 2)
+    )
     if kind == "grey":
         image = tb.Image(
-            (100 * values + np.random.default_rng(1).integers(0, 40, values.shape)).astype(np.uint16), "grey"
+            (100 * values + np.random.default_rng(1).integers(0, 40, values.shape)).astype(
+                np.uint16
+            ),
+            "grey",
         )
     else:
         image = tb.Image(values.astype(np.uint8), "labels", phases=("pore", "clay", "quartz"))
-    made = tb.method("gan", **TINY, iterations=2, warmup=0.5).fit(image).generate((40, 33, 20), seed=1)
+    made = (
+        tb.method("gan", **TINY, iterations=2, warmup=0.5).fit(image).generate((40, 33, 20), seed=1)
+    )
     assert (made.kind, made.phases, made.shape) == (image.kind, image.phases, (40, 33, 20))
     assert made.values.dtype == image.values.dtype
     if kind == "grey":

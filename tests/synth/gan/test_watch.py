@@ -5,7 +5,7 @@ import csv
 import numpy as np
 from PIL import Image as Picture
 
-from trabecula.synth.gan.watch import Folder, as_bytes, plotted
+from trabecula.synth.gan.log import TrainingLog, as_bytes, plotted
 
 
 def row(iteration, maker):
@@ -18,7 +18,7 @@ def test_a_slice_is_stretched_from_black_to_white():
 
 
 def test_metrics_are_complete_where_figures_come_later(tmp_path):
-    folder = Folder(str(tmp_path))
+    folder = TrainingLog(str(tmp_path))
     folder.add(row(1, 0.5), np.eye(4))
     folder.add({**row(2, 0.25), "gram": 3.0}, np.eye(4))
     found = list(csv.DictReader((tmp_path / "metrics.csv").open()))
@@ -28,12 +28,15 @@ def test_metrics_are_complete_where_figures_come_later(tmp_path):
 
 
 def test_a_run_that_goes_on_keeps_what_was_there(tmp_path):
-    first = Folder(str(tmp_path))
+    first = TrainingLog(str(tmp_path))
     first.add(row(1, 0.5), np.eye(4))
-    again = Folder(str(tmp_path))
+    again = TrainingLog(str(tmp_path))
     again.continued(first.rows)
     again.add(row(2, 0.25), np.eye(4))
-    assert [line["iteration"] for line in csv.DictReader((tmp_path / "metrics.csv").open())] == ["1", "2"]
+    assert [line["iteration"] for line in csv.DictReader((tmp_path / "metrics.csv").open())] == [
+        "1",
+        "2",
+    ]
     assert np.array_equal(again.slices[0], first.slices[0])
 
 
@@ -49,5 +52,5 @@ def test_the_curve_falls_where_the_loss_does():
 
 def test_without_a_folder_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Folder("").add(row(1, 0.5), np.eye(4))
+    TrainingLog("").add(row(1, 0.5), np.eye(4))
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,6 @@
-"""Any box of what a generator makes, and the file that it is kept in. Weights are untrained: they make material too."""
+"""Any box of what a generator makes, and the file that it is kept in. Weights are untrained: they
+make material too.
+"""
 
 import json
 import subprocess
@@ -13,14 +15,14 @@ from trabecula.errors import FileError, RequestError
 
 torch = pytest.importorskip("torch", reason="gan needs the extra 'learn', which is not installed")
 
-from trabecula.synth.facts import facts_of  # noqa: E402
+from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
+from trabecula.synth.api.serialize import load_model  # noqa: E402
 from trabecula.synth.gan import window  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
 from trabecula.synth.gan.loading import arithmetic, network_of  # noqa: E402
 from trabecula.synth.gan.model import GanModel  # noqa: E402
 from trabecula.synth.gan.networks import generator_of  # noqa: E402
 from trabecula.synth.gan.specks import without_specks  # noqa: E402
-from trabecula.synth.saved import load_model  # noqa: E402
 
 BONE = tb.crop(tb.sample("bone"), 40)
 
@@ -36,7 +38,9 @@ def untrained(exemplar=BONE, calibration=None, seed=0, **settings):
         if name.endswith("bias"):
             weight.zero_()
     return GanModel(
-        config, [facts_of(exemplar)], {"generator": weights, "calibration": calibration, "training": {"x": 1}}
+        config,
+        [exemplar_info(exemplar)],
+        {"generator": weights, "calibration": calibration, "training": {"x": 1}},
     )
 
 
@@ -53,7 +57,9 @@ def either(request):
 
 
 def test_a_tile_is_made_by_its_place_alone(either):
-    """Boxes that share tiles in part, whole or not at all, beyond the request too; all of them parts of one material."""
+    """Boxes that share tiles in part, whole or not at all, beyond the request too; all of them
+    parts of one material.
+    """
     edge = 8 * either.config.cell
     whole = either.window(10, ((edge - 30, edge + 5), (-edge, -edge + 40), (3, 20)), seed=2)
     assert 0.02 < whole.mean() < 0.98
@@ -84,7 +90,9 @@ def test_there_is_no_seam_between_tiles(model):
     """Voxels change across the faces of tiles as often as elsewhere."""
     values = model.generate((128, 128, 80), seed=1).values.astype(int)
     for axis in (0, 1):
-        changes = np.abs(np.diff(values, axis=axis)).mean(axis=tuple(i for i in range(3) if i != axis))
+        changes = np.abs(np.diff(values, axis=axis)).mean(
+            axis=tuple(i for i in range(3) if i != axis)
+        )
         near = np.abs(changes[63] - np.mean(changes[55:72]))
         assert near < 4 * np.std(changes), "the face shows"
         assert changes[63] > 0
@@ -104,7 +112,9 @@ def test_a_torus_has_no_seam_and_needs_whole_cells(model):
     assert np.array_equal(twice, np.tile(values, (2, 2, 2)))
     alone = model.generate((24, 32, 40), seed=1).values
     assert not np.array_equal(alone, values) and np.array_equal(alone.shape, values.shape)
-    with pytest.raises(RequestError, match=r"multiples of 8 voxels, the shape has 41 along x: ask for 40 or 48"):
+    with pytest.raises(
+        RequestError, match=r"multiples of 8 voxels, the shape has 41 along x: ask for 40 or 48"
+    ):
         model.generate((24, 32, 41), periodic=True)
     with pytest.raises(RequestError, match=r"ask for 8,|ask for 8 "):
         model.generate((24, 5, 40), periodic=(False, True, False))
@@ -154,7 +164,9 @@ print(int(status.split("VmHWM:")[1].split()[0]) * 1024, plan.peak)
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of a process is told elsewhere")
 def test_the_forecast_of_the_process_holds(tmp_path):
     path = untrained(width=16, latent=16).save(tmp_path / "wide.model")
-    printed = subprocess.run([sys.executable, "-c", PEAK, path], capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(
+        [sys.executable, "-c", PEAK, path], capture_output=True, text=True, check=True
+    ).stdout
     peak, forecast = map(int, printed.split())
     assert peak <= forecast <= 1.5 * peak
 
@@ -175,8 +187,8 @@ def spoilt(model, tmp_path, arrays=None, **changes):
 
 
 def test_a_file_that_contradicts_itself_is_refused(model, tmp_path):
-    name = "learned." + sorted(model.state["generator"])[0]
-    weight = model.state["generator"][name.removeprefix("learned.")]
+    name = "learned." + sorted(model.arrays["generator"])[0]
+    weight = model.arrays["generator"][name.removeprefix("learned.")]
     assert "NaN" in spoilt(model, tmp_path, {name: weight * np.float32(np.nan)})
     assert "its settings make" in spoilt(model, tmp_path, {name: weight[:1]})
     assert "has no weight 'more'" in spoilt(model, tmp_path, {"learned.more": weight})
@@ -192,22 +204,26 @@ def test_a_file_holds_no_voxel_of_the_exemplar_and_no_path(tmp_path):
     model = untrained(run=str(tmp_path / "secret"))
     data = model.save(tmp_path / "x.model").read_bytes()
     arrays, words = tensors.decode(data)
-    assert all(name.startswith("learned.") for name in arrays) and "secret" not in words["trabecula"]
+    assert (
+        all(name.startswith("learned.") for name in arrays) and "secret" not in words["trabecula"]
+    )
     assert dict(load_model(tmp_path / "x.model").history) == {"x": 1}
     assert model.exemplars == () and model.facts[0].shares[1] == pytest.approx(BONE.values.mean())
 
 
 def test_weights_of_half_precision_make_the_same_from_the_file(tmp_path):
     model = untrained()
-    half = {name: weight.astype(np.float16) for name, weight in model.state["generator"].items()}
-    small = GanModel(model.config, model.facts, {**model.state, "generator": half})
+    half = {name: weight.astype(np.float16) for name, weight in model.arrays["generator"].items()}
+    small = GanModel(model.config, model.facts, {**model.arrays, "generator": half})
     again = load_model(small.save(tmp_path / "half.model"))
     assert np.array_equal(again.generate(32, seed=1).values, small.generate(32, seed=1).values)
-    assert (tmp_path / "half.model").stat().st_size < 0.7 * model.save(tmp_path / "full.model").stat().st_size
+    assert (tmp_path / "half.model").stat().st_size < 0.7 * model.save(
+        tmp_path / "full.model"
+    ).stat().st_size
 
 
 def test_loading_makes_the_network_that_was_saved(model):
-    network = network_of(model.config, 1, model.state["generator"])
+    network = network_of(model.config, 1, model.arrays["generator"])
     assert not network.training and not any(weight.requires_grad for weight in network.parameters())
 
 
@@ -227,6 +243,11 @@ sys.exit(main(["generate", "--model", sys.argv[1], "--shape", "8", "--out", sys.
 
 def test_without_torch_the_extra_is_named(model, tmp_path):
     path = model.save(tmp_path / "x.model")
-    done = subprocess.run([sys.executable, "-c", NO_TORCH, path], capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "method 'gan' needs torch, which is not installed: pip install 'trabecula[learn]'"
+    done = subprocess.run(
+        [sys.executable, "-c", NO_TORCH, path], capture_output=True, text=True, check=False
+    )
+    assert (
+        done.stdout.strip()
+        == "method 'gan' needs torch, which is not installed: pip install 'trabecula[learn]'"
+    )
     assert done.stderr.strip() == f"trabecula: {done.stdout.strip()}" and done.returncode == 2

@@ -1,4 +1,6 @@
-"""The Gaussian field: its theory against known integrals, and its fields against the two-point functions they were made for."""
+"""The Gaussian field: its theory against known integrals, and its fields against the two-point
+functions they were made for.
+"""
 
 import tracemalloc
 
@@ -10,17 +12,24 @@ from scipy.stats import multivariate_normal, norm
 
 import trabecula as tb
 from trabecula.core.seeds import key
-from trabecula.engine.normals import quantiles
+from trabecula.engine.gaussian_random import quantiles
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance import averaged, counts_by_offset, fitted_filter, joint_probability
+from trabecula.synth.noise.covariance import (
+    averaged,
+    counts_by_offset,
+    fitted_filter,
+    joint_probability,
+)
 from trabecula.synth.noise.gaussian import whole
 from trabecula.synth.noise.kernels import white_plane
 
 
 def exponential(shape, *, scale, seed, fraction=0.5, cover=40):
-    """A cut Gaussian field with covariance exp(-r / scale), periodic, by the textbook's route: an oracle of its own."""
+    """A cut Gaussian field with covariance exp(-r / scale), periodic, by the textbook's route: an
+    oracle of its own.
+    """
     far = [np.minimum(np.arange(side), side - np.arange(side)) for side in shape]
     r = np.sqrt(sum(part.astype(float) ** 2 for part in np.ix_(*far)))
     power = np.maximum(np.fft.fftn(np.exp(-r / scale)).real, 0)
@@ -63,7 +72,9 @@ def test_pairs_are_counted_at_every_offset():
 
 
 def test_the_filter_has_the_covariance_it_was_made_for():
-    """S2 of a field with a Gaussian covariance, which is realisable: nothing to clip, and the filter's autocorrelation is it."""
+    """S2 of a field with a Gaussian covariance, which is realisable: nothing to clip, and the
+    filter's autocorrelation is it.
+    """
     r = np.arange(-20, 21.0)
     square = r[:, None, None] ** 2 + r[:, None] ** 2 + r**2
     covariance = np.exp(-square / (2 * 2.5**2))
@@ -87,7 +98,10 @@ def test_white_noise_is_standard_normal_and_by_coordinate():
     plane = plane / 256
     assert abs(plane.mean()) < 0.015 and abs(plane.std() - 1) < 0.01
     assert abs(np.mean(plane**4) - 3) < 0.15
-    assert abs(np.mean(plane[:, 1:] * plane[:, :-1])) < 0.015 and abs(np.mean(plane[1:] * plane[:-1])) < 0.015
+    assert (
+        abs(np.mean(plane[:, 1:] * plane[:, :-1])) < 0.015
+        and abs(np.mean(plane[1:] * plane[:-1])) < 0.015
+    )
     assert np.array_equal(white((40, 33), corner=(7, 13)), 256 * plane[7:47, 13:46])
     assert abs(np.corrcoef(white((40, 33), z=6).ravel(), plane[:40, :33].ravel())[0, 1]) < 0.1
     round_and_round = white((25, 41), corner=(-3, -50), periods=(10, 17))
@@ -97,17 +111,25 @@ def test_white_noise_is_standard_normal_and_by_coordinate():
 
 def test_a_voxel_is_the_sum_over_the_filter_to_the_last_bit():
     """Oracle: the convolution, in whole numbers, voxel by voxel."""
-    model = tb.method("noise", reach=4).fit(exponential((24, 24, 24), scale=2, seed=9, fraction=0.4))
+    model = tb.method("noise", reach=4).fit(
+        exponential((24, 24, 24), scale=2, seed=9, fraction=0.4)
+    )
     values = model.generate((9, 8, 10), seed=1).values
     weights = whole(model.filters[0]).astype(np.int64)
-    noise = np.stack([white((16, 18), z=z, corner=(-4, -4)) for z in range(-4, 13)]).astype(np.int64)
+    noise = np.stack([white((16, 18), z=z, corner=(-4, -4)) for z in range(-4, 13)]).astype(
+        np.int64
+    )
     field = np.array(
-        [np.sum(weights[::-1, ::-1, ::-1] * noise[z : z + 9, y : y + 9, x : x + 9]) for z, y, x in np.ndindex(9, 8, 10)]
+        [
+            np.sum(weights[::-1, ::-1, ::-1] * noise[z : z + 9, y : y + 9, x : x + 9])
+            for z, y, x in np.ndindex(9, 8, 10)
+        ]
     ).reshape(9, 8, 10)
     fraction = model.phases.fractions[0]
     spread = np.sqrt(np.sum(weights**2.0)) * 256
     assert np.array_equal(
-        values == 0, field > norm.isf(fraction) * spread * np.sqrt(np.mean((quantiles(256) / 256.0) ** 2))
+        values == 0,
+        field > norm.isf(fraction) * spread * np.sqrt(np.mean((quantiles(256) / 256.0) ** 2)),
     )
 
 
@@ -115,7 +137,10 @@ def test_a_voxel_is_the_sum_over_the_filter_to_the_last_bit():
 def test_how_a_volume_is_cut_does_not_matter(monkeypatch, phases):
     exemplar = np.random.default_rng(0).integers(0, phases, (16, 16, 16))
     model = tb.method("noise", reach=5).fit(exemplar)
-    whole = {wraps: model.generate((30, 26, 21), seed=3, periodic=wraps).values for wraps in (False, True)}
+    whole = {
+        wraps: model.generate((30, 26, 21), seed=3, periodic=wraps).values
+        for wraps in (False, True)
+    }
     ranked = tb.method("noise", reach=5, exact=True).fit(exemplar)
     exact = ranked.generate((30, 26, 21), seed=3).values
     monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 11)
@@ -125,7 +150,9 @@ def test_how_a_volume_is_cut_does_not_matter(monkeypatch, phases):
 
 
 def test_the_fraction_is_exact_and_the_two_point_function_is_kept():
-    """Known truth: an exponential covariance at phi = 1/2, along an axis S2 = 1/4 + arcsin(exp(-r / 2)) / (2 pi)."""
+    """Known truth: an exponential covariance at phi = 1/2, along an axis S2 = 1/4 + arcsin(exp(-r /
+    2)) / (2 pi).
+    """
     exemplar = exponential((64, 64, 64), scale=2, seed=1)
     material = tb.method("noise", exact=True).fit(exemplar).generate(80, seed=3)
     assert np.count_nonzero(material.values) == 80**3 // 2
@@ -138,14 +165,19 @@ def test_the_fraction_is_exact_and_the_two_point_function_is_kept():
 def test_fractions_are_right_in_the_mean_and_scatter_as_windows_do():
     exemplar = exponential((40, 40, 40), scale=2, seed=1, fraction=0.3)
     model = tb.method("noise", reach=10).fit(exemplar)
-    shares = [model.window(400, [(40 * i, 40 * i + 40), (0, 40), (0, 40)], seed=2).mean() for i in range(12)]
+    shares = [
+        model.window(400, [(40 * i, 40 * i + 40), (0, 40), (0, 40)], seed=2).mean()
+        for i in range(12)
+    ]
     error = np.std(shares) / np.sqrt(12)
     assert 0.004 < np.std(shares) < 0.03
     assert np.mean(shares) == pytest.approx(exemplar.mean(), abs=3 * error)
 
 
 def test_exact_shares_have_no_windows():
-    model = tb.method("noise", reach=4, exact=True).fit(np.random.default_rng(0).integers(0, 2, (12, 12, 12)))
+    model = tb.method("noise", reach=4, exact=True).fit(
+        np.random.default_rng(0).integers(0, 2, (12, 12, 12))
+    )
     with pytest.raises(RequestError, match="leave exact out"):
         model.window(20, [(0, 4)] * 3)
     with pytest.raises(RequestError, match="leave exact out"):
@@ -158,13 +190,18 @@ def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
     exemplar = np.random.default_rng(0).integers(0, 2, (40, 40, 40))
     model = tb.method("noise", reach=15, corrections=2, exact=exact).fit(exemplar)
     request = tb.Request((100, 75, 80), seed=1)
-    with tb.threads(1):  # what several hold at the same moment is up to chance, and the forecast counts all of it
+    # what several hold at the same moment is up to chance, and the forecast counts all of it
+    with tb.threads(1):
         plan = model.plan(request)
         tracemalloc.start()
         model.generate(request)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    assert peak <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"] <= 1.5 * peak
+    assert (
+        peak
+        <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+        <= 1.5 * peak
+    )
 
 
 def test_anisotropy_is_kept():
@@ -206,7 +243,12 @@ def test_periodic_faces_meet():
 
 def test_a_box_smaller_than_the_filter_is_still_periodic():
     exemplar = exponential((48, 48, 48), scale=2, seed=6)
-    values = tb.method("noise").fit(exemplar).generate((20, 16, 18), seed=2, periodic=True).values.astype(int)
+    values = (
+        tb.method("noise")
+        .fit(exemplar)
+        .generate((20, 16, 18), seed=2, periodic=True)
+        .values.astype(int)
+    )
     change = np.mean(np.abs(np.diff(values, axis=0)))
     assert abs(np.mean(np.abs(values[0] - values[-1])) - change) < 0.12
 
@@ -216,7 +258,10 @@ def test_a_flat_image_makes_flat_images():
     made = tb.method("noise").fit(flat).generate((1, 160, 160), seed=0)
     assert made.shape == (1, 160, 160)
     for axis in (1, 2):
-        assert relative(two_point(made, r_max=15, axis=axis), two_point(flat, r_max=15, axis=axis)) < 0.1
+        assert (
+            relative(two_point(made, r_max=15, axis=axis), two_point(flat, r_max=15, axis=axis))
+            < 0.1
+        )
 
 
 def test_bone_has_the_fraction_and_the_two_point_function_and_is_broken(bone):
@@ -245,7 +290,9 @@ def test_averaged_keeps_what_depends_on_length_alone_and_forgets_direction():
     near = length < 10  # beyond the mean length of the last bin S2 stays as it is there
     np.testing.assert_allclose(found[near], (0.5 - length * 0.01)[near], atol=1e-9)
     plane = averaged((0.5 - length * 0.01)[6:7] * 3, np.full((1, 13, 13), 3.0), (4, 4, 4))
-    assert plane.shape == (9, 9, 9) and plane[4, 4, 6] == pytest.approx(0.48) == pytest.approx(plane[6, 4, 4])
+    assert plane.shape == (9, 9, 9) and plane[4, 4, 6] == pytest.approx(0.48) == pytest.approx(
+        plane[6, 4, 4]
+    )
     leaning = averaged(np.broadcast_to(x, (13, 13, 13)) ** 2, np.ones((13, 13, 13)), (6, 6, 6))
     np.testing.assert_allclose(leaning, leaning.transpose(2, 0, 1))
 

@@ -1,4 +1,6 @@
-"""What every kind of noise promises, in a loop over them; and each against an oracle or a known truth."""
+"""What every kind of noise promises, in a loop over them; and each against an oracle or a known
+truth.
+"""
 
 import tracemalloc
 
@@ -13,9 +15,9 @@ from trabecula.errors import InputError, RequestError, UnknownNameError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise import pattern
 from trabecula.synth.noise.config import COVARIANCES, KINDS, WALLED, NoiseConfig
-from trabecula.synth.noise.domain import Domain
+from trabecula.synth.noise.covariance_fit import _NAMED
 from trabecula.synth.noise.lattice import CELL, Grid, grid_of, points_of
-from trabecula.synth.noise.learned import _NAMED
+from trabecula.synth.noise.periodic_domain import Domain
 
 SHAPE = (34, 30, 37)
 LATTICES = sorted(pattern.PATTERNS)
@@ -24,7 +26,9 @@ LATTICES = sorted(pattern.PATTERNS)
 def noise(kind, *, spacing=1.0, **settings):
     """A model without an exemplar, its cells six voxels wide."""
     length = {} if kind == "white" else {"length": 6 * spacing}
-    return tb.method("noise", **{"kind": kind, **length, **settings}).fit(spacing=spacing, unit="um")
+    return tb.method("noise", **{"kind": kind, **length, **settings}).fit(
+        spacing=spacing, unit="um"
+    )
 
 
 def field(kind, shape, *, edge=8.0, spacing=1.0, seed=3, **settings):
@@ -38,7 +42,9 @@ def field(kind, shape, *, edge=8.0, spacing=1.0, seed=3, **settings):
     def keep(piece, z, plane):
         found[piece][z] = plane
 
-    lattice.each(0, Domain(lifted, (False,) * 3, seed, flat), tuple((0, side) for side in lifted), keep)
+    lattice.each(
+        0, Domain(lifted, (False,) * 3, seed, flat), tuple((0, side) for side in lifted), keep
+    )
     return found
 
 
@@ -52,9 +58,17 @@ def test_any_window_is_a_part_of_the_whole(kind):
     model = noise(kind)
     whole = model.generate(SHAPE, seed=5)
     assert (whole.kind, whole.unit, whole.phases) == ("labels", "um", ("void", "solid"))
-    for box in [((0, 10), (5, 30), (3, 4)), ((33, 34), (29, 30), (36, 37)), ((7, 34), (0, 30), (11, 37))]:
-        assert np.array_equal(model.window(SHAPE, box, seed=5), whole.values[tuple(slice(*ends) for ends in box)])
-    first, second = (model.window(SHAPE, [(a, a + 20), (-9, 4), (60, 80)], seed=5) for a in (-30, -17))
+    for box in [
+        ((0, 10), (5, 30), (3, 4)),
+        ((33, 34), (29, 30), (36, 37)),
+        ((7, 34), (0, 30), (11, 37)),
+    ]:
+        assert np.array_equal(
+            model.window(SHAPE, box, seed=5), whole.values[tuple(slice(*ends) for ends in box)]
+        )
+    first, second = (
+        model.window(SHAPE, [(a, a + 20), (-9, 4), (60, 80)], seed=5) for a in (-30, -17)
+    )
     assert np.array_equal(first[13:], second[:7])
     assert not np.array_equal(model.generate(SHAPE, seed=6).values, whole.values)
 
@@ -108,7 +122,9 @@ GOLDEN = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_machine_makes_these_voxels(kind):
     """Frozen: they change with the arithmetic, which has to be the same everywhere."""
-    assert digest(noise(kind, porosity=0.6).generate((20, 22, 24), seed=7).values)[:16] == GOLDEN[kind]
+    assert (
+        digest(noise(kind, porosity=0.6).generate((20, 22, 24), seed=7).values)[:16] == GOLDEN[kind]
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -119,7 +135,9 @@ def test_the_porosity_is_exact_where_it_is_asked_for(kind):
     mask = np.zeros((20, 22, 24), bool)
     mask[3:17, 4:20, :13] = True
     inside = exact.generate(None, mask=mask, seed=1).values
-    assert np.count_nonzero(inside[mask] == 0) == round(0.37 * mask.sum()) and not inside[~mask].any()
+    assert (
+        np.count_nonzero(inside[mask] == 0) == round(0.37 * mask.sum()) and not inside[~mask].any()
+    )
     with pytest.raises(RequestError, match="leave exact out"):
         exact.window(20, [(0, 4)] * 3)
 
@@ -130,20 +148,29 @@ def test_the_level_of_windows_has_the_porosity_in_the_mean(kind, porosity):
     """Cells of three voxels, so that a window of 60^3 holds 8000 of them; four windows."""
     settings = {} if kind == "white" else {"length": 3.3}
     model = tb.method("noise", kind=kind, porosity=porosity, **settings).fit()
-    made = [1 - model.window(60, [(200 * i, 200 * i + 60), (0, 60), (0, 60)], seed=1).mean() for i in range(4)]
+    made = [
+        1 - model.window(60, [(200 * i, 200 * i + 60), (0, 60), (0, 60)], seed=1).mean()
+        for i in range(4)
+    ]
     assert np.mean(made) == pytest.approx(porosity, abs=0.006)
 
 
 @pytest.mark.parametrize("kind", WALLED)
 def test_walls_of_a_regular_lattice_are_as_thick_as_was_asked_for(kind):
-    """Known truth: cubes of 8 with walls of 2 leave (6/8)^3; of their edges, where two walls cross, the rest is void."""
+    """Known truth: cubes of 8 with walls of 2 leave (6/8)^3; of their edges, where two walls cross,
+    the rest is void.
+    """
     model = noise(kind, spacing=0.5, length=4.0, thickness=1.0, jitter=0)
     porosity = 1 - model.generate(32, seed=0).values.mean()
-    assert porosity == ((6 / 8) ** 3 if kind == "voronoi" else 1 - 3 * (2 / 8) ** 2 * (6 / 8) - (2 / 8) ** 3)
+    assert porosity == (
+        (6 / 8) ** 3 if kind == "voronoi" else 1 - 3 * (2 / 8) ** 2 * (6 / 8) - (2 / 8) ** 3
+    )
 
 
 def test_walls_of_stretched_cells_are_as_thick_along_every_axis():
-    made = noise("voronoi", spacing=0.5, length=(4.0, 8.0, 16.0), thickness=1.0, jitter=0).generate(64, seed=0)
+    made = noise("voronoi", spacing=0.5, length=(4.0, 8.0, 16.0), thickness=1.0, jitter=0).generate(
+        64, seed=0
+    )
     assert 1 - made.values.mean() == (6 / 8) * (14 / 16) * (30 / 32)
 
 
@@ -188,22 +215,36 @@ def test_cells_are_whole_and_their_numbers_even():
     points, places = cells_of(small_grid((24, 20, 28)), seed=3, margin=3)
     _, own = cKDTree(points.place).query(places)
     assert np.array_equal(made.ravel(), points.word[own])
-    many = points_of(small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=1.0, margin=0).word / 2**24
+    many = (
+        points_of(
+            small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=1.0, margin=0
+        ).word
+        / 2**24
+    )
     assert abs(many.mean() - 0.5) < 0.01 and abs((many < 0.2).mean() - 0.2) < 0.015
 
 
 def test_points_lie_in_their_cells_and_fill_them_evenly():
-    points = points_of(small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=1.0, margin=0)
+    points = points_of(
+        small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=1.0, margin=0
+    )
     cells = np.stack(np.meshgrid(*(np.arange(20),) * 3, indexing="ij"), -1).reshape(-1, 3)
     inside = points.place - cells * CELL
     assert inside.min() >= 0 and inside.max() < CELL
-    assert np.abs(inside.mean(0) / CELL - 0.5).max() < 0.01 and np.abs(inside.std(0) / CELL - 12**-0.5).max() < 0.01
-    half = points_of(small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=0.5, margin=0)
+    assert (
+        np.abs(inside.mean(0) / CELL - 0.5).max() < 0.01
+        and np.abs(inside.std(0) / CELL - 12**-0.5).max() < 0.01
+    )
+    half = points_of(
+        small_grid((80, 80, 80), 4.0).axes(), key(1, "noise/points"), jitter=0.5, margin=0
+    )
     assert np.abs((half.place - cells * CELL) / CELL - 0.5).max() <= 0.25
 
 
 def test_perlin_is_zero_at_corners_and_follows_its_slopes_near_them():
-    """Voxels of a hundredth of a cell: beside a corner the noise is the slope there times the way; half an octave adds."""
+    """Voxels of a hundredth of a cell: beside a corner the noise is the slope there times the way;
+    half an octave adds.
+    """
     fine = field("perlin", (201, 3, 3), edge=100.0).astype(float) / (1 << 16)
     slope = np.diff(fine, axis=0) * 100
     assert np.abs(slope).max() < 4, "no jumps from cell to cell"
@@ -230,7 +271,9 @@ def test_a_finer_grid_shows_the_same_material(kind):
 @pytest.mark.parametrize("name", sorted(_NAMED))
 def test_a_named_covariance_is_that_of_the_field(name):
     """Known truth: at one half and half S2 = 1/4 + arcsin(rho) / (2 pi)."""
-    model = tb.method("noise", covariance=name, length=4 if name != "wave" else 10, exact=True).fit()
+    model = tb.method(
+        "noise", covariance=name, length=4 if name != "wave" else 10, exact=True
+    ).fit()
     made = model.generate(100, seed=1)
     r = np.arange(13)
     rho = _NAMED[name][0](r / model.config.length)
@@ -262,7 +305,9 @@ def test_inverted_noise_has_the_porosity_and_the_other_shape():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_forecast_of_memory_holds(kind):
-    """With one thread: what several hold at the same moment is up to chance, and the forecast counts all of it."""
+    """With one thread: what several hold at the same moment is up to chance, and the forecast
+    counts all of it.
+    """
     request = tb.Request((70, 66, 90), seed=1)
     with tb.threads(1):
         model = noise(kind)
@@ -274,14 +319,20 @@ def test_the_forecast_of_memory_holds(kind):
         again.generate(request)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    assert peak <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"] <= 3 * peak
+    assert (
+        peak
+        <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+        <= 3 * peak
+    )
 
 
 def test_an_exemplar_tells_porosity_and_phases():
     rng = np.random.default_rng(0)
     values = (rng.random((24, 24, 24)) < 0.8).astype(np.uint8)
     exemplar = tb.Image(1 - values, "labels", 2.0, "um", ("rock", "void"))
-    made = tb.method("noise", kind="worley", length=12, exact=True).fit(exemplar).generate(30, seed=1)
+    made = (
+        tb.method("noise", kind="worley", length=12, exact=True).fit(exemplar).generate(30, seed=1)
+    )
     assert made.spacing == (2.0,) * 3 and made.phases == ("rock", "void")
     assert np.mean(made.values == 1) == pytest.approx(1 - values.mean(), abs=1e-4)
     other = tb.method("noise", porosity=0.6, reach=6, exact=True).fit(exemplar).generate(30, seed=1)
@@ -340,7 +391,11 @@ def test_names_are_suggested():
 @pytest.mark.parametrize(
     ("settings", "spacing", "words"),
     [
-        ({"kind": "worley", "length": 1.9}, 1.0, r"1.9 um is 1.9 voxels, worley noise needs 2 at least"),
+        (
+            {"kind": "worley", "length": 1.9},
+            1.0,
+            r"1.9 um is 1.9 voxels, worley noise needs 2 at least",
+        ),
         ({"kind": "voronoi", "length": (9, 1, 9)}, 1.0, "needs 2 at least"),
         ({"kind": "perlin", "length": 12, "octaves": 4}, 1.0, "in its last octave"),
         ({"kind": "white", "length": 1}, 2.0, "0.5 voxels"),

@@ -15,6 +15,10 @@ def lattice(fraction, period=8):
 def reference(side=40, low=0.3, high=0.8):
     """A cube of it whose fraction goes up and down in several directions."""
     z, y, x = np.indices((side,) * 3) / (side - 1)
-    wave = np.cos(np.pi * (x + 0.5 * y)) * np.cos(np.pi * (0.9 * y + 0.3 * z)) * np.cos(np.pi * (0.5 * z - 0.2 * x))
+    wave = (
+        np.cos(np.pi * (x + 0.5 * y))
+        * np.cos(np.pi * (0.9 * y + 0.3 * z))
+        * np.cos(np.pi * (0.5 * z - 0.2 * x))
+    )
     wave = (wave - wave.min()) / (wave.max() - wave.min())
     return lattice(low + (high - low) * wave)

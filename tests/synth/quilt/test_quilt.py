@@ -1,4 +1,6 @@
-"""`quilt` as a whole: what it promises of fields, seams, connectivity, given voxels, and what it refuses."""
+"""`quilt` as a whole: what it promises of fields, seams, connectivity, given voxels, and what it
+refuses.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from trabecula.core.progress import listen
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt.learnt import cleaned
+from trabecula.synth.quilt.patch_library import cleaned
 
 CELL = dict(patch=11, overlap=3, orientations="all")
 
@@ -31,7 +33,11 @@ def section():
     rng = np.random.default_rng(3)
     field = ndimage.gaussian_filter(rng.random((90, 90)), 3)
     low, high = np.quantile(field, [0.45, 0.6])
-    return tb.Image((field > low).astype(np.uint8) + (field > high), "labels", phases=("void", "binder", "solid"))
+    return tb.Image(
+        (field > low).astype(np.uint8) + (field > high),
+        "labels",
+        phases=("void", "binder", "solid"),
+    )
 
 
 def ramp(shape, low, high):
@@ -58,11 +64,14 @@ def test_a_lattice_follows_its_field_in_step_and_in_one_piece(cells, model):
     errors = [abs(made.values[box].mean() - field[box].mean()) for box in windows(made.values)]
     assert np.mean(errors) < 0.04 and np.max(errors) < 0.16
     assert ndimage.label(made.values)[1] == 1
-    # Nodes of the lattice, where the reference is solid, are solid everywhere; its hollows are hollow.
+    # Nodes of the lattice, where the reference is solid, are solid everywhere; its hollows are
+    # hollow.
     phases = [np.indices(made.shape)[axis] % 8 for axis in range(3)]
     node = np.all([np.abs(phase - 3.5) < 1 for phase in phases], axis=0)
     hollow = np.all([np.abs((phase + 4) % 8 - 3.5) < 1 for phase in phases], axis=0)
-    reference_node = np.all([np.abs(np.indices(cells.shape)[axis] % 8 - 3.5) < 1 for axis in range(3)], axis=0)
+    reference_node = np.all(
+        [np.abs(np.indices(cells.shape)[axis] % 8 - 3.5) < 1 for axis in range(3)], axis=0
+    )
     assert made.values[node].mean() == cells.values[reference_node].mean() == 1.0
     assert made.values[hollow].mean() < 0.02
     assert report(made)["gave_way"] == 0 and report(made)["mismatch"]["mean"] < 0.06
@@ -76,12 +85,14 @@ def test_porosity_asks_for_the_same_as_volume_fraction(model):
 
 
 def test_all_neighbourhoods_with_their_own_fields_give_the_section_again(section):
-    """Figure 5: with the fields of the exemplar itself the pieces find their own places; without, they do not."""
+    """Figure 5: with the fields of the exemplar itself the pieces find their own places; without,
+    they do not.
+    """
     from trabecula.fields.local import windowed
 
-    model = tb.method("quilt", patch=17, overlap=6, share=1.0, candidates=1 << 20, connected="none", alpha=0.5).fit(
-        section
-    )
+    model = tb.method(
+        "quilt", patch=17, overlap=6, share=1.0, candidates=1 << 20, connected="none", alpha=0.5
+    ).fit(section)
     own = {}
     for name in ("volume_fraction:binder", "volume_fraction:solid", "perimeter", "euler"):
         field = windowed(section, size=17, names=[name])[name]
@@ -98,7 +109,11 @@ def test_repair_keeps_what_was_measured_and_continues_it():
     known[18:40, 18:40, 18:40] = False
     model = tb.method("quilt", patch=14, overlap=5).fit(tb.sample("bone"))
     made = model.generate(
-        bone.shape, fixed=bone, known=known, seed=1, target={"volume_fraction": float(bone.values.mean())}
+        bone.shape,
+        fixed=bone,
+        known=known,
+        seed=1,
+        target={"volume_fraction": float(bone.values.mean())},
     )
     assert np.array_equal(made.values[known], bone.values[known])
     hole = made.values[18:40, 18:40, 18:40]
@@ -139,13 +154,17 @@ def test_a_tile_repeats_without_a_seam(model):
 def test_what_is_to_hang_together_does(connected):
     rng = np.random.default_rng(5)
     blobs = (ndimage.gaussian_filter(rng.random((48, 48, 48)), 1.6) > 0.5).astype(np.uint8)
-    made = tb.method("quilt", patch=12, overlap=5, connected=connected).fit(blobs).generate(40, seed=3)
+    made = (
+        tb.method("quilt", patch=12, overlap=5, connected=connected).fit(blobs).generate(40, seed=3)
+    )
     assert report(made)["gave_way"] == 0
     if connected != "void":
         assert label_components(made.values == 1)[1].size == 1
     if connected != "solid":
         labels, sizes = label_components(made.values == 0)
-        faces = np.concatenate([np.unique(labels.take(end, axis)) for axis in range(3) for end in (0, -1)])
+        faces = np.concatenate(
+            [np.unique(labels.take(end, axis)) for axis in range(3) for end in (0, -1)]
+        )
         assert set(range(1, sizes.size + 1)) <= set(faces.tolist())
 
 
@@ -170,8 +189,12 @@ def test_where_no_piece_fits_struts_make_one_body():
 
 @pytest.mark.parametrize("seed", range(2))
 def test_sparse_bone_is_one_piece(seed):
-    model = tb.method("quilt", patch=14, overlap=5, candidates=500).fit(tb.crop(tb.sample("bone"), 48))
-    made = model.generate((40, 40, 48), seed=seed, target={"volume_fraction": ramp((40, 40, 48), 0.1, 0.25)})
+    model = tb.method("quilt", patch=14, overlap=5, candidates=500).fit(
+        tb.crop(tb.sample("bone"), 48)
+    )
+    made = model.generate(
+        (40, 40, 48), seed=seed, target={"volume_fraction": ramp((40, 40, 48), 0.1, 0.25)}
+    )
     assert report(made)["gave_way"] == 0
     assert ndimage.label(made.values)[1] == 1
 
@@ -203,12 +226,21 @@ def thin(made):
 
 
 def test_seams_leave_nothing_thin():
-    """Blocks of two voxels: pieces that meet at odd distances leave slivers unless they are forbidden."""
+    """Blocks of two voxels: pieces that meet at odd distances leave slivers unless they are
+    forbidden.
+    """
     blocks = reference(20).repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     made = {}
     for size in (1, 2):
         method = tb.method(
-            "quilt", patch=11, overlap=4, period="none", connected="none", alpha=0.0, feature=size, tries=300
+            "quilt",
+            patch=11,
+            overlap=4,
+            period="none",
+            connected="none",
+            alpha=0.0,
+            feature=size,
+            tries=300,
         )
         made[size] = method.fit(blocks).generate(26, seed=1, target={"volume_fraction": 0.5})
     assert report(made[2])["gave_way"] == 0
@@ -216,7 +248,9 @@ def test_seams_leave_nothing_thin():
 
 
 def test_two_exemplars_hold_more_than_one():
-    thin, thick = (tb.Image(lattice(np.full((32, 32, 32), share)), "labels") for share in (0.35, 0.65))
+    thin, thick = (
+        tb.Image(lattice(np.full((32, 32, 32), share)), "labels") for share in (0.35, 0.65)
+    )
     with pytest.raises(RequestError, match="hold"):
         tb.method("quilt").fit(thin).generate(24, target={"volume_fraction": 0.65})
     made = (
@@ -242,9 +276,12 @@ def test_a_forecast_tells_what_is_out_of_reach(model):
     assert 0.25 < low < 0.45 and 0.65 < high < 0.85
     assert told.asked["volume_fraction"] == (pytest.approx(0.5), pytest.approx(0.95))
     assert 0.2 < told.outside < 0.7 and "volume_fraction asks for 0.5 .. 0.95" in told.advice
-    # Along the ramp the difference is none as far as the exemplar reaches, then what is missing over its range.
+    # Along the ramp the difference is none as far as the exemplar reaches, then what is missing
+    # over its range.
     along = told.difference[:, 0, 0]
-    assert along[0] < 0.01 and along[-1] == pytest.approx((field[-5:].mean() - high) / (high - low), abs=0.1)
+    assert along[0] < 0.01 and along[-1] == pytest.approx(
+        (field[-5:].mean() - high) / (high - low), abs=0.1
+    )
     assert told.to_json()["descriptors"]["max"] == pytest.approx(np.nanmax(told.difference))
     assert model.forecast(tb.Request(24, target={"volume_fraction": 0.5})).advice == ""
 
@@ -295,7 +332,10 @@ def test_settings_that_do_not_fit(cells, settings, words):
         ({"target": {"perimeter": 0.1}}, "perimeter"),
         ({"target": {"volume_fraction:binder": 0.1}}, "binder"),
         ({"periodic": True, "shape": 12}, "at least"),
-        ({"mask": np.arange(20)[:, None, None] % 10 + np.zeros((20, 20, 20)) < 5}, "2 separate pieces"),
+        (
+            {"mask": np.arange(20)[:, None, None] % 10 + np.zeros((20, 20, 20)) < 5},
+            "2 separate pieces",
+        ),
         ({"shape": (20, 20)}, "give 3 numbers"),
     ],
 )

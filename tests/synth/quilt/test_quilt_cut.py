@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from trabecula.synth.quilt.cut import ALL, LEAST, MOST, seamed
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
 
 MARGIN = 1
 HUGE = 10**6
@@ -17,12 +17,18 @@ def scene(seed, shape, *, labels=2, held=0.0):
     """A window whose lower corner region is made, and a piece for its box."""
     rng = np.random.default_rng(seed)
     margin = tuple(0 if side == 1 else MARGIN for side in shape)
-    window = np.full(tuple(side + 2 * m for side, m in zip(shape, margin, strict=True)), EMPTY, np.uint8)
+    window = np.full(
+        tuple(side + 2 * m for side, m in zip(shape, margin, strict=True)), EMPTY, np.uint8
+    )
     overlap = rng.integers(1, max(shape) // 2 + 1)
     at = np.indices(window.shape)
     made = np.zeros(window.shape, bool)
     for axis in range(3):
-        made |= (at[axis] < overlap + margin[axis]) & (shape[axis] > 1) & bool(rng.integers(0, 2) or axis == 2)
+        made |= (
+            (at[axis] < overlap + margin[axis])
+            & (shape[axis] > 1)
+            & bool(rng.integers(0, 2) or axis == 2)
+        )
     window[made] = rng.integers(0, labels, made.sum())
     window[made & (rng.random(window.shape) < held)] += FIXED
     window[~made & (rng.random(window.shape) < 0.1)] = OUT
@@ -56,14 +62,25 @@ def edges(window, margin, piece):
 
 
 def best_cut(found):
-    names = {name: n for n, name in enumerate(dict.fromkeys([e for pair in found for e in pair[:2]] + ["old", "new"]))}
-    rows, columns, costs = ([names[p] for p, _, _ in found], [names[q] for _, q, _ in found], [c for *_, c in found])
+    names = {
+        name: n
+        for n, name in enumerate(
+            dict.fromkeys([e for pair in found for e in pair[:2]] + ["old", "new"])
+        )
+    }
+    rows, columns, costs = (
+        [names[p] for p, _, _ in found],
+        [names[q] for _, q, _ in found],
+        [c for *_, c in found],
+    )
     graph = coo_array((costs, (rows, columns)), shape=(len(names),) * 2, dtype=np.int32).tocsr()
     return maximum_flow(graph, names["old"], names["new"]).flow_value
 
 
 def cost_of(found, made, window, piece, margin):
-    """What a result's seam costs where its sides can be told apart: where old and new agree, either side will do."""
+    """What a result's seam costs where its sides can be told apart: where old and new agree, either
+    side will do.
+    """
     side = {"old": 0, "new": 1}
     for p in {e for pair in found for e in pair[:2] if isinstance(e, tuple)}:
         old, new = window[p] % FIXED, piece[tuple(np.array(p) - margin)]
@@ -71,7 +88,11 @@ def cost_of(found, made, window, piece, margin):
     return sum(c for p, q, c in found if side[p] == 0 and side[q] == 1)
 
 
-@given(st.integers(0, 10**6), st.sampled_from([(5, 6, 7), (1, 8, 9), (4, 4, 4)]), st.sampled_from([2, 4]))
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([(5, 6, 7), (1, 8, 9), (4, 4, 4)]),
+    st.sampled_from([2, 4]),
+)
 def test_the_cut_is_as_cheap_as_a_reference_solvers(seed, shape, labels):
     window, margin, piece = scene(seed, shape, labels=labels)
     made, cost = seamed(window, margin, piece)
@@ -98,7 +119,9 @@ def test_given_voxels_stay_and_what_is_not_made_is_the_pieces(seed):
 
 
 def test_of_two_equal_cuts_the_least_or_the_most_is_kept():
-    """Old and new differ everywhere in an overlap of three columns: every straight cut costs the same."""
+    """Old and new differ everywhere in an overlap of three columns: every straight cut costs the
+    same.
+    """
     window = np.full((1, 3, 8), EMPTY, np.uint8)
     window[:, :, :4] = 1  # one column before the box, three in it
     piece = np.zeros((1, 3, 6), np.uint8)

@@ -8,18 +8,18 @@ from quilt_lattice import lattice, reference
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.synth.quilt.bodies import CLOSED, FINE, SOLID, VOID, Bodies, Judge, classes_for
+from trabecula.synth.quilt.bit_packing import Words, mismatches, planes_for, query_of
+from trabecula.synth.quilt.candidate_pools import Descriptors, Pool
 from trabecula.synth.quilt.config import QuiltConfig
+from trabecula.synth.quilt.connectivity import CLOSED, FINE, SOLID, VOID, Bodies, Judge, classes_for
 from trabecula.synth.quilt.cut import seamed
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.feature_size import thin_voxels
 from trabecula.synth.quilt.period import in_phase, period_along, periods_of, shifts_of
-from trabecula.synth.quilt.pools import Descriptors, Pool
 from trabecula.synth.quilt.ranking import Ranked
 from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.strut import Struts
-from trabecula.synth.quilt.thin import thin_voxels
+from trabecula.synth.quilt.struts import Struts
+from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.windows import Frame, near_empty
-from trabecula.synth.quilt.words import Words, mismatches, planes_for, query_of
 
 
 @given(st.integers(0, 10**6), st.sampled_from([(7, 3, 2), (14, 4, 2), (9, 5, 3), (6, 2, 11)]))
@@ -64,7 +64,9 @@ def test_what_goes_on_exactly_passes_the_sieve():
     rng = np.random.default_rng(2)
     blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
     run = Run(
-        tb.method("quilt", patch=12, overlap=5, connected="none").fit(blobs).learnt, QuiltConfig(share=1.0), asking()
+        tb.method("quilt", patch=12, overlap=5, connected="none").fit(blobs).learnt,
+        QuiltConfig(share=1.0),
+        asking(),
     )
     at = int(np.ravel_multi_index((0, 9, 14, 21), run.learnt.stack.shape))
     box = run.learnt.piece(at).copy()
@@ -96,7 +98,9 @@ def test_of_the_nearest_the_least_seam_comes_first():
     )
     nearest = np.argsort(found.score, kind="stable")[:10]
     order = [n for n, _ in run.chooser._by_seam(place, found)]
-    costs = [seamed(place.old, run.frame.margin, model.learnt.piece(int(found.at[n])))[1] for n in order]
+    costs = [
+        seamed(place.old, run.frame.margin, model.learnt.piece(int(found.at[n])))[1] for n in order
+    ]
     assert set(order[:6]) == set(nearest[:6].tolist()) and set(order) == set(nearest.tolist())
     assert costs[:6] == sorted(costs[:6]) and costs[6:] == sorted(costs[6:])
     assert len(set(costs)) > 2
@@ -107,7 +111,10 @@ def test_candidates_are_taken_off_from_the_nearest(seed, count):
     score = np.random.default_rng(seed).integers(0, 30, 60)
     ranked = Ranked(np.arange(60), np.zeros(60), np.zeros(60), score.copy(), True)
     first, second = ranked.taken_off(count), ranked.taken_off(count)
-    assert np.concatenate([first, second]).tolist() == np.argsort(score, kind="stable")[: 2 * count].tolist()
+    assert (
+        np.concatenate([first, second]).tolist()
+        == np.argsort(score, kind="stable")[: 2 * count].tolist()
+    )
 
 
 def two_stubs():
@@ -150,7 +157,10 @@ def test_without_a_way_there_is_no_strut():
     bodies, judge, old, of = two_stubs()
     old[:, :, 6] = np.where(old[:, :, 6] == EMPTY, FIXED, old[:, :, 6])
     new = np.where(old == EMPTY, 0, old).astype(np.uint8)
-    assert Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5))) is None
+    assert (
+        Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5)))
+        is None
+    )
 
 
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(1, 60))
@@ -169,7 +179,9 @@ def test_the_nearest_candidates_are_the_nearest(seed, names, count):
 
 def test_descriptors_are_those_of_the_windows_over_their_range():
     image = tb.Image(reference(24), "labels")
-    learnt = tb.method("quilt", patch=8, overlap=2, period="none", connected="none").fit(image).learnt
+    learnt = (
+        tb.method("quilt", patch=8, overlap=2, period="none", connected="none").fit(image).learnt
+    )
     found = Descriptors.of(learnt, ["volume_fraction", "euler"], {"euler": 3})
     assert found.names == ("euler", "volume_fraction"), "the heavier first"
     assert found.weights.tolist() == [768, 256]
@@ -181,7 +193,9 @@ def test_descriptors_are_those_of_the_windows_over_their_range():
 @pytest.mark.parametrize("period", [6, 9, 13])
 def test_a_period_is_found_and_noise_has_none(period):
     x = np.indices((3 * period + 1, 40, 40))[2]
-    layers = ((x % period < period // 2) ^ (np.random.default_rng(0).random(x.shape) < 0.1)).astype(np.uint8)
+    layers = ((x % period < period // 2) ^ (np.random.default_rng(0).random(x.shape) < 0.1)).astype(
+        np.uint8
+    )
     assert period_along(layers, 2) == period
     assert period_along(layers, 1) is None
     assert period_along(tb.sample("bone").values[:48, :48, :48], 2) is None
@@ -238,7 +252,9 @@ def test_thin_solid_is_what_an_opening_takes_away(seed, size):
     opened = opened[size:-size, size:-size, size:-size]
     margin = (2, 2, 2)
     inner = (slice(2, -2),) * 3
-    assert thin_voxels(window, margin, size, solid) == np.count_nonzero((window[inner] == 1) & ~opened[inner])
+    assert thin_voxels(window, margin, size, solid) == np.count_nonzero(
+        (window[inner] == 1) & ~opened[inner]
+    )
 
 
 def laid(seed, connected, density):
@@ -259,11 +275,14 @@ def laid(seed, connected, density):
         frame.cut_out(bodies.of, corner, of, 0)
         for _ in range(60):
             new = old.copy()
-            piece = (ndimage.gaussian_filter(rng.random(patch), 1.2) < np.quantile(rng.random(9), density)).astype(
-                np.uint8
-            )
+            piece = (
+                ndimage.gaussian_filter(rng.random(patch), 1.2)
+                < np.quantile(rng.random(9), density)
+            ).astype(np.uint8)
             keep = (old[inner] >= OUT) if rng.random() < 0.5 else old[inner] == EMPTY
-            new[inner] = np.where((old[inner] != OUT) & (keep | (rng.random() < 0.3)), piece, old[inner])
+            new[inner] = np.where(
+                (old[inner] != OUT) & (keep | (rng.random() < 0.3)), piece, old[inner]
+            )
             if judge.verdict(bodies, old, new, of) == FINE:
                 break
         else:
@@ -284,7 +303,9 @@ def test_pieces_that_pass_make_one_body(seed, connected, density):
         assert ndimage.label(canvas == 1)[1] <= 1
     if connected in ("void", "both"):
         pores, count = ndimage.label(canvas == 0)
-        faces = np.concatenate([np.unique(pores.take(end, axis)) for axis in range(3) for end in (0, -1)])
+        faces = np.concatenate(
+            [np.unique(pores.take(end, axis)) for axis in range(3) for end in (0, -1)]
+        )
         assert set(range(1, count + 1)) <= set(faces.tolist())
     assert bodies.alive[0, SOLID] == 0 and bodies.alive[0, VOID] <= 1
 

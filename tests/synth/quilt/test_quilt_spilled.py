@@ -1,4 +1,6 @@
-"""`quilt` in scratch files: the same voxels, found slab by slab, and nothing in memory that grows with the volume."""
+"""`quilt` in scratch files: the same voxels, found slab by slab, and nothing in memory that grows
+with the volume.
+"""
 
 import tracemalloc
 from contextlib import nullcontext
@@ -11,16 +13,16 @@ from quilt_lattice import reference
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.engine import checkpoint, scratch
+from trabecula.engine import checkpoint, memmap
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt import bodies, method, parts, pools
-from trabecula.synth.quilt.bodies import SOLID, VOID, Bodies, classes_for
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.needs import _pooled
+from trabecula.synth.quilt import candidate_pools, components, connectivity, method
+from trabecula.synth.quilt.candidate_pools import Descriptors, Pools
+from trabecula.synth.quilt.connectivity import SOLID, VOID, Bodies, classes_for
+from trabecula.synth.quilt.memory import _pooled
 from trabecula.synth.quilt.period import phase_key
-from trabecula.synth.quilt.pools import Descriptors, Pools
 from trabecula.synth.quilt.run import Run
 from trabecula.synth.quilt.trace import REASONS, Trace
+from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.windows import Frame
 
 CELL = dict(patch=11, overlap=3)
@@ -28,7 +30,7 @@ CELL = dict(patch=11, overlap=3)
 
 @pytest.fixture(autouse=True)
 def small_arrays_too(monkeypatch):
-    monkeypatch.setattr(scratch, "LEAST", 1)
+    monkeypatch.setattr(memmap, "LEAST", 1)
 
 
 @pytest.fixture(scope="module")
@@ -43,15 +45,17 @@ def blobs():
 
 
 def slabs(folder, memory=1 << 14):
-    return scratch.spilled(folder, memory=memory, thickest=5)
+    return memmap.spilled(folder, memory=memory, thickest=5)
 
 
 def same_in_slabs(model, request, folder):
-    """The values and the trace of a request, after a look whether they are the same in scratch files."""
+    """The values and the trace of a request, after a look whether they are the same in scratch
+    files.
+    """
     values, trace = model.traced(request)
     with slabs(folder):
         again, other = model.traced(request)
-        assert scratch.place_of(again) is not None
+        assert memmap.place_of(again) is not None
         assert np.array_equal(values, again)
         assert other.told() == trace.told()
         del again, other
@@ -63,7 +67,9 @@ def test_a_field_in_a_form_that_repeats(lattice_model, tmp_path):
     shape = (32, 24, 24)
     field = np.broadcast_to(np.linspace(0.4, 0.6, 32, dtype=np.float32)[:, None, None], shape)
     mask = np.hypot(*np.indices(shape)[1:] - 11.5) < 11
-    request = tb.Request(shape, seed=3, mask=mask, periodic=(True, False, False), target={"volume_fraction": field})
+    request = tb.Request(
+        shape, seed=3, mask=mask, periodic=(True, False, False), target={"volume_fraction": field}
+    )
     values, trace = same_in_slabs(lattice_model, request, tmp_path)
     assert not values[~mask].any() and abs(values[mask].mean() - 0.5) < 0.1
     assert trace.told()["places"] == np.count_nonzero(trace.tried)
@@ -75,7 +81,9 @@ def test_repair(blobs, connected, tmp_path):
     known[8:24, 6:25, 9:30] = False
     fixed = tb.Image(np.ascontiguousarray(blobs.T[4:34, 9:39, 2:32]), "labels")
     model = tb.method("quilt", patch=12, overlap=5, connected=connected).fit(blobs)
-    values, trace = same_in_slabs(model, tb.Request(known.shape, seed=1, fixed=fixed, known=known), tmp_path)
+    values, trace = same_in_slabs(
+        model, tb.Request(known.shape, seed=1, fixed=fixed, known=known), tmp_path
+    )
     assert np.array_equal(values[known], fixed.values[known])
     assert trace.told()["mismatch"]["max"] > 0
 
@@ -88,7 +96,7 @@ def test_islands_and_pieces_taken_back(tmp_path, monkeypatch):
     model = tb.method("quilt", patch=9, overlap=3, connected="both", **few).fit(sparse)
     request = tb.Request((30, 24, 24), seed=2)
     whole = model.traced(request)[0]
-    monkeypatch.setattr(bodies, "_MORE", 2)
+    monkeypatch.setattr(connectivity, "_MORE", 2)
     values, trace = same_in_slabs(model, request, tmp_path)
     told = trace.told()
     assert told["taken_back"] > 0 and told["painted"] > 0 and told["struts"] > 0
@@ -98,7 +106,9 @@ def test_islands_and_pieces_taken_back(tmp_path, monkeypatch):
 def test_a_picture(tmp_path):
     rng = np.random.default_rng(3)
     field = ndimage.gaussian_filter(rng.random((60, 60)), 2)
-    section = tb.Image(np.digitize(field, np.quantile(field, [0.45, 0.6])).astype(np.uint8), "labels")
+    section = tb.Image(
+        np.digitize(field, np.quantile(field, [0.45, 0.6])).astype(np.uint8), "labels"
+    )
     model = tb.method("quilt", patch=13, overlap=5, connected="none").fit(section)
     values, _ = same_in_slabs(model, tb.Request((40, 50), seed=1), tmp_path)
     assert values.shape == (40, 50) and set(np.unique(values)) == {0, 1, 2}
@@ -132,22 +142,31 @@ def test_memory_does_not_grow_with_the_volume(lattice_model, tmp_path):
     for length in (24, 24, 144):
         with slabs(tmp_path):
             tracemalloc.start()
-            lattice_model.traced(tb.Request((length, 24, 24), seed=1, target={"volume_fraction": 0.5}))
+            lattice_model.traced(
+                tb.Request((length, 24, 24), seed=1, target={"volume_fraction": 0.5})
+            )
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[2] - peaks[1] < 120 * 24 * 24 // 4, "in core 5 bytes a voxel"
 
 
-@given(st.integers(0, 10**6), st.sampled_from([1, 3, 50]), st.tuples(*[st.booleans()] * 3), st.floats(0.2, 0.8))
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([1, 3, 50]),
+    st.tuples(*[st.booleans()] * 3),
+    st.floats(0.2, 0.8),
+)
 def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
     rng = np.random.default_rng(seed)
-    values = rng.choice([1, 2, EMPTY], (9, 7, 6), p=[share, (1 - share) / 2, (1 - share) / 2]).astype(np.uint8)
+    values = rng.choice(
+        [1, 2, EMPTY], (9, 7, 6), p=[share, (1 - share) / 2, (1 - share) / 2]
+    ).astype(np.uint8)
     labels, sizes = label_components(values == 1, periodic=wraps)
     into = np.full(values.shape, 99, np.int32)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parts, "_AT_ONCE", 42 * thick)
-        part, found = parts.parts_of(values, np.arange(256) == 1, wraps, into=into)
-        _, counted = parts.parts_of(values, np.arange(256) == 1, wraps)
+        patch.setattr(components, "_AT_ONCE", 42 * thick)
+        part, found = components.parts_of(values, np.arange(256) == 1, wraps, into=into)
+        _, counted = components.parts_of(values, np.arange(256) == 1, wraps)
     assert found.tolist() == sizes.tolist() == counted.tolist()
     assert np.array_equal(np.where(values == 1, part[np.where(values == 1, into, 0)], 0), labels)
     assert (into[values != 1] == 99).all()
@@ -155,18 +174,27 @@ def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
 
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
 def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
-    """Ends are faces towards voxels to make; void that reaches a face of the volume, or what is outside, is body 0."""
+    """Ends are faces towards voxels to make; void that reaches a face of the volume, or what is
+    outside, is body 0.
+    """
     rng = np.random.default_rng(7)
-    canvas = ((ndimage.gaussian_filter(rng.random((17, 15, 13)), 1, mode="wrap") > 0.5) + FIXED).astype(np.uint8)
+    canvas = (
+        (ndimage.gaussian_filter(rng.random((17, 15, 13)), 1, mode="wrap") > 0.5) + FIXED
+    ).astype(np.uint8)
     canvas[5:9, 4:11, 3:10] = EMPTY
     canvas[12:, 8:] = OUT
-    for z, y, x in ((2, 2, 2), (9, 6, 6)):  # a pore that is closed, and one that is open to what is to be made
+    # a pore that is closed, and one that is open to what is to be made
+    for z, y, x in ((2, 2, 2), (9, 6, 6)):
         canvas[z if z == 9 else z - 1 : z + 2, y - 1 : y + 2, x - 1 : x + 2] = FIXED + 1
         canvas[z, y, x] = FIXED
     classes = classes_for("both", 0, 2)
     with slabs(tmp_path, memory=1):
         made = Bodies(canvas, wraps, classes)
-        of, ends, sizes = np.array(made.of), np.array(made.ends[: made.count]), np.array(made.sizes[: made.count])
+        of, ends, sizes = (
+            np.array(made.of),
+            np.array(made.ends[: made.count]),
+            np.array(made.sizes[: made.count]),
+        )
         parent, alive = np.array(made.parent[: made.count]), made.alive
     faces = sum(
         (np.roll(canvas, sign, axis) == EMPTY).astype(int) for axis in range(3) for sign in (-1, 1)
@@ -201,11 +229,21 @@ def test_a_trace_sums_what_was_laid():
     trace = Trace(frame)
     shares = np.random.default_rng(0).random(int(np.prod(frame.counts)))
     for number, share in enumerate(shares[:-3]):
-        trace.add(number, share if number else float("nan"), float("nan"), 2, number % 2, REASONS[number % 3])
+        trace.add(
+            number,
+            share if number else float("nan"),
+            float("nan"),
+            2,
+            number % 2,
+            REASONS[number % 3],
+        )
     trace.drop(len(shares) - 4)
     told, laid = trace.told(), np.arange(len(shares) - 4)
     assert told["places"] == len(laid) and told["taken_back"] == 1
-    assert told["mismatch"] == {"mean": round(shares[laid][1:].mean(), 6), "max": round(shares[laid][1:].max(), 6)}
+    assert told["mismatch"] == {
+        "mean": round(shares[laid][1:].mean(), 6),
+        "max": round(shares[laid][1:].max(), 6),
+    }
     assert "descriptors" not in told
     assert told["struts"] == told["strut_voxels"] == (laid % 2).sum()
     assert told["gave_way"] == np.count_nonzero(laid % 3)
@@ -218,14 +256,16 @@ def test_a_trace_sums_what_was_laid():
 def out_of_step():
     """Cells of 7.25 voxels, laid every 6: every place has a phase of its own."""
     x = np.indices((40, 40, 40)) % 7.25 < 4
-    return tb.method("quilt", patch=9, overlap=3, connected="none").fit((x.sum(axis=0) > 1).astype(np.uint8))
+    return tb.method("quilt", patch=9, overlap=3, connected="none").fit(
+        (x.sum(axis=0) > 1).astype(np.uint8)
+    )
 
 
 def test_pools_that_are_forgotten_are_made_again(out_of_step, monkeypatch):
     assert all(period == pytest.approx(7.25, abs=0.1) for period in out_of_step.periods)
     request = tb.Request((30, 24, 24), seed=1)
     values = out_of_step.traced(request)[0]
-    monkeypatch.setattr(pools, "HELD", 0)
+    monkeypatch.setattr(candidate_pools, "HELD", 0)
     run = Run(out_of_step.learnt, out_of_step.config, request)
     assert np.array_equal(run.made(), values)
     assert not run.pools._made
@@ -249,7 +289,7 @@ def test_what_must_stay_in_memory_does_not_grow(lattice_model):
 
 
 def test_a_form_in_pieces_is_found_in_slabs(monkeypatch):
-    monkeypatch.setattr(parts, "_AT_ONCE", 1)
+    monkeypatch.setattr(components, "_AT_ONCE", 1)
     mask = np.zeros((9, 6, 6), bool)
     mask[:, 1:3] = True
     method._check_one_form(mask, (False,) * 3)

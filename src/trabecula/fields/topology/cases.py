@@ -1,4 +1,6 @@
-"""What a part is held and loaded by, as data: boxes in shares of the sides, so that a case fits any number of voxels."""
+"""What a part is held and loaded by, as data: boxes in shares of the sides, so that a case fits any
+number of voxels.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 
 Box = tuple[tuple[float, float], ...]
-"""From and to along z, y, x, in shares of the sides 0 .. 1; a face, edge or corner where both are equal."""
+"""From and to along z, y, x, in shares of the sides 0 .. 1; a face, edge or corner where both are
+equal.
+"""
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,9 @@ def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
     if isinstance(source, Mapping):
         return _from_mapping(source)
     if not isinstance(source, str | Path):
-        raise InputError(f"a case is a name, a .json file or a mapping, got {type(source).__name__}")
+        raise InputError(
+            f"a case is a name, a .json file or a mapping, got {type(source).__name__}"
+        )
     path = Path(source)
     if path.suffix != ".json":
         check_name(str(source), CASES, name="case (or a .json file)")
@@ -113,7 +119,9 @@ def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
     try:
         return _from_mapping(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileError(f"cannot read the case {path}: {getattr(error, 'strerror', None) or error}") from None
+        raise FileError(
+            f"cannot read the case {path}: {getattr(error, 'strerror', None) or error}"
+        ) from None
 
 
 def to_json(given: Case) -> dict[str, Any]:
@@ -130,17 +138,32 @@ def _from_mapping(given: Any) -> Case:
     for name in given:
         check_name(str(name), Case.__dataclass_fields__, name="field of a case")
     try:
-        supports = tuple(Support(_as_box(s["box"]), str(s.get("axes", "zyx"))) for s in given["supports"])
+        supports = tuple(
+            Support(_as_box(s["box"]), str(s.get("axes", "zyx"))) for s in given["supports"]
+        )
         loads = tuple(Load(_as_box(load["box"]), _three(load["force"])) for load in given["loads"])
         z, y, x = (int(side) for side in given["shape"])
-        rest = {name: float(given[name]) for name in ("volume", "low", "high", "penalty") if name in given}
+        rest = {
+            name: float(given[name])
+            for name in ("volume", "low", "high", "penalty")
+            if name in given
+        }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"the case cannot be read ({type(error).__name__}: {error}): a support has box and axes, a load box and force"
         ) from None
     if any(set(support.axes) - set("zyx") or not support.axes for support in supports):
-        raise InputError(f"axes of a support are letters of zyx: got {[support.axes for support in supports]}")
-    return Case(str(given.get("name", "case")), str(given.get("summary", "")), (z, y, x), supports, loads, **rest)
+        raise InputError(
+            f"axes of a support are letters of zyx: got {[support.axes for support in supports]}"
+        )
+    return Case(
+        str(given.get("name", "case")),
+        str(given.get("summary", "")),
+        (z, y, x),
+        supports,
+        loads,
+        **rest,
+    )
 
 
 def _as_box(given: Sequence[Sequence[float]]) -> Box:
@@ -156,7 +179,9 @@ def _three(given: Sequence[float]) -> tuple[float, float, float]:
 
 
 def nodes_of(box: Box, shape: tuple[int, ...]) -> np.ndarray:
-    """(Z + 1, Y + 1, X + 1) bool: the nodes of a grid of elements that lie in a box, its nearest ones at least."""
+    """(Z + 1, Y + 1, X + 1) bool: the nodes of a grid of elements that lie in a box, its nearest
+    ones at least.
+    """
     picked = []
     for (low, high), side in zip(box, shape, strict=True):
         node = np.arange(side + 1)

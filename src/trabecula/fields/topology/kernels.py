@@ -1,6 +1,8 @@
-"""Elements of a regular grid applied without a matrix: one brick's stiffness, times every element's density.
+"""Elements of a regular grid applied without a matrix: one brick's stiffness, times every element's
+density.
 
-Forces and displacements are (Z + 1, Y + 1, X + 1, 3) at the nodes, densities (Z, Y, X) at the elements; 0 is no element.
+Forces and displacements are (Z + 1, Y + 1, X + 1, 3) at the nodes, densities (Z, Y, X) at the
+elements; 0 is no element.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ def _pushed(stiffness, local, force):
 
 @kernel
 def apply_layers(stiffness, density, u, force, parity, start, stop):
-    """force += K u of the layers 2 k + parity with start <= k < stop, which share no nodes with each other."""
+    """force += K u of the layers 2 k + parity with start <= k < stop, which share no nodes with
+    each other.
+    """
     depth, height, width = density.shape
     local, pushed = np.empty(24), np.empty(24)
     for k in range(start, stop):

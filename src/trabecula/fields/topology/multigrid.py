@@ -1,8 +1,9 @@
 """A preconditioner for the displacements: one V-cycle over coarser grids of elements.
 
-On a coarser grid an element of twice the edge has the mean density of the eight it covers; densities between bounds vary so
-little that this stays close to the fine problem. Smoothing is by Chebyshev polynomials of the diagonal's inverse: they have
-no order of nodes, so the result does not depend on threads.
+On a coarser grid an element of twice the edge has the mean density of the eight it covers;
+densities between bounds vary so little that this stays close to the fine problem. Smoothing is by
+Chebyshev polynomials of the diagonal's inverse: they have no order of nodes, so the result does not
+depend on threads.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def levels_of(part: Part, density: np.ndarray) -> list[Level]:
 
 
 def _coarser(part: Part, inside: np.ndarray) -> Part:
-    """A node is held where the fine one at its place is, or an odd one beside it, which has none at its own place."""
+    """A node is held where the fine one at its place is, or an odd one beside it, which has none at
+    its own place.
+    """
     held = ~part.free
     for axis, side in enumerate(inside.shape):
         fine = [np.zeros_like(held.take([0], axis)), held]
@@ -52,26 +55,36 @@ def _coarser(part: Part, inside: np.ndarray) -> Part:
         at = 2 * np.arange(side + 1) + 1
         held = long.take(at, axis) | long.take(at - 1, axis) | long.take(at + 1, axis)
     # A brick twice as large is twice as stiff.
-    return replace(part, stiffness=2 * part.stiffness, inside=inside, free=~held, load=np.zeros(held.shape))
+    return replace(
+        part, stiffness=2 * part.stiffness, inside=inside, free=~held, load=np.zeros(held.shape)
+    )
 
 
 def preconditioned(levels: list[Level], residual: np.ndarray, largest: float) -> np.ndarray:
     """One V-cycle from zero: about the displacements of a residual."""
     level = levels[0]
     if len(levels) == 1:
-        return _smoothed(level, np.zeros_like(residual), residual, largest, _LOWEST_THERE, _COARSEST_DEGREE)
+        return _smoothed(
+            level, np.zeros_like(residual), residual, largest, _LOWEST_THERE, _COARSEST_DEGREE
+        )
     u = _smoothed(level, np.zeros_like(residual), residual, largest, _LOWEST, _DEGREE)
     left = residual - level.part.product(level.density, u)
     coarse = levels[1].part.free
     down = np.where(coarse, _restricted(left, coarse.shape), 0.0)
-    u = u + np.where(level.part.free, _prolonged(preconditioned(levels[1:], down, largest), u.shape), 0.0)
-    return _smoothed(level, u, residual - level.part.product(level.density, u), largest, _LOWEST, _DEGREE)
+    u = u + np.where(
+        level.part.free, _prolonged(preconditioned(levels[1:], down, largest), u.shape), 0.0
+    )
+    return _smoothed(
+        level, u, residual - level.part.product(level.density, u), largest, _LOWEST, _DEGREE
+    )
 
 
 def _smoothed(
     level: Level, u: np.ndarray, residual: np.ndarray, largest: float, lowest: float, degree: int
 ) -> np.ndarray:
-    """Chebyshev iteration on the eigenvalues from `lowest` to 1 times the largest; residual is that of u."""
+    """Chebyshev iteration on the eigenvalues from `lowest` to 1 times the largest; residual is that
+    of u.
+    """
     middle, half = largest * (1 + lowest) / 2, largest * (1 - lowest) / 2
     step = level.inverse * residual / middle
     ratio = half / middle
@@ -85,7 +98,9 @@ def _smoothed(
 
 
 def largest_eigenvalue(part: Part) -> float:
-    """A bound for the diagonal's inverse times the stiffness: that of one brick; rounded up, since its bits vary."""
+    """A bound for the diagonal's inverse times the stiffness: that of one brick; rounded up, since
+    its bits vary.
+    """
     scale = 1 / np.sqrt(np.diag(part.stiffness))
     found = np.linalg.eigvalsh(scale[:, None] * part.stiffness * scale)[-1]
     return float(np.ceil(found * 1000) / 1000)

@@ -1,7 +1,8 @@
 """Least compliance for a given volume by optimality criteria (SIMP).
 
-The stiffness of an element is density^penalty (Bendsoe 1989, doi:10.1007/BF01650949; update and filter as in Liu and Tovar
-2014, doi:10.1007/s00158-014-1107-x). With penalty 1 the problem is convex: a graded material, and one best answer.
+The stiffness of an element is density^penalty (Bendsoe 1989, doi:10.1007/BF01650949; update and
+filter as in Liu and Tovar 2014, doi:10.1007/s00158-014-1107-x). With penalty 1 the problem is
+convex: a graded material, and one best answer.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ def simp(
     of : str, path, mapping or Case
         "cantilever", "wheel", a JSON file, or a case: supports and loads.
     shape : int or three ints, optional
-        Elements along z (up), y, x. Default: the case's. Some thousands are enough: `resample` brings them to voxels.
+        Elements along z (up), y, x. Default: the case's. Some thousands are enough: `resample`
+        brings them to voxels.
     volume : float, optional
         Mean density. Default: the case's (the paper's .5).
     low, high : float, optional
@@ -64,7 +66,8 @@ def simp(
     radius : float
         Of the density filter in elements; up to 1: none.
     mask : (Z, Y, X) bool array, optional
-        Elements of the part; elsewhere the density is `low` in the result and there is nothing in the mechanics.
+        Elements of the part; elsewhere the density is `low` in the result and there is nothing in
+        the mechanics.
     poisson : float
         Ratio of the solid, -0.9 .. 0.45.
     rounds : int
@@ -79,7 +82,8 @@ def simp(
     Returns
     -------
     field : Image
-        Grey, float32. Its recipe's step holds a `report`: `compliance` of every round (of the uniform density first).
+        Grey, float32. Its recipe's step holds a `report`: `compliance` of every round (of the
+        uniform density first).
 
     Raises
     ------
@@ -98,10 +102,22 @@ def simp(
     """
     chosen = case(of)
     sides = as_shape(chosen.shape if shape is None else shape)
-    check_budget(Plan({"elements": _BYTES * int(np.prod(sides))}), budget=memory, advice="ask for fewer elements")
+    check_budget(
+        Plan({"elements": _BYTES * int(np.prod(sides))}),
+        budget=memory,
+        advice="ask for fewer elements",
+    )
     given = {"volume": volume, "low": low, "high": high, "penalty": penalty}
-    asked = {name: getattr(chosen, name) if value is None else value for name, value in given.items()}
-    settings: dict[str, Any] = {"radius": radius, "poisson": poisson, "rounds": rounds, "tolerance": tolerance, **asked}
+    asked = {
+        name: getattr(chosen, name) if value is None else value for name, value in given.items()
+    }
+    settings: dict[str, Any] = {
+        "radius": radius,
+        "poisson": poisson,
+        "rounds": rounds,
+        "tolerance": tolerance,
+        **asked,
+    }
     settings = _checked(settings)
     edges = as_spacing(spacing, ndim=3)
     inside = np.ones(sides, bool) if mask is None else as_region(mask, sides, name="the mask")
@@ -112,7 +128,9 @@ def simp(
     told = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
         told["mask"] = digest(inside.view(np.uint8))
-    return as_field(field, "simp", told, spacing=edges, unit=unit, report={"compliance": compliance})
+    return as_field(
+        field, "simp", told, spacing=edges, unit=unit, report={"compliance": compliance}
+    )
 
 
 def _checked(given: dict[str, Any]) -> dict[str, Any]:
@@ -150,7 +168,10 @@ def _optimised(part: Part, settings: dict[str, Any]) -> tuple[np.ndarray, list[f
         u = solved(part, stiff, u, tolerance=_BALANCE, most=_STEPS)
         energy = part.energy(u)
         compliance.append(float((stiff * energy).sum()))
-        if len(compliance) > 1 and abs(compliance[-2] - compliance[-1]) < settings["tolerance"] * compliance[-2]:
+        if (
+            len(compliance) > 1
+            and abs(compliance[-2] - compliance[-1]) < settings["tolerance"] * compliance[-2]
+        ):
             break
         slope = penalty * _power(density, penalty - 1) * energy
         design, density = _updated(design, smooth.back(slope), smooth, settings)
@@ -189,14 +210,18 @@ def _updated(
 
 
 class _Filter:
-    """Densities averaged with linearly falling weights over the elements of the part within a radius."""
+    """Densities averaged with linearly falling weights over the elements of the part within a
+    radius.
+    """
 
     def __init__(self, inside: np.ndarray, radius: float) -> None:
         self.inside = inside
         reach = int(np.ceil(radius)) - 1 if radius > 1 else 0
         offsets = product(range(-reach, reach + 1), repeat=3)
         weighed = (
-            [(o, radius - float(np.sqrt(sum(k * k for k in o)))) for o in offsets] if reach else [((0, 0, 0), 1.0)]
+            [(o, radius - float(np.sqrt(sum(k * k for k in o)))) for o in offsets]
+            if reach
+            else [((0, 0, 0), 1.0)]
         )
         self.weights = [(offset, weight) for offset, weight in weighed if weight > 0]
         self.reach = reach
@@ -215,7 +240,8 @@ class _Filter:
         total = np.zeros_like(values)
         for offset, weight in self.weights:
             at = tuple(
-                slice(self.reach + o, self.reach + o + side) for o, side in zip(offset, values.shape, strict=True)
+                slice(self.reach + o, self.reach + o + side)
+                for o, side in zip(offset, values.shape, strict=True)
             )
             total += weight * padded[at]
         return total

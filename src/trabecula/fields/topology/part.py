@@ -1,4 +1,6 @@
-"""A part as a grid of elements with supports and loads, and what its densities do to displacements: no matrix is kept."""
+"""A part as a grid of elements with supports and loads, and what its densities do to displacements:
+no matrix is kept.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.errors import InputError
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.fields.topology.cases import Case, nodes_of
 from trabecula.fields.topology.kernels import apply_layers, energies
 from trabecula.measure.mechanics.elements import CORNERS, brick_stiffness, isotropic
@@ -29,7 +31,9 @@ class Part:
     """The same shape: force, 0 where it is held."""
 
     @classmethod
-    def of(cls, case: Case, inside: np.ndarray, *, edges: tuple[float, ...], poisson: float) -> Part:
+    def of(
+        cls, case: Case, inside: np.ndarray, *, edges: tuple[float, ...], poisson: float
+    ) -> Part:
         """A case on a grid whose elements are `inside`; edges are those of an element."""
         blocks = brick_stiffness(isotropic(1.0, poisson), edges)
         # Rounded, since the last bit of a matrix product depends on the machine.
@@ -37,7 +41,9 @@ class Part:
         nodes = tuple(side + 1 for side in inside.shape)
         present = np.zeros(nodes, bool)
         for corner in CORNERS:
-            present[tuple(slice(c, c + side) for c, side in zip(corner, inside.shape, strict=True))] |= inside
+            present[
+                tuple(slice(c, c + side) for c, side in zip(corner, inside.shape, strict=True))
+            ] |= inside
         free = np.repeat(present[..., None], 3, axis=-1)
         load = np.zeros((*nodes, 3))
         for support in case.supports:
@@ -51,15 +57,20 @@ class Part:
             load[pushed] += np.array(push.force) / np.count_nonzero(pushed)
         load[~free] = 0
         if not load.any():
-            raise InputError(f"case {case.name!r} pushes nothing that can move: give a load away from the supports")
+            raise InputError(
+                f"case {case.name!r} pushes nothing that can move: give a load away from the supports"
+            )
         if free[present].all():
-            raise InputError(f"case {case.name!r} holds no element: give supports that meet the part")
+            raise InputError(
+                f"case {case.name!r} holds no element: give supports that meet the part"
+            )
         return cls(stiffness, inside, free, load)
 
     def product(self, density: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Forces of displacements, 0 where a node is held."""
         force = np.zeros_like(u)
-        for parity in (0, 1):  # layers of one parity share no nodes: sums have one order for any threads
+        # layers of one parity share no nodes: sums have one order for any threads
+        for parity in (0, 1):
             for_slabs(
                 lambda a, b, p=parity: apply_layers(self.stiffness, density, u, force, p, a, b),  # type: ignore[misc]
                 (len(density) + 1) // 2,
@@ -80,5 +91,7 @@ class Part:
     def energy(self, u: np.ndarray) -> np.ndarray:
         """(Z, Y, X): u K u of every element at density 1."""
         found = np.empty(self.inside.shape)
-        for_slabs(lambda a, b: energies(self.stiffness, self.inside, u, found, a, b), len(found), least=2)
+        for_slabs(
+            lambda a, b: energies(self.stiffness, self.inside, u, found, a, b), len(found), least=2
+        )
         return found

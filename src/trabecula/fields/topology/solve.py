@@ -16,7 +16,9 @@ _LOOSE = (
 )
 
 
-def solved(part: Part, density: np.ndarray, start: np.ndarray, *, tolerance: float, most: int) -> np.ndarray:
+def solved(
+    part: Part, density: np.ndarray, start: np.ndarray, *, tolerance: float, most: int
+) -> np.ndarray:
     """Displacements, begun from `start`; the residual falls to `tolerance` of the load."""
     levels, largest = levels_of(part, density), largest_eigenvalue(part)
     u = start.copy()
@@ -40,6 +42,7 @@ def solved(part: Part, density: np.ndarray, start: np.ndarray, *, tolerance: flo
     else:
         raise InputError(_LOOSE)
     stretch = dot((u * part.diagonal(density)).ravel(), u.ravel())
-    if dot(u.ravel(), part.load.ravel()) < _SOFTEST * stretch:  # it moves as a whole: only rounding holds it
+    # it moves as a whole: only rounding holds it
+    if dot(u.ravel(), part.load.ravel()) < _SOFTEST * stretch:
         raise InputError(_LOOSE)
     return u

@@ -1,9 +1,11 @@
-"""Copying: how much of an image was taken from its exemplar in one piece, and how much realisations differ.
+"""Copying: how much of an image was taken from its exemplar in one piece, and how much realisations
+differ.
 
-Every voxel has a *source*: the voxel of the exemplar whose neighbourhood (9 x 9 x 9 voxels; 15 x 15 in 2-D) differs from
-its own in the fewest voxels. In copied material the source moves along when the voxel moves; in independent material it
-jumps. Only voxels near an interface count, those with more than one phase in the middle of their neighbourhood (5 x 5 x 5;
-9 x 9 in 2-D): blank surroundings have no source. So do only neighbourhoods that fit wholly into the image. Lengths are
+Every voxel has a *source*: the voxel of the exemplar whose neighbourhood (9 x 9 x 9 voxels; 15 x 15
+in 2-D) differs from its own in the fewest voxels. In copied material the source moves along when
+the voxel moves; in independent material it jumps. Only voxels near an interface count, those with
+more than one phase in the middle of their neighbourhood (5 x 5 x 5; 9 x 9 in 2-D): blank
+surroundings have no source. So do only neighbourhoods that fit wholly into the image. Lengths are
 voxels, whatever the spacing.
 """
 
@@ -11,4 +13,12 @@ from trabecula.measure.copying.coherence import coherence
 from trabecula.measure.copying.diversity import Diversity, diversity
 from trabecula.measure.copying.sources import Patches, Sources, coherent_patches, sources
 
-__all__ = ["Diversity", "Patches", "Sources", "coherence", "coherent_patches", "diversity", "sources"]
+__all__ = [
+    "Diversity",
+    "Patches",
+    "Sources",
+    "coherence",
+    "coherent_patches",
+    "diversity",
+    "sources",
+]

@@ -1,4 +1,6 @@
-"""Whether sources move along with their voxels: a figure from an exact search over a sample of voxels."""
+"""Whether sources move along with their voxels: a figure from an exact search over a sample of
+voxels.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,11 @@ def coherence(
 ) -> dict[int, float]:
     """Share of voxels whose source moves along when the voxel moves by k, 0..1, for each k.
 
-    A voxel p moves along if, among the neighbourhoods of the exemplar that are nearest to p's (there may be several), one
-    becomes a nearest of p + k when it moves by k too. The search is exact, so nothing favours copies, over an even sample of the
-    voxels near an interface, each moved along an axis drawn at random, forwards or backwards. The standard error is that
-    of a share of `samples`: at most 0.016 for 1000.
+    A voxel p moves along if, among the neighbourhoods of the exemplar that are nearest to p's
+    (there may be several), one becomes a nearest of p + k when it moves by k too. The search is
+    exact, so nothing favours copies, over an even sample of the voxels near an interface, each
+    moved along an axis drawn at random, forwards or backwards. The standard error is that of a
+    share of `samples`: at most 0.016 for 1000.
 
     Parameters
     ----------
@@ -43,9 +46,11 @@ def coherence(
     size : int, optional
         Width of a neighbourhood, odd, 3..15. Default: 9 in 3-D, 15 in 2-D.
     mirrors : bool
-        Mirror images of the exemplar are candidates too (8 in 3-D, 4 in 2-D): a mirrored copy hides otherwise.
+        Mirror images of the exemplar are candidates too (8 in 3-D, 4 in 2-D): a mirrored copy hides
+        otherwise.
     half : bool
-        At half resolution: voxels are the majority of 2 x 2 x 2, at any offset, so neighbourhoods are twice as wide.
+        At half resolution: voxels are the majority of 2 x 2 x 2, at any offset, so neighbourhoods
+        are twice as wide.
     samples : int
         Voxels looked at, 1 and more; fewer where fewer lie near an interface.
     seed : int
@@ -63,8 +68,9 @@ def coherence(
 
     Notes
     -----
-    Copies from patch-based synthesis are described by Ashikhmin 2001, "Synthesizing natural textures",
-    doi:10.1145/364338.364405. Candidates are pruned by a tree over counts in blocks, a lower bound of the distance.
+    Copies from patch-based synthesis are described by Ashikhmin 2001, "Synthesizing natural
+    textures", doi:10.1145/364338.364405. Candidates are pruned by a tree over counts in blocks, a
+    lower bound of the distance.
 
     Examples
     --------
@@ -73,13 +79,18 @@ def coherence(
     {1: 1.0, 4: 1.0}
     """
     pair = checked_pair(exemplar, image, size=size, half=half)
-    steps = [int(as_number(step, name="k", low=1, high=1 << 20, whole=True)) for step in np.ravel(k).tolist()]
+    steps = [
+        int(as_number(step, name="k", low=1, high=1 << 20, whole=True))
+        for step in np.ravel(k).tolist()
+    ]
     samples = int(as_number(samples, name="samples", low=1, high=1 << 30, whole=True))
     tree, cubes = grown(pair), cut(pair.image, pair.geometry)
     sites, moves, fits = _sampled(cubes, pair, steps, samples, as_seed(seed))
     for step, pairs in zip(steps, fits.T, strict=True):
         if not pairs.any():
-            raise InputError(f"no two voxels near an interface are k = {step} apart in the image: lower k")
+            raise InputError(
+                f"no two voxels near an interface are k = {step} apart in the image: lower k"
+            )
     stays = _moves_along(tree, pair, sites, moves, fits, mirrors)
     return {step: float(np.mean(stays[fits[:, i], i])) for i, step in enumerate(steps)}
 
@@ -87,17 +98,27 @@ def coherence(
 def _sampled(
     cubes: Cubes, pair: Pair, steps: Sequence[int], samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sites (S, 3) spread evenly over those that count, their moves (S, M, 3), and which moves end where one counts."""
+    """Sites (S, 3) spread evenly over those that count, their moves (S, M, 3), and which moves end
+    where one counts.
+    """
     counting = np.flatnonzero(cubes.counts)
     if not len(counting):
-        raise InputError("no neighbourhood of the image has an interface near its middle: there is nothing to compare")
+        raise InputError(
+            "no neighbourhood of the image has an interface near its middle: there is nothing to compare"
+        )
     samples = min(samples, len(counting))
     draw = generator(seed, "coherence")
-    chosen = ((np.arange(samples) + draw.random(samples)) * (len(counting) / samples)).astype(np.int64)
-    sites = np.stack(np.unravel_index(counting[np.minimum(chosen, len(counting) - 1)], cubes.counts.shape), -1)
+    chosen = ((np.arange(samples) + draw.random(samples)) * (len(counting) / samples)).astype(
+        np.int64
+    )
+    sites = np.stack(
+        np.unravel_index(counting[np.minimum(chosen, len(counting) - 1)], cubes.counts.shape), -1
+    )
     moves = np.zeros((samples, len(steps), 3), np.int64)
     axis, sign = draw.integers(pair.lifted, 3, samples), draw.integers(0, 2, samples) * 2 - 1
-    moves[np.arange(samples), :, axis] = sign[:, None] * np.asarray(steps, np.int64) * pair.geometry.step
+    moves[np.arange(samples), :, axis] = (
+        sign[:, None] * np.asarray(steps, np.int64) * pair.geometry.step
+    )
     ends = sites[:, None] + moves
     fits = np.all((ends >= 0) & (ends < cubes.counts.shape), axis=-1)
     fits[fits] = cubes.counts[tuple(ends[fits].T)]
@@ -108,7 +129,9 @@ def _sampled(
 def _moves_along(
     tree: Tree, pair: Pair, sites: np.ndarray, moves: np.ndarray, fits: np.ndarray, mirrors: bool
 ) -> np.ndarray:
-    """(S, M) bool: a nearest candidate of the site is, moved, a nearest candidate of the site moved."""
+    """(S, M) bool: a nearest candidate of the site is, moved, a nearest candidate of the site
+    moved.
+    """
     best = np.full(len(sites), FAR, np.int32)
     along = np.full(fits.shape, FAR, np.int32)
     views = list(mirrored(pair, mirrors))
@@ -122,7 +145,9 @@ def _moves_along(
         rows, columns = np.nonzero(stays)
         places, _ = _flipped(sites[rows] + moves[rows, columns], moves[rows], flips, cubes)
         none = np.zeros((len(rows), 0, 3), np.int64)
-        _, nearer, _ = search(tree, cubes, pair.geometry, places, none, along[rows, columns], first=True)
+        _, nearer, _ = search(
+            tree, cubes, pair.geometry, places, none, along[rows, columns], first=True
+        )
         stays[rows, columns] = nearer < 0
     return stays
 

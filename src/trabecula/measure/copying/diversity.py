@@ -21,11 +21,11 @@ class Diversity:
     Attributes
     ----------
     distance : (N, N) float64
-        Share of voxels that differ, over what it would be for independent images of the same fractions: 0 for equal
-        images, near 1 for independent ones.
+        Share of voxels that differ, over what it would be for independent images of the same
+        fractions: 0 for equal images, near 1 for independent ones.
     coherence : (N, N) float64
-        `coherence` of the second image with the first as its exemplar, at k: near 0 for independent images, 1
-        for a shifted copy. NaN on the diagonal.
+        `coherence` of the second image with the first as its exemplar, at k: near 0 for independent
+        images, 1 for a shifted copy. NaN on the diagonal.
     """
 
     distance: np.ndarray
@@ -33,7 +33,12 @@ class Diversity:
 
 
 def diversity(
-    images: Sequence[Image | ArrayLike], *, k: int = 8, size: int | None = None, samples: int = 300, seed: int = 0
+    images: Sequence[Image | ArrayLike],
+    *,
+    k: int = 8,
+    size: int | None = None,
+    samples: int = 300,
+    seed: int = 0,
 ) -> Diversity:
     """How much realisations differ, by pairs: voxel for voxel, and up to a shift.
 
@@ -61,7 +66,9 @@ def diversity(
     for a, b in combinations(range(len(parts)), 2):
         distance[a, b] = distance[b, a] = _difference(parts[a], parts[b])
         for first, second in ((a, b), (b, a)):
-            share = coherence(parts[first], parts[second], k=(k,), size=size, samples=samples, seed=seed)
+            share = coherence(
+                parts[first], parts[second], k=(k,), size=size, samples=samples, seed=seed
+            )
             moved[first, second] = share[k]
     return Diversity(distance, moved)
 
@@ -70,8 +77,13 @@ def _difference(first: Image, second: Image) -> float:
     check_labels(first)
     check_labels(second)
     if first.shape != second.shape:
-        raise InputError(f"realisations have one shape, got {first.shape} and {second.shape}: crop them alike")
+        raise InputError(
+            f"realisations have one shape, got {first.shape} and {second.shape}: crop them alike"
+        )
     count = max(len(first.phases), len(second.phases))
-    shares = [np.bincount(part.values.ravel(), minlength=count) / part.values.size for part in (first, second)]
+    shares = [
+        np.bincount(part.values.ravel(), minlength=count) / part.values.size
+        for part in (first, second)
+    ]
     expected = 1 - float(shares[0] @ shares[1])
     return float(np.mean(first.values != second.values)) / expected if expected else 0.0

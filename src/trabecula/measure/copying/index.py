@@ -1,6 +1,8 @@
-"""The neighbourhoods of an image as bits, and those of an exemplar as a tree that is searched exactly.
+"""The neighbourhoods of an image as bits, and those of an exemplar as a tree that is searched
+exactly.
 
-Memory: 16 bytes a voxel of either image for two phases and 9 x 9 x 9 voxels, and 35 for each candidate of the exemplar.
+Memory: 16 bytes a voxel of either image for two phases and 9 x 9 x 9 voxels, and 35 for each
+candidate of the exemplar.
 """
 
 from __future__ import annotations
@@ -10,13 +12,15 @@ from functools import reduce
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.copying.kernels import FAR, gather_features, grow_tree, nearest, pack_planes
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """Which voxels a neighbourhood takes: `width` of them along every axis (odd, or 1), `step` apart."""
+    """Which voxels a neighbourhood takes: `width` of them along every axis (odd, or 1), `step`
+    apart.
+    """
 
     width: tuple[int, ...]
     step: int
@@ -50,7 +54,9 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Cubes:
-    """The neighbourhoods of an image: their bits by plane, counts by block, and which of them count."""
+    """The neighbourhoods of an image: their bits by plane, counts by block, and which of them
+    count.
+    """
 
     planes: np.ndarray  # (Z, Yc, Xc, words) uint64
     blocks: np.ndarray  # (., ., .) uint8
@@ -74,20 +80,32 @@ def cut(values: np.ndarray, geometry: Geometry) -> Cubes:
     _, height, breadth = geometry.width
     rows = 64 // breadth
     words = -(-height // rows) * geometry.bits
-    shape = (values.shape[0], values.shape[1] - geometry.span[1], values.shape[2] - geometry.span[2])
+    shape = (
+        values.shape[0],
+        values.shape[1] - geometry.span[1],
+        values.shape[2] - geometry.span[2],
+    )
     planes = np.empty((*shape, words), np.uint64)
     width = np.asarray(geometry.width)
-    for_slabs(lambda a, b: pack_planes(values, planes, width, geometry.step, geometry.bits, rows, a, b), shape[0])
+    for_slabs(
+        lambda a, b: pack_planes(values, planes, width, geometry.step, geometry.bits, rows, a, b),
+        shape[0],
+    )
     counted = (values == geometry.phase).astype(np.uint8)
     blocks = over_windows(np.add, counted, geometry.block, geometry.step)
     return Cubes(planes, np.ascontiguousarray(blocks), _counting(values, geometry))
 
 
-def over_windows(combine: np.ufunc, values: np.ndarray, width: tuple[int, ...], step: int) -> np.ndarray:
+def over_windows(
+    combine: np.ufunc, values: np.ndarray, width: tuple[int, ...], step: int
+) -> np.ndarray:
     """`combine` over every window that fits, `width` values along every axis, `step` apart."""
     for axis, count in enumerate(width):
         side = values.shape[axis] - (count - 1) * step
-        parts = [values[(slice(None),) * axis + (slice(i * step, i * step + side),)] for i in range(count)]
+        parts = [
+            values[(slice(None),) * axis + (slice(i * step, i * step + side),)]
+            for i in range(count)
+        ]
         values = reduce(combine, parts)
     return values
 
@@ -95,7 +113,10 @@ def over_windows(combine: np.ufunc, values: np.ndarray, width: tuple[int, ...], 
 def _counting(values: np.ndarray, geometry: Geometry) -> np.ndarray:
     """Where the middle (half as wide) of a neighbourhood holds more than one phase."""
     inner = tuple((width + 1) // 2 // 2 * 2 + 1 if width > 1 else 1 for width in geometry.width)
-    rim = [(width - small) // 2 * geometry.step for width, small in zip(geometry.width, inner, strict=True)]
+    rim = [
+        (width - small) // 2 * geometry.step
+        for width, small in zip(geometry.width, inner, strict=True)
+    ]
     middle = values[tuple(slice(r, side - r) for r, side in zip(rim, values.shape, strict=True))]
     highest = over_windows(np.maximum, middle, inner, geometry.step)
     return highest != over_windows(np.minimum, middle, inner, geometry.step)
@@ -110,7 +131,9 @@ def features_at(cubes: Cubes, corners: np.ndarray, geometry: Geometry) -> np.nda
 
 
 def grow(cubes: Cubes, geometry: Geometry, *, leaf: int) -> Tree:
-    """The tree over every neighbourhood that counts; a leaf holds at most `leaf`, unless their features agree."""
+    """The tree over every neighbourhood that counts; a leaf holds at most `leaf`, unless their
+    features agree.
+    """
     corners = np.flatnonzero(cubes.counts)
     features = features_at(cubes, corners, geometry)
     order = np.arange(len(corners), dtype=np.int32)
@@ -119,7 +142,12 @@ def grow(cubes: Cubes, geometry: Geometry, *, leaf: int) -> Tree:
     low, high = np.empty((2, most, features.shape[1]), np.uint8)
     count = grow_tree(features, order, np.empty_like(order), nodes, low, high, leaf)
     return Tree(
-        cubes, corners[order], np.ascontiguousarray(features[order].T), nodes[:count], low[:count], high[:count]
+        cubes,
+        corners[order],
+        np.ascontiguousarray(features[order].T),
+        nodes[:count],
+        low[:count],
+        high[:count],
     )
 
 

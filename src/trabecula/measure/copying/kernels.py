@@ -1,9 +1,11 @@
-"""Neighbourhoods as bits, a tree over their block counts, exact and propagated search: plain functions on arrays.
+"""Neighbourhoods as bits, a tree over their block counts, exact and propagated search: plain
+functions on arrays.
 
-Glossary: a *corner* is the first voxel of a neighbourhood; `planes[z, y, x]` holds the bits of its plane z, rows in
-groups that fill a word, one group of words per bit of a label; `step` is the distance between voxels that a
-neighbourhood takes (2 at half resolution). A neighbourhood's *features* are how many voxels of one phase lie in each of
-its 3 x 3 x 3 blocks: the L1 distance of features never exceeds the number of differing voxels, so it prunes exactly.
+Glossary: a *corner* is the first voxel of a neighbourhood; `planes[z, y, x]` holds the bits of its
+plane z, rows in groups that fill a word, one group of words per bit of a label; `step` is the
+distance between voxels that a neighbourhood takes (2 at half resolution). A neighbourhood's
+*features* are how many voxels of one phase lie in each of its 3 x 3 x 3 blocks: the L1 distance of
+features never exceeds the number of differing voxels, so it prunes exactly.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ def _ones(word):
 def pack_planes(values, planes, width, step, bits, rows, start, stop):
     """Bits of the plane of width x width voxels at every corner (z, y, x), for z in start..stop.
 
-    values (Z, Y, X) uint8; planes (Z, Y - span, X - span, bits * words) uint64; `rows` rows go into a word.
+    values (Z, Y, X) uint8; planes (Z, Y - span, X - span, bits * words) uint64; `rows` rows go into
+    a word.
     """
     height, breadth = width[1], width[2]
     words = planes.shape[3] // bits
@@ -51,7 +54,9 @@ def pack_planes(values, planes, width, step, bits, rows, start, stop):
 
 @inline
 def differing(a, z, y, x, b, u, v, w, depth, step, bits, most):
-    """Voxels that differ between the neighbourhood of `a` at z, y, x and that of `b` at u, v, w; stops above `most`."""
+    """Voxels that differ between the neighbourhood of `a` at z, y, x and that of `b` at u, v, w;
+    stops above `most`.
+    """
     total = np.int32(0)
     words = a.shape[3] // bits
     for i in range(depth):
@@ -83,7 +88,9 @@ def gather_features(blocks, corners, shape, offsets, features):
 
 @inline
 def _widest(features, order, a, b, scratch):
-    """The feature of largest variance over at most 256 of the candidates a..b, and whether it varies."""
+    """The feature of largest variance over at most 256 of the candidates a..b, and whether it
+    varies.
+    """
     stride = max(1, (b - a) // 256)
     best, widest = 0, -1.0
     for j in range(features.shape[1]):
@@ -99,7 +106,9 @@ def _widest(features, order, a, b, scratch):
 
 @inline
 def _median(features, order, a, b, j, histogram):
-    """The value of feature j that parts a..b most evenly: those up to it go left. -1 where all are equal."""
+    """The value of feature j that parts a..b most evenly: those up to it go left. -1 where all are
+    equal.
+    """
     histogram[:] = 0
     for n in range(a, b):
         histogram[features[order[n], j]] += 1
@@ -113,10 +122,12 @@ def _median(features, order, a, b, j, histogram):
 
 @kernel
 def grow_tree(features, order, spare, nodes, low, high, leaf):
-    """Part the candidates in two along the widest feature, again and again. Returns how many nodes there are.
+    """Part the candidates in two along the widest feature, again and again. Returns how many nodes
+    there are.
 
-    features (N, F) uint8; order (N,) int32, permuted in place; nodes (M, 4) int32: first, last + 1, left child, right
-    child (0 at a leaf); low, high (M, F) uint8: the least and largest of each feature in a node.
+    features (N, F) uint8; order (N,) int32, permuted in place; nodes (M, 4) int32: first, last + 1,
+    left child, right child (0 at a leaf); low, high (M, F) uint8: the least and largest of each
+    feature in a node.
     """
     histogram = np.zeros(256, np.int64)
     nodes[0, 1] = len(order)
@@ -161,7 +172,9 @@ def least_between(wanted, low, high):
 
 @inline
 def scan(features, wanted, a, b, sums):
-    """L1 distances of the features of candidates a..b, at most as many as `sums` holds: 64 lanes at once."""
+    """L1 distances of the features of candidates a..b, at most as many as `sums` holds: 64 lanes at
+    once.
+    """
     sums[:] = 0
     for j in range(len(wanted)):
         value, row, total = wanted[j], features[j, a:b], sums[: b - a]
@@ -171,7 +184,9 @@ def scan(features, wanted, a, b, sums):
 
 @inline
 def _least_along(image, exemplar, site, corner, moves, shape, depth, step, bits, along):
-    """Lower along[m] to the distance when site and corner both move by moves[m], where that is a corner still."""
+    """Lower along[m] to the distance when site and corner both move by moves[m], where that is a
+    corner still.
+    """
     for m in range(len(moves)):
         a, b, c = corner[0] + moves[m, 0], corner[1] + moves[m, 1], corner[2] + moves[m, 2]
         if a < 0 or b < 0 or c < 0 or a >= shape[0] or b >= shape[1] or c >= shape[2]:
@@ -186,12 +201,14 @@ def nearest(
     image, exemplar, features, corners, shape, nodes, low, high, sites, wanted, moves, depth, step, bits, first,
     best, source, along, start, stop,
 ):  # fmt: skip
-    """The nearest candidates of the sites start..stop, exactly; any that is nearer than `best` was where `first`.
+    """The nearest candidates of the sites start..stop, exactly; any that is nearer than `best` was
+    where `first`.
 
-    features (F, N) and corners (N,) of the candidates in the order of the tree; sites (S, 3) corners in the image with
-    their features `wanted` (S, F); moves (S, M, 3). best, source (S,): least number of differing voxels (what it holds
-    already is the bound) and the first candidate that has it; along (S, M): over all candidates that have it, the least
-    distance when both move by moves[s, m].
+    features (F, N) and corners (N,) of the candidates in the order of the tree; sites (S, 3)
+    corners in the image with their features `wanted` (S, F); moves (S, M, 3). best, source (S,):
+    least number of differing voxels (what it holds already is the bound) and the first candidate
+    that has it; along (S, M): over all candidates that have it, the least distance when both move
+    by moves[s, m].
     """
     stack = np.empty(128, np.int32)
     sums = np.empty(1024, np.uint16)
@@ -210,7 +227,9 @@ def nearest(
                 left = least_between(wanted[s], low[node[2]], high[node[2]])
                 right = least_between(wanted[s], low[node[3]], high[node[3]])
                 # The nearer child is put on top.
-                stack[top], stack[top + 1] = (node[3], node[2]) if left <= right else (node[2], node[3])
+                stack[top], stack[top + 1] = (
+                    (node[3], node[2]) if left <= right else (node[2], node[3])
+                )
                 top += 2
                 continue
             for a in range(node[0], node[1], len(sums)):
@@ -228,7 +247,9 @@ def nearest(
                     if d < best[s] or source[s] < 0:
                         best[s], source[s] = d, corners[n]
                         along[s] = FAR
-                    _least_along(image, exemplar, site, corner, moves[s], shape, depth, step, bits, along[s])
+                    _least_along(
+                        image, exemplar, site, corner, moves[s], shape, depth, step, bits, along[s]
+                    )
                     if first:
                         top = 0
                         break

@@ -6,7 +6,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.measure.copying.kernels import FAR, differing, least_between, row_of, scan
-from trabecula.measure.union import join, root_of
+from trabecula.measure.union_find import join, root_of
 
 _SIDES = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
@@ -17,7 +17,9 @@ def _descended(wanted, nodes, low, high):
     at = 0
     while nodes[at, 2]:
         left, right = nodes[at, 2], nodes[at, 3]
-        nearer = least_between(wanted, low[left], high[left]) <= least_between(wanted, low[right], high[right])
+        nearer = least_between(wanted, low[left], high[left]) <= least_between(
+            wanted, low[right], high[right]
+        )
         at = left if nearer else right
     return at
 
@@ -27,7 +29,9 @@ def start_sources(
     image, exemplar, features, corners, shape, nodes, low, high, blocks, offsets, counts, depth, step, bits,
     source, distance, start, stop,
 ):  # fmt: skip
-    """The nearest candidate of one leaf of the tree, for sites that count in planes start..stop: exact for a true copy."""
+    """The nearest candidate of one leaf of the tree, for sites that count in planes start..stop:
+    exact for a true copy.
+    """
     wanted = np.empty(len(offsets), np.uint8)
     sums = np.empty(1024, np.uint16)
     for z in range(start, stop):
@@ -53,8 +57,11 @@ def start_sources(
 
 
 @kernel
-def pass_sources(image, exemplar, shape, old, far, depth, step, bits, source, distance, start, stop):
-    """One sweep: the six neighbours' sources, moved along, are tried; of equal ones that of more neighbours wins.
+def pass_sources(
+    image, exemplar, shape, old, far, depth, step, bits, source, distance, start, stop
+):
+    """One sweep: the six neighbours' sources, moved along, are tried; of equal ones that of more
+    neighbours wins.
 
     old, far: sources and distances before; source, distance: after, in planes start..stop (Jacobi).
     """
@@ -71,14 +78,28 @@ def pass_sources(image, exemplar, shape, old, far, depth, step, bits, source, di
                     dz, dy, dx = _SIDES[side]
                     tried[side] = -1
                     i, j, k = z + dz, y + dy, x + dx
-                    if i < 0 or j < 0 or k < 0 or i >= old.shape[0] or j >= old.shape[1] or k >= old.shape[2]:
+                    if (
+                        i < 0
+                        or j < 0
+                        or k < 0
+                        or i >= old.shape[0]
+                        or j >= old.shape[1]
+                        or k >= old.shape[2]
+                    ):
                         continue
                     near = np.int64(old[i, j, k])
                     if near < 0:
                         continue
                     u, v, w = row_of(near, shape)
                     u, v, w = u - dz, v - dy, w - dx
-                    if u >= 0 and v >= 0 and w >= 0 and u < shape[0] and v < shape[1] and w < shape[2]:
+                    if (
+                        u >= 0
+                        and v >= 0
+                        and w >= 0
+                        and u < shape[0]
+                        and v < shape[1]
+                        and w < shape[2]
+                    ):
                         tried[side] = (u * shape[1] + v) * shape[2] + w
                         support += tried[side] == own
                 for side in range(6):
@@ -99,7 +120,9 @@ def pass_sources(image, exemplar, shape, old, far, depth, step, bits, source, di
 
 @kernel
 def join_equal(keys, parent):
-    """Union of 6-neighbours with the same key, none of it negative; parent (Z * Y * X,) int64 holds 0, 1, 2, ... at first."""
+    """Union of 6-neighbours with the same key, none of it negative; parent (Z * Y * X,) int64 holds
+    0, 1, 2, ... at first.
+    """
     Z, Y, X = keys.shape
     for z in range(Z):
         for y in range(Y):

@@ -1,4 +1,6 @@
-"""An exemplar and an image made ready to be compared: checked, lifted to three axes, coarsened, mirrored."""
+"""An exemplar and an image made ready to be compared: checked, lifted to three axes, coarsened,
+mirrored.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,17 @@ class Pair:
     shape: tuple[int, ...]  # of the image as given
 
 
-def checked_pair(exemplar: Image | ArrayLike, image: Image | ArrayLike, *, size: int | None, half: bool) -> Pair:
+def checked_pair(
+    exemplar: Image | ArrayLike, image: Image | ArrayLike, *, size: int | None, half: bool
+) -> Pair:
     parts = [as_image(exemplar, name="the exemplar"), as_image(image)]
     for part, name in zip(parts, ("the exemplar", "the image"), strict=True):
         check_labels(part, name=name)
     first, second = parts
     if first.ndim != second.ndim:
-        raise InputError(f"the exemplar is {first.ndim}-D, the image {second.ndim}-D: compare like with like")
+        raise InputError(
+            f"the exemplar is {first.ndim}-D, the image {second.ndim}-D: compare like with like"
+        )
     if isinstance(exemplar, Image) and isinstance(image, Image) and first.phases != second.phases:
         raise InputError(
             f"the phases {'/'.join(first.phases)} and {'/'.join(second.phases)} do not correspond: name them alike"
@@ -41,7 +47,9 @@ def checked_pair(exemplar: Image | ArrayLike, image: Image | ArrayLike, *, size:
     if width % 2 == 0:
         raise InputError(f"size={width} is even: a neighbourhood has a middle, give an odd size")
     lifted = 3 - first.ndim
-    values = [np.ascontiguousarray(part.values if part.ndim == 3 else part.values[None]) for part in parts]
+    values = [
+        np.ascontiguousarray(part.values if part.ndim == 3 else part.values[None]) for part in parts
+    ]
     if half:
         values = [_coarse(part, lifted) for part in values]
     shares = np.bincount(values[0].ravel()) / values[0].size
@@ -58,7 +66,9 @@ def checked_pair(exemplar: Image | ArrayLike, image: Image | ArrayLike, *, size:
 
 
 def _coarse(values: np.ndarray, lifted: int) -> np.ndarray:
-    """The most frequent label of the 2 x 2 x 2 voxels from each voxel on; the highest of equally frequent ones."""
+    """The most frequent label of the 2 x 2 x 2 voxels from each voxel on; the highest of equally
+    frequent ones.
+    """
     width = (1,) * lifted + (2,) * (3 - lifted)
     best = over_windows(np.add, (values == 0).astype(np.uint8), width, 1)
     chosen = np.zeros(best.shape, np.uint8)
@@ -72,20 +82,29 @@ def _coarse(values: np.ndarray, lifted: int) -> np.ndarray:
 def grown(pair: Pair, *, leaf: int = 1024) -> Tree:
     cubes = cut(pair.exemplar, pair.geometry)
     if not cubes.counts.any():
-        raise InputError("no neighbourhood of the exemplar has an interface near its middle: give another crop")
+        raise InputError(
+            "no neighbourhood of the exemplar has an interface near its middle: give another crop"
+        )
     return grow(cubes, pair.geometry, leaf=leaf)
 
 
 def mirrored(pair: Pair, mirrors: bool) -> Iterator[tuple[tuple[int, ...], Cubes]]:
-    """The image's neighbourhoods, flipped along every set of axes: flipping the exemplar comes to the same."""
+    """The image's neighbourhoods, flipped along every set of axes: flipping the exemplar comes to
+    the same.
+    """
     for chosen in product((False, True), repeat=3 - pair.lifted) if mirrors else ((),):
         flips = tuple(axis + pair.lifted for axis, flip in enumerate(chosen) if flip)
         yield flips, cut(np.ascontiguousarray(np.flip(pair.image, flips)), pair.geometry)
 
 
 def framed(values: np.ndarray, pair: Pair, fill: float) -> np.ndarray:
-    """A value per corner as a value per voxel of the image, `fill` at the rim where no neighbourhood fits."""
+    """A value per corner as a value per voxel of the image, `fill` at the rim where no
+    neighbourhood fits.
+    """
     full = np.full((*(1,) * pair.lifted, *pair.shape, *values.shape[3:]), fill, values.dtype)
-    near = [slice(first, first + side) for first, side in zip(pair.geometry.centre, values.shape[:3], strict=True)]
+    near = [
+        slice(first, first + side)
+        for first, side in zip(pair.geometry.centre, values.shape[:3], strict=True)
+    ]
     full[tuple(near)] = values
     return full[0] if pair.lifted else full

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.copying.index import Cubes, Geometry, Tree, cut
 from trabecula.measure.copying.kernels import FAR
 from trabecula.measure.copying.map_kernels import join_equal, pass_sources, start_sources
@@ -28,7 +28,8 @@ class Sources:
     distance : (Z, Y, X) or (Y, X) float32
         Share of the neighbourhood's voxels that differ, 0..1; NaN where a voxel does not count.
     mirror : (Z, Y, X) or (Y, X) uint8
-        How the exemplar was flipped: 1 along the first axis, plus 2 along the second, plus 4 along the third.
+        How the exemplar was flipped: 1 along the first axis, plus 2 along the second, plus 4 along
+        the third.
     """
 
     position: np.ndarray
@@ -65,9 +66,10 @@ def sources(
 ) -> Sources:
     """Where each voxel was taken from: a map, exact for copies and nearly so elsewhere.
 
-    Each voxel starts from the nearest candidate in one leaf of a tree, which holds the source of an exact copy; then
-    neighbours pass their sources on (Barnes et al. 2009, PatchMatch, section 3.2, doi:10.1145/1531326.1531330). Passing
-    on favours sources that move along: use `coherence` for a figure, this for a picture and for patch sizes.
+    Each voxel starts from the nearest candidate in one leaf of a tree, which holds the source of an
+    exact copy; then neighbours pass their sources on (Barnes et al. 2009, PatchMatch, section 3.2,
+    doi:10.1145/1531326.1531330). Passing on favours sources that move along: use `coherence` for a
+    figure, this for a picture and for patch sizes.
 
     Parameters
     ----------
@@ -100,15 +102,23 @@ def sources(
         corner = np.unravel_index(found[better], tree.cubes.counts.shape)
         position[better] = np.transpose(corner) + pair.geometry.centre
         mirror[better] = sum(1 << (axis - pair.lifted) for axis in flips)
-    share = np.where(best < FAR, best / np.float32(np.prod(pair.geometry.width)), np.nan).astype(np.float32)
-    return Sources(framed(position, pair, -1)[..., pair.lifted :], framed(share, pair, np.nan), framed(mirror, pair, 0))
+    share = np.where(best < FAR, best / np.float32(np.prod(pair.geometry.width)), np.nan).astype(
+        np.float32
+    )
+    return Sources(
+        framed(position, pair, -1)[..., pair.lifted :],
+        framed(share, pair, np.nan),
+        framed(mirror, pair, 0),
+    )
 
 
 def coherent_patches(taken: Sources) -> Patches:
-    """Connected regions (by faces) whose source less position is constant: the pieces that were copied as they are.
+    """Connected regions (by faces) whose source less position is constant: the pieces that were
+    copied as they are.
 
-    Independent material falls into crumbs; copied material into pieces as wide as what was copied, less about half a
-    neighbourhood at every cut (Ashikhmin 2001, doi:10.1145/364338.364405, shows such pieces).
+    Independent material falls into crumbs; copied material into pieces as wide as what was copied,
+    less about half a neighbourhood at every cut (Ashikhmin 2001, doi:10.1145/364338.364405, shows
+    such pieces).
 
     Parameters
     ----------
@@ -142,8 +152,12 @@ def coherent_patches(taken: Sources) -> Patches:
     return Patches(sizes, int(sizes[0]), float(np.sum(sizes.astype(np.float64) ** 2) / sizes.sum()))
 
 
-def _propagated(tree: Tree, cubes: Cubes, geometry: Geometry, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Source (flat in the exemplar's corners, -1 where a site does not count) and distance of every site, nearly nearest."""
+def _propagated(
+    tree: Tree, cubes: Cubes, geometry: Geometry, sweeps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Source (flat in the exemplar's corners, -1 where a site does not count) and distance of every
+    site, nearly nearest.
+    """
     shape = np.asarray(tree.cubes.counts.shape)
     source = np.empty(cubes.counts.shape, np.int32)
     distance = np.empty(source.shape, np.int32)

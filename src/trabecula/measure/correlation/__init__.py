@@ -1,15 +1,16 @@
 """How far a phase reaches: probabilities that points some distance apart lie in it, and together.
 
-Torquato 2002, "Random Heterogeneous Materials", doi:10.1007/978-1-4757-6355-3, chapter 2. Every probability here is the
-number of pairs (or segments) of voxels that hold what is asked for over the number that fit into the image and its
-mask, counted offset by offset: nothing is lost to a border of zeros, and near the border every pair counts alike.
+Torquato 2002, "Random Heterogeneous Materials", doi:10.1007/978-1-4757-6355-3, chapter 2. Every
+probability here is the number of pairs (or segments) of voxels that hold what is asked for over the
+number that fit into the image and its mask, counted offset by offset: nothing is lost to a border
+of zeros, and near the border every pair counts alike.
 """
 
+from trabecula.measure.correlation.axis_preference import axis_preference
 from trabecula.measure.correlation.clusters import two_point_cluster
 from trabecula.measure.correlation.length import correlation_length, covariance_form, decay_length
-from trabecula.measure.correlation.paths import lineal_path
-from trabecula.measure.correlation.points import cross_correlation, two_point
-from trabecula.measure.correlation.preference import axis_preference
+from trabecula.measure.correlation.lineal_path import lineal_path
+from trabecula.measure.correlation.two_point import cross_correlation, two_point
 
 __all__ = [
     "axis_preference",

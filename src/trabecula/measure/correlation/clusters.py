@@ -1,7 +1,8 @@
 """Two points in one connected cluster.
 
-Along a ray, labels are compared. The radial average needs every offset: a cluster is transformed alone, in its own box,
-or, where that would take longer (all but the largest few), its pairs of voxels are visited one by one.
+Along a ray, labels are compared. The radial average needs every offset: a cluster is transformed
+alone, in its own box, or, where that would take longer (all but the largest few), its pairs of
+voxels are visited one by one.
 """
 
 from __future__ import annotations
@@ -15,7 +16,12 @@ from numpy.typing import ArrayLike
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.measure.correlation.fourier import mirrored_counts
-from trabecula.measure.correlation.separations import Radial, checked_fits, probability, separations
+from trabecula.measure.correlation.pair_geometry import (
+    Radial,
+    checked_fits,
+    probability,
+    separations,
+)
 from trabecula.measure.correlation.window import Window, as_window
 from trabecula.measure.fft import fast_side
 from trabecula.measure.labelling import label_components
@@ -36,11 +42,13 @@ def two_point_cluster(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Two-point cluster function C2(r) of a phase, r = 0 .. r_max: both ends in the same connected cluster of it.
+    """Two-point cluster function C2(r) of a phase, r = 0 .. r_max: both ends in the same connected
+    cluster of it.
 
-    Torquato, Beasley and Chiew 1988, doi:10.1063/1.454440; as a descriptor Jiao, Stillinger and Torquato 2009,
-    doi:10.1073/pnas.0905919106. S2 less the pairs between different clusters, out of the same pairs that fit: it falls to
-    0 beyond the largest cluster, and equals S2 where the phase is one cluster.
+    Torquato, Beasley and Chiew 1988, doi:10.1063/1.454440; as a descriptor Jiao, Stillinger and
+    Torquato 2009, doi:10.1073/pnas.0905919106. S2 less the pairs between different clusters, out of
+    the same pairs that fit: it falls to 0 beyond the largest cluster, and equals S2 where the phase
+    is one cluster.
 
     Parameters
     ----------
@@ -74,7 +82,9 @@ def two_point_cluster(
     pairs = separations(image, window, r_max=r_max, axis=axis, direction=direction)
     solid = window.within(inside)
     wraps = window.wraps[3 - image.ndim :]
-    labels, sizes = label_components(solid.reshape(image.shape), connectivity=connectivity, periodic=wraps)
+    labels, sizes = label_components(
+        solid.reshape(image.shape), connectivity=connectivity, periodic=wraps
+    )
     fits = checked_fits(pairs)
     labels = labels.reshape(window.shape)
     hits = _radial(labels, sizes, pairs) if isinstance(pairs, Radial) else pairs.count_same(labels)
@@ -83,7 +93,11 @@ def two_point_cluster(
 
 def _radial(labels: np.ndarray, sizes: np.ndarray, pairs: Radial) -> np.ndarray:
     lows, highs = _boxes(labels, len(sizes))
-    large = [label for label in range(1, len(sizes) + 1) if _transform_is_faster(sizes, lows, highs, label, pairs)]
+    large = [
+        label
+        for label in range(1, len(sizes) + 1)
+        if _transform_is_faster(sizes, lows, highs, label, pairs)
+    ]
     small = np.ones(len(sizes) + 1, bool)
     small[[0, *large]] = False
     first = np.concatenate([[0], np.cumsum(np.where(small[1:], sizes, 0))])
@@ -96,19 +110,34 @@ def _radial(labels: np.ndarray, sizes: np.ndarray, pairs: Radial) -> np.ndarray:
     return hits
 
 
-def _box(low: np.ndarray, high: np.ndarray, pairs: Radial) -> tuple[tuple[slice, ...], Window, tuple[int, ...]]:
-    """Where a cluster lies, as a window of its own; an axis around which its pairs could wrap is taken whole."""
+def _box(
+    low: np.ndarray, high: np.ndarray, pairs: Radial
+) -> tuple[tuple[slice, ...], Window, tuple[int, ...]]:
+    """Where a cluster lies, as a window of its own; an axis around which its pairs could wrap is
+    taken whole.
+    """
     box, wraps, reach = [], [], []
-    lines = zip(low.tolist(), high.tolist(), *(pairs.window.shape, pairs.window.wraps, pairs.reach), strict=True)
+    lines = zip(
+        low.tolist(),
+        high.tolist(),
+        *(pairs.window.shape, pairs.window.wraps, pairs.reach),
+        strict=True,
+    )
     for begin, end, side, wrap, far in lines:
         around = wrap and end - begin + far > side
         box.append(slice(0, side) if around else slice(begin, end))
         wraps.append(around)
         reach.append(far if around else min(far, end - begin - 1))
-    return tuple(box), Window(tuple(part.stop - part.start for part in box), tuple(wraps)), tuple(reach)
+    return (
+        tuple(box),
+        Window(tuple(part.stop - part.start for part in box), tuple(wraps)),
+        tuple(reach),
+    )
 
 
-def _transform_is_faster(sizes: np.ndarray, lows: np.ndarray, highs: np.ndarray, label: int, pairs: Radial) -> bool:
+def _transform_is_faster(
+    sizes: np.ndarray, lows: np.ndarray, highs: np.ndarray, label: int, pairs: Radial
+) -> bool:
     one_by_one = _PAIR * sizes[label - 1] ** 2 / 2
     if one_by_one < 40 * _TRANSFORMED_PLANE:
         return False
@@ -118,7 +147,9 @@ def _transform_is_faster(sizes: np.ndarray, lows: np.ndarray, highs: np.ndarray,
     return bool(one_by_one > _TRANSFORMED_VOXEL * math.prod(sides) + _TRANSFORMED_PLANE * planes)
 
 
-def _transformed(labels: np.ndarray, label: int, low: np.ndarray, high: np.ndarray, pairs: Radial) -> np.ndarray:
+def _transformed(
+    labels: np.ndarray, label: int, low: np.ndarray, high: np.ndarray, pairs: Radial
+) -> np.ndarray:
     box, window, reach = _box(low, high, pairs)
     counts = np.zeros(tuple(far + 1 for far in pairs.reach))
     within = tuple(slice(far + 1) for far in reach)

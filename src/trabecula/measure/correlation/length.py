@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.measure.correlation.points import two_point
-from trabecula.measure.correlation.separations import radial_limit
+from trabecula.measure.correlation.pair_geometry import radial_limit
+from trabecula.measure.correlation.two_point import two_point
 from trabecula.measure.correlation.window import as_window
 from trabecula.measure.phases import as_axis
 
@@ -19,8 +19,9 @@ from trabecula.measure.phases import as_axis
 def covariance_form(s2: ArrayLike) -> np.ndarray:
     """S2 without what porosity alone explains: (S2 - phi^2) / (phi - phi^2), with phi = S2(0).
 
-    The autocovariance S2 - phi^2 of Torquato 2002, doi:10.1007/978-1-4757-6355-3, section 2.2, over its value at r = 0.
-    `two_point` itself is in Torquato's normalisation, a probability that runs from phi to phi^2.
+    The autocovariance S2 - phi^2 of Torquato 2002, doi:10.1007/978-1-4757-6355-3, section 2.2, over
+    its value at r = 0. `two_point` itself is in Torquato's normalisation, a probability that runs
+    from phi to phi^2.
 
     Parameters
     ----------
@@ -30,8 +31,8 @@ def covariance_form(s2: ArrayLike) -> np.ndarray:
     Returns
     -------
     covariance : float64 array, (R + 1,)
-        1 at r = 0, and 0 where the ends of a pair are independent; negative where the phase avoids itself. All 0 but the
-        first where the phase is empty or alone.
+        1 at r = 0, and 0 where the ends of a pair are independent; negative where the phase avoids
+        itself. All 0 but the first where the phase is empty or alone.
 
     Raises
     ------
@@ -61,9 +62,10 @@ def correlation_length(
 ) -> float:
     """Distance from which the covariance of a phase stays below 1/e, in the image's unit.
 
-    The covariance is `covariance_form` of `two_point`; its absolute value has to stay below 1/e up to `r_max`, so that a
-    lattice, whose covariance swings back, is as long as its swings are strong. An image a few such lengths wide holds few
-    independent parts, whatever its number of voxels.
+    The covariance is `covariance_form` of `two_point`; its absolute value has to stay below 1/e up
+    to `r_max`, so that a lattice, whose covariance swings back, is as long as its swings are
+    strong. An image a few such lengths wide holds few independent parts, whatever its number of
+    voxels.
 
     Parameters
     ----------
@@ -73,15 +75,16 @@ def correlation_length(
     axis : int, optional
         Along this axis only. Default: radial.
     r_max : int, optional
-        How far to look, in voxels (of the smallest edge). Default: half of the shortest extent (of `axis`).
+        How far to look, in voxels (of the smallest edge). Default: half of the shortest extent (of
+        `axis`).
     periodic, mask
         As in `two_point`.
 
     Returns
     -------
     length : float
-        Interpolated linearly between voxels. Infinite where the covariance is still 1/e or more at `r_max`; 0 where the
-        phase is empty or alone.
+        Interpolated linearly between voxels. Infinite where the covariance is still 1/e or more at
+        `r_max`; 0 where the phase is empty or alone.
 
     Raises
     ------
@@ -117,7 +120,9 @@ def _as_curve(s2: ArrayLike) -> np.ndarray:
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        raise InputError("a two-point function is one row of finite numbers, S2(0) first: give what two_point returns")
+        raise InputError(
+            "a two-point function is one row of finite numbers, S2(0) first: give what two_point returns"
+        )
     return values
 
 

@@ -1,4 +1,6 @@
-"""The window that pairs have to fit into: its sides, which of them wrap, and which voxels of it count."""
+"""The window that pairs have to fit into: its sides, which of them wrap, and which voxels of it
+count.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,13 @@ class Window:
 
     @property
     def room(self) -> tuple[int, ...]:
-        """The largest offset along every axis; a wrapped one is never longer than its way round the other side."""
-        return tuple(side // 2 if wrap else side - 1 for side, wrap in zip(self.shape, self.wraps, strict=True))
+        """The largest offset along every axis; a wrapped one is never longer than its way round the
+        other side.
+        """
+        return tuple(
+            side // 2 if wrap else side - 1
+            for side, wrap in zip(self.shape, self.wraps, strict=True)
+        )
 
     def within(self, inside: np.ndarray) -> np.ndarray:
         """The phase, lifted to three axes, without what does not count."""
@@ -32,7 +39,9 @@ class Window:
         return inside if self.where is None else inside & self.where
 
 
-def as_window(shape: tuple[int, ...], periodic: bool | Sequence[bool], mask: ArrayLike | None) -> Window:
+def as_window(
+    shape: tuple[int, ...], periodic: bool | Sequence[bool], mask: ArrayLike | None
+) -> Window:
     """The window of an image of 2 or 3 axes; a 2-D image is one slice.
 
     Raises
@@ -43,13 +52,19 @@ def as_window(shape: tuple[int, ...], periodic: bool | Sequence[bool], mask: Arr
     flat = 3 - len(shape)
     wraps = as_periodic(periodic, len(shape))
     region = as_mask(mask, shape)
-    return Window((1,) * flat + tuple(shape), (False,) * flat + wraps, None if region is None else as_inside(region))
+    return Window(
+        (1,) * flat + tuple(shape),
+        (False,) * flat + wraps,
+        None if region is None else as_inside(region),
+    )
 
 
 def check_range(r_max: int, limit: float, *, why: str) -> None:
     """Raise where r_max is not a whole number from 0 to `limit`."""
     if isinstance(r_max, bool) or not isinstance(r_max, (int, np.integer)):
-        raise InputError(f"r_max {r_max!r} is not a whole number: give the largest distance in voxels")
+        raise InputError(
+            f"r_max {r_max!r} is not a whole number: give the largest distance in voxels"
+        )
     if not 0 <= r_max <= limit:
         raise InputError(f"r_max {r_max} does not fit {why}: give 0 .. {max(0, math.floor(limit))}")
 

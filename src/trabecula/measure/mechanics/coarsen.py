@@ -1,10 +1,11 @@
 """The next coarser grid: blocks of 2x2x2 cells, split where their content does not hang together.
 
-A strut and its neighbour across a thin gap may lie in one coarse block. Were they one coarse cell, the coarse grid
-would tie them together, and the solver would stall on thin structures; so a block becomes as many cells as it holds
-pieces, each with nodes of its own (Dick, Georgii, Westermann 2011, doi:10.1109/TVCG.2010.268). Nodes of neighbouring
-coarse cells are one where a node of the finer grid, common to both, depends on them. Displacements of the coarse grid
-are then displacements of the finer one as well, and its operator is the finer one's, seen by them (Galerkin).
+A strut and its neighbour across a thin gap may lie in one coarse block. Were they one coarse cell,
+the coarse grid would tie them together, and the solver would stall on thin structures; so a block
+becomes as many cells as it holds pieces, each with nodes of its own (Dick, Georgii, Westermann
+2011, doi:10.1109/TVCG.2010.268). Nodes of neighbouring coarse cells are one where a node of the
+finer grid, common to both, depends on them. Displacements of the coarse grid are then displacements
+of the finer one as well, and its operator is the finer one's, seen by them (Galerkin).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.mechanics.lattice import LEAST, Cells
-from trabecula.measure.union import join, root_of
+from trabecula.measure.union_find import join, root_of
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,13 @@ class Interpolation:
     """first, fine node, weight; a row per coarse node."""
 
 
-def coarsen(cells: Cells, incidence: tuple[np.ndarray, np.ndarray], *, repeated: bool) -> tuple[Cells, Interpolation]:
+def coarsen(
+    cells: Cells, incidence: tuple[np.ndarray, np.ndarray], *, repeated: bool
+) -> tuple[Cells, Interpolation]:
     """The coarser cells, and the interpolation from their nodes.
 
-    `repeated` says that blocks with equal kinds of cells have equal matrices (only on the grid of voxels).
+    `repeated` says that blocks with equal kinds of cells have equal matrices (only on the grid of
+    voxels).
     """
     upper = _upper(cells.lines)
     block = cells.position >> 1
@@ -44,23 +48,35 @@ def coarsen(cells: Cells, incidence: tuple[np.ndarray, np.ndarray], *, repeated:
     down = _interpolation(parent, corner, weights, *incidence)
     position = np.empty((pieces, 3), np.int32)
     position[parent] = block
-    kind, chosen = _kinds(cells, parent, pieces) if repeated else (np.arange(pieces), np.arange(pieces))
+    kind, chosen = (
+        _kinds(cells, parent, pieces) if repeated else (np.arange(pieces), np.arange(pieces))
+    )
     target = np.full(pieces, -1)
     target[chosen] = np.arange(len(chosen))
     matrices = np.zeros((len(chosen), 8, 8, 3, 3))
     _galerkin(target[parent], cells.kind, cells.matrices, weights, matrices)
     lines = tuple(np.append(line[:-1:2], line[-1]) for line in cells.lines)
-    coarse = Cells(corner.astype(np.uint32), kind.astype(np.int32), matrices, position, lines, count)
+    coarse = Cells(
+        corner.astype(np.uint32), kind.astype(np.int32), matrices, position, lines, count
+    )
     return coarse, Interpolation(down, _transpose(down[0], down[1], down[2], count))
 
 
-def gather(rows: tuple[np.ndarray, np.ndarray, np.ndarray], vector: np.ndarray, out: np.ndarray, *, add: bool) -> None:
+def gather(
+    rows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    vector: np.ndarray,
+    out: np.ndarray,
+    *,
+    add: bool,
+) -> None:
     """out (+)= rows times vector."""
     for_slabs(lambda a, b: _gather(*rows, vector, out, add, a, b), len(out), least=LEAST)
 
 
 def _upper(lines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(3, most cells, 2): for both ends of a fine cell, the weight of the upper end of the coarse cell around it."""
+    """(3, most cells, 2): for both ends of a fine cell, the weight of the upper end of the coarse
+    cell around it.
+    """
     table = np.zeros((3, max(len(line) for line in lines), 2))
     for axis, line in enumerate(lines):
         cell = np.arange(len(line) - 1)
@@ -72,11 +88,15 @@ def _upper(lines: tuple[np.ndarray, ...]) -> np.ndarray:
 
 def _weights(position: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """(cells, 3, 2) float64: `upper` of every cell."""
-    return np.ascontiguousarray(np.stack([upper[axis, position[:, axis]] for axis in range(3)], axis=1))
+    return np.ascontiguousarray(
+        np.stack([upper[axis, position[:, axis]] for axis in range(3)], axis=1)
+    )
 
 
 def _kinds(cells: Cells, parent: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """The kind of every coarse cell, and one cell of each kind: the same kinds of cells in the same places."""
+    """The kind of every coarse cell, and one cell of each kind: the same kinds of cells in the same
+    places.
+    """
     base = len(cells.matrices) + 1
     key = np.zeros(pieces, np.int64)
     place = (cells.position & 1) @ np.array([4, 2, 1])
@@ -121,7 +141,9 @@ def _pieces(block, first, entry):
 
 @inline
 def _supports(weights, cell, corner, s):
-    """Corner of the coarse cell if it is the s-th of the possible ones and has weight at this corner of a fine cell."""
+    """Corner of the coarse cell if it is the s-th of the possible ones and has weight at this
+    corner of a fine cell.
+    """
     weight = 1.0
     for axis in range(3):
         bit = corner >> (2 - axis) & 1
@@ -138,7 +160,8 @@ def _corners(parent, pieces, weights, first, entry):
     for n in range(len(first) - 1):
         for i in range(first[n], first[n + 1]):
             cell, corner = entry[i] // 8, entry[i] % 8
-            # Supporting corners come in the same order in every cell around the node: axes along which it lies
+            # Supporting corners come in the same order in every cell around the node: axes along
+            # which it lies
             # between two coarse planes are the same for all of them.
             count = 0
             for s in range(8):
@@ -205,7 +228,9 @@ def _gather(first, index, weight, vector, out, add, begin, end):
 
 @kernel
 def _galerkin(target, kind, matrices, weights, out):
-    """out[target] += W^T K W for every fine cell, W[a, A] the weight of coarse corner A at fine corner a."""
+    """out[target] += W^T K W for every fine cell, W[a, A] the weight of coarse corner A at fine
+    corner a.
+    """
     half = np.zeros((8, 8, 3, 3))
     w = np.zeros((8, 8))
     for cell in range(len(target)):

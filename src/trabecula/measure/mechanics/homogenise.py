@@ -14,8 +14,8 @@ from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import one_blas_thread
-from trabecula.measure.box import box_sides, centre, check_memory, clipped
+from trabecula.engine.parallel import one_blas_thread
+from trabecula.measure.centre_crop import box_sides, centre, check_memory, clipped
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
 from trabecula.measure.mechanics.lattice import LOADS, Cells, touched, voxel_cells
 from trabecula.measure.mechanics.parts import load_bearing
@@ -26,7 +26,8 @@ VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 _MOST_ITERATIONS = 500
 _HALVED_SIDE = 40
 
-# Resident memory at the peak, from 40 and 64 voxels an edge, 15 to 85 % solid; separate columns of one voxel take 2500.
+# Resident memory at the peak, from 40 and 64 voxels an edge, 15 to 85 % solid; separate columns of
+# one voxel take 2500.
 _NODE_BYTES, _GRID_BYTES = 2000, 20
 
 Moduli = tuple[float, float] | Mapping[str, tuple[float, float]]
@@ -39,20 +40,25 @@ class Stiffness:
     matrix: np.ndarray
     """(6, 6), Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains."""
     moduli: dict[str, float]
-    """Apparent Young's modulus along each axis, "z", "y", "x": stress over strain with the sides free to move."""
+    """Apparent Young's modulus along each axis, "z", "y", "x": stress over strain with the sides
+    free to move.
+    """
     shear: dict[str, float]
     """Apparent shear modulus in each plane, "yz", "xz", "xy"."""
     converged: bool
     """Whether the tolerance was reached for all six load cases."""
     imbalance: float
-    """Largest deviation of the mean stress in one layer of voxels from that of all layers, over the largest stiffness.
-    Stress normal to a layer is equal in all of them where forces balance; 0 is exact."""
+    """Largest deviation of the mean stress in one layer of voxels from that of all layers, over the
+    largest stiffness. Stress normal to a layer is equal in all of them where forces balance; 0 is
+    exact."""
     iterations: int
     bearing: float
-    """Share of the solid that can carry load: the rest does not hang together with itself across the faces."""
+    """Share of the solid that can carry load: the rest does not hang together with itself across
+    the faces.
+    """
     halving: float | None = None
-    """Relative change of the mean diagonal where every voxel of a centre box is split in eight (with the same
-    materials); None unless asked for."""
+    """Relative change of the mean diagonal where every voxel of a centre box is split in eight
+    (with the same materials); None unless asked for."""
 
     __repr__ = brief
 
@@ -68,12 +74,13 @@ def stiffness(
 ) -> Stiffness:
     """Effective elastic stiffness of a material, void being void.
 
-    The image is repeated periodically, and the fluctuation of the displacement is periodic; every voxel of solid is a
-    trilinear brick (Garboczi and Day 1995, doi:10.1016/0022-5096(95)00050-S; for bone van Rietbergen et al. 1995,
-    doi:10.1016/0021-9290(95)80008-5). Six unit strains are applied; column j of the matrix is the mean stress for
-    strain j. A scan's faces do not fit each other, so what they cut there counts as cut, and small boxes come out
-    too soft. Parts that no path through voxel faces connects with themselves across the faces carry nothing and are
-    left out. Zero where nothing percolates.
+    The image is repeated periodically, and the fluctuation of the displacement is periodic; every
+    voxel of solid is a trilinear brick (Garboczi and Day 1995, doi:10.1016/0022-5096(95)00050-S;
+    for bone van Rietbergen et al. 1995, doi:10.1016/0021-9290(95)80008-5). Six unit strains are
+    applied; column j of the matrix is the mean stress for strain j. A scan's faces do not fit each
+    other, so what they cut there counts as cut, and small boxes come out too soft. Parts that no
+    path through voxel faces connects with themselves across the faces carry nothing and are left
+    out. Zero where nothing percolates.
 
     Parameters
     ----------
@@ -82,15 +89,18 @@ def stiffness(
     phase : str or int, optional
         The phase that `moduli` is of. Default: "solid", which is every phase but "void".
     moduli : (E, nu), or mapping from the name of a phase to (E, nu)
-        Young's modulus (any unit, > 0) and Poisson's ratio (-0.99 .. 0.49). Phases that a mapping leaves out are void.
+        Young's modulus (any unit, > 0) and Poisson's ratio (-0.99 .. 0.49). Phases that a mapping
+        leaves out are void.
     tolerance : float
-        Error of the displacements in the energy norm over that of the whole field, 1e-10 .. 0.1, estimated. The
-        diagonal of the matrix errs by about its square, what lies beside it by up to itself.
+        Error of the displacements in the energy norm over that of the whole field, 1e-10 .. 0.1,
+        estimated. The diagonal of the matrix errs by about its square, what lies beside it by up to
+        itself.
     box : int or (Z, Y, X), optional
         Only the centre box of this many voxels. Default: the whole image.
     halving : bool
-        Measure also what halving the voxels changes, on a centre box of at most 40 voxels a side. Bricks bend too
-        stiffly where a strut is one or two voxels thick; this says how much that matters here.
+        Measure also what halving the voxels changes, on a centre box of at most 40 voxels a side.
+        Bricks bend too stiffly where a strut is one or two voxels thick; this says how much that
+        matters here.
 
     Returns
     -------
@@ -105,8 +115,10 @@ def stiffness(
 
     Notes
     -----
-    Conjugate gradients with a multigrid preconditioner. 1.5 kB of memory per voxel of a compact solid, 2 to
-    3.5 kB of struts a few voxels thick, checked before anything is solved. The result does not depend on the number of threads.
+    Conjugate gradients with a multigrid preconditioner. 1.5 kB of memory per voxel of a compact
+    solid, 2 to
+    3.5 kB of struts a few voxels thick, checked before anything is solved. The result does not
+    depend on the number of threads.
 
     Examples
     --------
@@ -137,7 +149,9 @@ def stiffness(
     return replace(result, halving=float((after - before) / before) if before else 0.0)
 
 
-def _materials(image: Image, phase: str | int | None, moduli: Moduli) -> tuple[np.ndarray, np.ndarray]:
+def _materials(
+    image: Image, phase: str | int | None, moduli: Moduli
+) -> tuple[np.ndarray, np.ndarray]:
     """For every voxel the index of its material, -1 for void; and the materials, (n, 6, 6)."""
     if not isinstance(moduli, Mapping):
         _, inside = indicator(image, phase)
@@ -149,19 +163,29 @@ def _materials(image: Image, phase: str | int | None, moduli: Moduli) -> tuple[n
         check_name(name, image.phases, name="phase")
         table[image.phases.index(name)] = index
     if not moduli:
-        raise InputError("moduli is empty: give (E, nu), or (E, nu) for the name of a phase at least")
-    return table[image.values], np.stack([_material(pair, f"moduli of {name}") for name, pair in moduli.items()])
+        raise InputError(
+            "moduli is empty: give (E, nu), or (E, nu) for the name of a phase at least"
+        )
+    return table[image.values], np.stack(
+        [_material(pair, f"moduli of {name}") for name, pair in moduli.items()]
+    )
 
 
 def _material(pair: Sequence[float], name: str) -> np.ndarray:
     if isinstance(pair, str) or np.shape(pair) != (2,):
-        raise InputError(f"{name} is {pair!r}: two numbers are needed, Young's modulus and Poisson's ratio")
+        raise InputError(
+            f"{name} is {pair!r}: two numbers are needed, Young's modulus and Poisson's ratio"
+        )
     young = as_number(pair[0], name=f"Young's modulus ({name})", low=1e-30, high=1e30)
-    return isotropic(young, as_number(pair[1], name=f"Poisson's ratio ({name})", low=-0.99, high=0.49))
+    return isotropic(
+        young, as_number(pair[1], name=f"Poisson's ratio ({name})", low=-0.99, high=0.49)
+    )
 
 
 def needed(solid: np.ndarray, *, halving: bool = False) -> int:
-    """Bytes that solving for the stiffness of a solid (Z, Y, X) takes beyond it; with `halving` those of the larger solve."""
+    """Bytes that solving for the stiffness of a solid (Z, Y, X) takes beyond it; with `halving`
+    those of the larger solve.
+    """
 
     def one(part: np.ndarray, nodes: int) -> int:
         return nodes * _NODE_BYTES + part.size * _GRID_BYTES
@@ -178,13 +202,17 @@ def _halved_box(values: np.ndarray) -> np.ndarray:
     return centre(values, clipped([_HALVED_SIDE] * 3, values.shape))
 
 
-def _stiffness(kind: np.ndarray, materials: np.ndarray, edges: tuple[float, ...], tolerance: float) -> Stiffness:
+def _stiffness(
+    kind: np.ndarray, materials: np.ndarray, edges: tuple[float, ...], tolerance: float
+) -> Stiffness:
     solid = np.count_nonzero(kind >= 0)
     kind = np.where(load_bearing(kind >= 0), kind, -1)
     bearing = np.count_nonzero(kind >= 0)
     if not bearing:
         return _result(np.zeros((6, 6)), True, 0.0, 0, 0.0)
-    cells = voxel_cells(kind, np.stack([brick_stiffness(material, edges) for material in materials]), edges)
+    cells = voxel_cells(
+        kind, np.stack([brick_stiffness(material, edges) for material in materials]), edges
+    )
     strain = mean_strain(edges)
     volume = math.prod(edges)
     whole = volume * np.tensordot(np.bincount(cells.kind, minlength=len(materials)), materials, 1)
@@ -193,30 +221,44 @@ def _stiffness(kind: np.ndarray, materials: np.ndarray, edges: tuple[float, ...]
         pull = -volume * np.einsum("ick,mij->mckj", strain, materials)
         _add_loads(cells.nodes, cells.kind, np.ascontiguousarray(pull), load)
         solution = solve(
-            build_levels(cells), load, whole=whole.diagonal(), tolerance=tolerance, most_iterations=_MOST_ITERATIONS
+            build_levels(cells),
+            load,
+            whole=whole.diagonal(),
+            tolerance=tolerance,
+            most_iterations=_MOST_ITERATIONS,
         )
     matrix, imbalance = _mean_stress(cells, materials, strain, solution, kind.shape)
     return _result(matrix, solution.converged, imbalance, solution.iterations, bearing / solid)
 
 
 def _mean_stress(
-    cells: Cells, materials: np.ndarray, strain: np.ndarray, solution: Solution, shape: tuple[int, ...]
+    cells: Cells,
+    materials: np.ndarray,
+    strain: np.ndarray,
+    solution: Solution,
+    shape: tuple[int, ...],
 ) -> tuple[np.ndarray, float]:
     """The stiffness, and how far the stress of single layers is from it."""
     layers = np.zeros((3, max(shape), 6, LOADS))
-    _sum_stress(cells.nodes, cells.kind, cells.position, materials, strain, solution.displacement, layers)
+    _sum_stress(
+        cells.nodes, cells.kind, cells.position, materials, strain, solution.displacement, layers
+    )
     matrix = layers[0].sum(axis=0) / math.prod(shape)
     size = float(np.abs(matrix).max())
     imbalance = 0.0
-    for axis, crossing in enumerate(((2, 3, 4), (1, 3, 5), (0, 4, 5))):  # stress components on a plane across z, y, x
+    # stress components on a plane across z, y, x
+    for axis, crossing in enumerate(((2, 3, 4), (1, 3, 5), (0, 4, 5))):
         section = layers[axis, : shape[axis]] * shape[axis] / math.prod(shape)
         imbalance = max(imbalance, float(np.abs(section - matrix)[:, crossing].max()) / size)
     return (matrix + matrix.T) / 2, imbalance
 
 
-def _result(matrix: np.ndarray, converged: bool, imbalance: float, iterations: int, bearing: float) -> Stiffness:
+def _result(
+    matrix: np.ndarray, converged: bool, imbalance: float, iterations: int, bearing: float
+) -> Stiffness:
     size = float(np.abs(matrix).max())
-    # Where nothing resists, the compliance is infinite: a little added stiffness makes it large, and its inverse 0.
+    # Where nothing resists, the compliance is infinite: a little added stiffness makes it large,
+    # and its inverse 0.
     compliance = np.linalg.inv(matrix + 1e-9 * (size or 1.0) * np.eye(6)).diagonal()
     apparent = [float(1 / value) if value < 1e6 / (size or 1.0) else 0.0 for value in compliance]
     if not size:
@@ -224,7 +266,13 @@ def _result(matrix: np.ndarray, converged: bool, imbalance: float, iterations: i
     named = dict(zip(VOIGT, apparent, strict=True))
     young = {axis: named[axis * 2] for axis in "zyx"}
     return Stiffness(
-        matrix, young, {plane: named[plane] for plane in VOIGT[3:]}, converged, imbalance, iterations, bearing
+        matrix,
+        young,
+        {plane: named[plane] for plane in VOIGT[3:]},
+        converged,
+        imbalance,
+        iterations,
+        bearing,
     )
 
 

@@ -1,8 +1,9 @@
 """Cells, their nodes, and the sparse operator that they add up to.
 
-The same structures serve every grid of the multigrid: on the finest a cell is a voxel, on coarser ones a connected
-piece of the solid in a block of voxels. Operators are rows of 3x3 blocks. On the finest grid rows are shared: a row
-depends only on the materials of the eight voxels around its node, so that two phases need at most 255 of them.
+The same structures serve every grid of the multigrid: on the finest a cell is a voxel, on coarser
+ones a connected piece of the solid in a block of voxels. Operators are rows of 3x3 blocks. On the
+finest grid rows are shared: a row depends only on the materials of the eight voxels around its
+node, so that two phases need at most 255 of them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.mechanics.elements import CORNERS
 
 LOADS = 6
@@ -43,7 +44,9 @@ class Cells:
 
 @dataclass(frozen=True)
 class Operator:
-    """Row n holds the blocks `values[start[n] ...]` for the nodes `neighbour[first[n] .. first[n + 1]]`."""
+    """Row n holds the blocks `values[start[n] ...]` for the nodes `neighbour[first[n] .. first[n +
+    1]]`.
+    """
 
     first: np.ndarray
     neighbour: np.ndarray
@@ -61,7 +64,9 @@ class Operator:
 
 
 def touched(solid: np.ndarray) -> np.ndarray:
-    """The nodes of a periodic grid, at the first corner of every voxel, that some voxel of the solid touches."""
+    """The nodes of a periodic grid, at the first corner of every voxel, that some voxel of the
+    solid touches.
+    """
     nodes = np.zeros(solid.shape, bool)
     for corner in CORNERS:
         nodes |= np.roll(solid, corner, axis=(0, 1, 2))
@@ -69,7 +74,9 @@ def touched(solid: np.ndarray) -> np.ndarray:
 
 
 def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]) -> Cells:
-    """Cells of the voxels with `kind` >= 0 on a periodic grid; nodes that touch none of them do not exist."""
+    """Cells of the voxels with `kind` >= 0 on a periodic grid; nodes that touch none of them do not
+    exist.
+    """
     position = np.argwhere(kind >= 0).astype(np.int32)
     number = np.cumsum(touched(kind >= 0).ravel(), dtype=np.int64) - 1
     nodes = np.empty((len(position), 8), np.uint32)
@@ -77,19 +84,26 @@ def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]
         z, y, x = ((position + corner) % kind.shape).T
         nodes[:, c] = number[(z.astype(np.int64) * kind.shape[1] + y) * kind.shape[2] + x]
     lines = tuple(np.arange(side + 1) * edge for side, edge in zip(kind.shape, edges, strict=True))
-    return Cells(nodes, kind[kind >= 0].astype(np.int32), matrices, position, lines, int(number[-1]) + 1)
+    return Cells(
+        nodes, kind[kind >= 0].astype(np.int32), matrices, position, lines, int(number[-1]) + 1
+    )
 
 
 def row_keys(cells: Cells) -> np.ndarray:
-    """A number per node of a grid of voxels: equal where the eight voxels around it are of equal kinds."""
+    """A number per node of a grid of voxels: equal where the eight voxels around it are of equal
+    kinds.
+    """
     keys = np.zeros(cells.count, np.int64)
     base = len(cells.matrices) + 1
     for c in range(8):
-        keys[cells.nodes[:, c]] += (cells.kind.astype(np.int64) + 1) * base**c  # one cell per node and corner
+        # one cell per node and corner
+        keys[cells.nodes[:, c]] += (cells.kind.astype(np.int64) + 1) * base**c
     return keys
 
 
-def assemble(cells: Cells, incidence: tuple[np.ndarray, np.ndarray], keys: np.ndarray | None = None) -> Operator:
+def assemble(
+    cells: Cells, incidence: tuple[np.ndarray, np.ndarray], keys: np.ndarray | None = None
+) -> Operator:
     """The operator of the cells; nodes of equal `keys` share their row."""
     first, neighbour = _adjacency(cells.nodes, *incidence)
     if keys is None:
@@ -102,13 +116,26 @@ def assemble(cells: Cells, incidence: tuple[np.ndarray, np.ndarray], keys: np.nd
     exact = keys is not None or cells.count < _SINGLE
     values = np.zeros((begin[-1], 3, 3), np.float64 if exact else np.float32)
     diagonal = np.zeros((len(chosen), 3, 3))
-    _fill(chosen, cells.nodes, cells.kind, cells.matrices, *incidence, first, neighbour, begin, values, diagonal)
+    _fill(
+        chosen,
+        cells.nodes,
+        cells.kind,
+        cells.matrices,
+        *incidence,
+        first,
+        neighbour,
+        begin,
+        values,
+        diagonal,
+    )
     inverse = np.linalg.pinv(diagonal, rcond=1e-9, hermitian=True)
     return Operator(first, neighbour, begin[row].astype(np.uint32), values, inverse, row)
 
 
 def incidence(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
-    """For every node its (cell * 8 + corner): where they begin, and all of them, by corner and then by cell."""
+    """For every node its (cell * 8 + corner): where they begin, and all of them, by corner and then
+    by cell.
+    """
     return _incidence(cells.nodes, cells.count)
 
 
@@ -116,7 +143,9 @@ def apply(operator: Operator, vector: np.ndarray, out: np.ndarray) -> np.ndarray
     """`out` = operator times `vector`, (count, 3, LOADS)."""
     o = operator
     for_slabs(
-        lambda a, b: _apply(o.first, o.neighbour, o.start, o.values, vector, out, a, b), operator.count, least=LEAST
+        lambda a, b: _apply(o.first, o.neighbour, o.start, o.values, vector, out, a, b),
+        operator.count,
+        least=LEAST,
     )
     return out
 
@@ -124,7 +153,9 @@ def apply(operator: Operator, vector: np.ndarray, out: np.ndarray) -> np.ndarray
 def relax(operator: Operator, residual: np.ndarray, pace: float, x: np.ndarray) -> None:
     """x += pace * D^-1 residual; D holds the diagonal blocks."""
     o = operator
-    for_slabs(lambda a, b: _relax(o.inverse, o.row, residual, pace, x, a, b), operator.count, least=LEAST)
+    for_slabs(
+        lambda a, b: _relax(o.inverse, o.row, residual, pace, x, a, b), operator.count, least=LEAST
+    )
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -199,7 +230,8 @@ def _fill(chosen, nodes, kind, matrices, begin, entry, first, neighbour, start, 
 
 @kernel
 def _apply(first, neighbour, start, values, u, y, begin, end):
-    # Three rows of accumulators and nine scalars of a block: the form that LLVM keeps in registers (twice as fast).
+    # Three rows of accumulators and nine scalars of a block: the form that LLVM keeps in registers
+    # (twice as fast).
     s0, s1, s2 = np.zeros(LOADS), np.zeros(LOADS), np.zeros(LOADS)
     for n in range(begin, end):
         for j in range(LOADS):

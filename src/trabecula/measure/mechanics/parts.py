@@ -1,4 +1,6 @@
-"""What can carry load: parts of the solid that meet themselves again across the faces of the periodic box."""
+"""What can carry load: parts of the solid that meet themselves again across the faces of the
+periodic box.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,22 @@ from trabecula.measure.labelling import label_components
 
 
 def load_bearing(inside: np.ndarray) -> np.ndarray:
-    """The components (through faces of voxels) that wrap around the periodic box along some direction, (Z, Y, X) bool.
+    """The components (through faces of voxels) that wrap around the periodic box along some
+    direction, (Z, Y, X) bool.
 
     All others are islands: an overall strain moves them, and they carry nothing.
     """
     labels, sizes = label_components(inside)
     count = len(sizes)
     parent = list(range(count + 1))
-    offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)  # of a component's box, seen from its parent's
+    # of a component's box, seen from its parent's
+    offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)
     wraps = np.zeros(count + 1, bool)
     for axis in range(3):
         step = tuple(int(axis == k) for k in range(3))
-        pairs = np.stack([labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1)
+        pairs = np.stack(
+            [labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1
+        )
         for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
             _join(parent, offset, wraps, low, high, step)
     roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)])
@@ -43,7 +49,12 @@ def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int
 
 
 def _join(
-    parent: list[int], offset: list[tuple[int, ...]], wraps: np.ndarray, a: int, b: int, step: tuple[int, ...]
+    parent: list[int],
+    offset: list[tuple[int, ...]],
+    wraps: np.ndarray,
+    a: int,
+    b: int,
+    step: tuple[int, ...],
 ) -> None:
     """b, one `step` of boxes on, touches a."""
     root_a, from_a = _root(parent, offset, a)

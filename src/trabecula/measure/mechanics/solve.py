@@ -1,9 +1,9 @@
 """Conjugate gradients, preconditioned by a W-cycle over coarser grids; all load cases at once.
 
-The smoother is one damped step with the diagonal blocks: it has no order of nodes, so the result does not depend on
-the threads. (Chebyshev polynomials of degree 2 and 3 saved few iterations on bone, and each cost more.) The operator
-has a null space: shifts, and turns of what hangs together along one axis only. Loads are orthogonal to it, so the
-method goes on without noticing.
+The smoother is one damped step with the diagonal blocks: it has no order of nodes, so the result
+does not depend on the threads. (Chebyshev polynomials of degree 2 and 3 saved few iterations on
+bone, and each cost more.) The operator has a null space: shifts, and turns of what hangs together
+along one axis only. Loads are orthogonal to it, so the method goes on without noticing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.mechanics.coarsen import Interpolation, coarsen, gather
 from trabecula.measure.mechanics.lattice import (
     LEAST,
@@ -29,7 +29,8 @@ from trabecula.measure.mechanics.lattice import (
 )
 
 _DENSE = 250  # nodes up to which the coarsest problem is solved by its inverse
-_DAMPING = 1.8  # of the smoother, over the largest eigenvalue; 2 would keep the fastest error as it is
+# of the smoother, over the largest eigenvalue; 2 would keep the fastest error as it is
+_DAMPING = 1.8
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,18 @@ def build_levels(cells: Cells) -> list[Level]:
 
 
 def solve(
-    levels: list[Level], load: np.ndarray, *, whole: np.ndarray, tolerance: float, most_iterations: int
+    levels: list[Level],
+    load: np.ndarray,
+    *,
+    whole: np.ndarray,
+    tolerance: float,
+    most_iterations: int,
 ) -> Solution:
     """Solve for every load case, (nodes, 3, LOADS); `load` is overwritten.
 
-    `whole` is the energy of the unrelaxed field, (LOADS,): what remains of it is the stiffness. The residual times its
-    preconditioned self estimates the square of the error in the energy norm, which is also the error of the stiffness.
+    `whole` is the energy of the unrelaxed field, (LOADS,): what remains of it is the stiffness. The
+    residual times its preconditioned self estimates the square of the error in the energy norm,
+    which is also the error of the stiffness.
     """
     operator = levels[0].operator
     residual, x = load, np.zeros_like(load)
@@ -93,7 +100,8 @@ def solve(
     for iteration in range(most_iterations + 1):
         _cycle(levels, 0, residual, z, product)
         now = dot(residual, z)
-        left = np.maximum(whole - energy, 1e-6 * whole)  # a floor: along some axis nothing may be left
+        # a floor: along some axis nothing may be left
+        left = np.maximum(whole - energy, 1e-6 * whole)
         error = np.sqrt(np.maximum(now, 0) / left)
         if error.max() <= tolerance or iteration == most_iterations:
             break
@@ -107,7 +115,9 @@ def solve(
     return Solution(x, energy, error, iteration, bool(error.max() <= tolerance))
 
 
-def _cycle(levels: list[Level], at: int, right: np.ndarray, x: np.ndarray, product: np.ndarray) -> None:
+def _cycle(
+    levels: list[Level], at: int, right: np.ndarray, x: np.ndarray, product: np.ndarray
+) -> None:
     """x = an approximate solution for `right`, symmetric and linear in it."""
     level = levels[at]
     if level.inverse is not None:
@@ -118,7 +128,8 @@ def _cycle(levels: list[Level], at: int, right: np.ndarray, x: np.ndarray, produ
     relax(level.operator, right, pace, x)
     if level.to_coarse is None:
         return
-    # On coarse grids two rounds, the second on what the first left (a W-cycle): half the iterations of a V-cycle.
+    # On coarse grids two rounds, the second on what the first left (a W-cycle): half the iterations
+    # of a V-cycle.
     for again in range(2 if at else 1):
         _remainder(level.operator, right, x, product)
         if again:
@@ -138,7 +149,9 @@ def _remainder(operator: Operator, right: np.ndarray, x: np.ndarray, out: np.nda
 
 
 def _largest_of_bricks(matrices: np.ndarray) -> float:
-    """The largest eigenvalue of D^-1 A is at most that of a single brick: A and D are sums over bricks."""
+    """The largest eigenvalue of D^-1 A is at most that of a single brick: A and D are sums over
+    bricks.
+    """
     largest = 0.0
     for matrix in matrices:
         diagonal = np.zeros((24, 24))
@@ -152,11 +165,12 @@ def _largest_of_bricks(matrices: np.ndarray) -> float:
 def _largest(operator: Operator) -> float:
     """A little above the largest eigenvalue of D^-1 A, by the power method on six fixed vectors.
 
-    Too low a value would make the smoother amplify what it should remove, so neither the number of steps nor the
-    margin is tight.
+    Too low a value would make the smoother amplify what it should remove, so neither the number of
+    steps nor the margin is tight.
     """
     shape = (operator.count, 3, LOADS)
-    vector = np.cos(np.arange(np.prod(shape)) * 0.7548776662).reshape(shape)  # no pattern of the grid has this period
+    # no pattern of the grid has this period
+    vector = np.cos(np.arange(np.prod(shape)) * 0.7548776662).reshape(shape)
     product = np.empty(shape)
     size = np.ones(LOADS)
     for _ in range(20):
@@ -177,7 +191,8 @@ def _inverse(operator: Operator) -> np.ndarray:
         near = o.neighbour[o.first[n] : o.first[n + 1]]
         dense[n][:, near] = o.values[o.start[n] : int(o.start[n]) + width].transpose(1, 0, 2)
     matrix = dense.reshape(3 * o.count, 3 * o.count)
-    # Scaled to a diagonal of ones: a coarse node that holds a splinter is as soft as it is small, not as a null space.
+    # Scaled to a diagonal of ones: a coarse node that holds a splinter is as soft as it is small,
+    # not as a null space.
     diagonal = matrix.diagonal()
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     matrix = matrix * scale * scale[:, None]
@@ -191,7 +206,13 @@ def _combine(direction: np.ndarray, z: np.ndarray, factor: np.ndarray) -> None:
     for_slabs(lambda a, b: _turn(direction, z, factor, a, b), len(z), least=LEAST)
 
 
-def _advance(x: np.ndarray, direction: np.ndarray, residual: np.ndarray, product: np.ndarray, pace: np.ndarray) -> None:
+def _advance(
+    x: np.ndarray,
+    direction: np.ndarray,
+    residual: np.ndarray,
+    product: np.ndarray,
+    pace: np.ndarray,
+) -> None:
     for_slabs(lambda a, b: _go(x, direction, residual, product, pace, a, b), len(x), least=LEAST)
 
 

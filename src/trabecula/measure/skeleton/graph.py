@@ -1,4 +1,5 @@
-"""The skeleton as a graph: voxels with more than two neighbours are joints, the lines between them branches.
+"""The skeleton as a graph: voxels with more than two neighbours are joints, the lines between them
+branches.
 
 1. Voxels get numbers and lists of their neighbours (26; 8 in 2-D).
 2. Joint voxels that are neighbours make one joint.
@@ -18,19 +19,23 @@ from trabecula.engine.compile import kernel
 from trabecula.measure.phases import indicator
 from trabecula.measure.skeleton.simple import CENTRE_BIT, around
 from trabecula.measure.skeleton.thinning import thinned
-from trabecula.measure.union import join, root_of
+from trabecula.measure.union_find import join, root_of
 
 END_END, END_JOINT, JOINT_JOINT, CYCLE = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonGraph:
-    """Joints and branches of a skeleton; B branches, J joints, D axes. Lengths are in the image's unit."""
+    """Joints and branches of a skeleton; B branches, J joints, D axes. Lengths are in the image's
+    unit.
+    """
 
     skeleton: np.ndarray
     """(Z, Y, X) or (Y, X) bool."""
     voxels: np.ndarray
-    """(P, D) int64: the voxels of every branch in order, with the joint voxels it starts and stops at."""
+    """(P, D) int64: the voxels of every branch in order, with the joint voxels it starts and stops
+    at.
+    """
     offsets: np.ndarray
     """(B + 1,): branch b is `voxels[offsets[b]:offsets[b + 1]]`."""
     start: np.ndarray
@@ -38,7 +43,9 @@ class SkeletonGraph:
     stop: np.ndarray
     """(B,) joint at the last voxel; -1 as for `start`. A branch with one free end starts there."""
     kind: np.ndarray
-    """(B,) 0 end to end, 1 end to joint, 2 joint to joint, 3 a cycle without joint (the codes of skan)."""
+    """(B,) 0 end to end, 1 end to joint, 2 joint to joint, 3 a cycle without joint (the codes of
+    skan).
+    """
     length: np.ndarray
     """(B,) along the voxels' centres; 0 for a voxel alone."""
     span: np.ndarray
@@ -63,7 +70,11 @@ class SkeletonGraph:
     def ends(self) -> int:
         """Number of free ends; a voxel alone has one."""
         alone = int(np.count_nonzero((self.kind == END_END) & (np.diff(self.offsets) == 1)))
-        return int(np.count_nonzero(self.kind == END_JOINT)) + 2 * int(np.count_nonzero(self.kind == END_END)) - alone
+        return (
+            int(np.count_nonzero(self.kind == END_JOINT))
+            + 2 * int(np.count_nonzero(self.kind == END_END))
+            - alone
+        )
 
     @property
     def loops(self) -> int:
@@ -71,7 +82,12 @@ class SkeletonGraph:
         parent = np.arange(len(self.joints))
         between = self.kind == JOINT_JOINT
         pieces = len(parent) - _merges(parent, self.start[between], self.stop[between])
-        return int(np.count_nonzero(between)) - len(parent) + pieces + int(np.count_nonzero(self.kind == CYCLE))
+        return (
+            int(np.count_nonzero(between))
+            - len(parent)
+            + pieces
+            + int(np.count_nonzero(self.kind == CYCLE))
+        )
 
     def path(self, branch: int) -> np.ndarray:
         """(n, D) the voxels of a branch, in order."""
@@ -79,8 +95,9 @@ class SkeletonGraph:
 
 
 def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) -> SkeletonGraph:
-    """The skeleton of a phase as a graph (Lee, Kashyap and Chu 1994, doi:10.1006/cgip.1994.1042, section 5; the table of
-    branches follows skan, Nunez-Iglesias et al. 2018, doi:10.7717/peerj.4312).
+    """The skeleton of a phase as a graph (Lee, Kashyap and Chu 1994, doi:10.1006/cgip.1994.1042,
+    section 5; the table of branches follows skan, Nunez-Iglesias et al. 2018,
+    doi:10.7717/peerj.4312).
 
     Parameters
     ----------
@@ -101,8 +118,8 @@ def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) 
 
     Notes
     -----
-    A joint is a cluster of neighbouring joint voxels; loops inside a cluster are not branches. The length of a branch
-    ends at the joint voxel it touches, not at the cluster's centre.
+    A joint is a cluster of neighbouring joint voxels; loops inside a cluster are not branches. The
+    length of a branch ends at the joint voxel it touches, not at the cluster's centre.
 
     Examples
     --------
@@ -125,7 +142,9 @@ def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) 
     at = np.stack(np.unravel_index(places, padded.shape), axis=1)[:, 3 - skeleton.ndim :] - 1
     of_joint = np.flatnonzero(joint >= 0)
     sizes = np.maximum(np.bincount(joint[of_joint], minlength=joints), 1)
-    sums = [np.bincount(joint[of_joint], weights=column, minlength=joints) for column in at[of_joint].T]
+    sums = [
+        np.bincount(joint[of_joint], weights=column, minlength=joints) for column in at[of_joint].T
+    ]
     voxels = at[path]
     length, span = _lengths(voxels, offsets, np.array(image.spacing))
     return SkeletonGraph(
@@ -145,15 +164,21 @@ def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) 
     )
 
 
-def _lengths(voxels: np.ndarray, offsets: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lengths(
+    voxels: np.ndarray, offsets: np.ndarray, spacing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Along every branch, and straight from its first voxel to its last."""
     steps = np.linalg.norm(np.diff(voxels, axis=0) * spacing, axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     first, last = offsets[:-1], offsets[1:] - 1
-    return along[last] - along[first], np.linalg.norm((voxels[last] - voxels[first]) * spacing, axis=1)
+    return along[last] - along[first], np.linalg.norm(
+        (voxels[last] - voxels[first]) * spacing, axis=1
+    )
 
 
-def _kinds(path: np.ndarray, offsets: np.ndarray, start: np.ndarray, stop: np.ndarray) -> np.ndarray:
+def _kinds(
+    path: np.ndarray, offsets: np.ndarray, start: np.ndarray, stop: np.ndarray
+) -> np.ndarray:
     kind = (start >= 0).astype(np.uint8) + (stop >= 0)
     first, last = offsets[:-1], offsets[1:] - 1
     kind[(kind == END_END) & (path[first] == path[last]) & (last > first)] = CYCLE
@@ -182,7 +207,9 @@ def _neighbours(places, number, steps):
 
 @kernel
 def _joints(first, near):
-    """The joint of every voxel, -1 for the others, numbered by their first voxel; and how many there are."""
+    """The joint of every voxel, -1 for the others, numbered by their first voxel; and how many
+    there are.
+    """
     voxels = len(first) - 1
     parent = np.arange(voxels)
     joint = np.full(voxels, -1, np.int64)
@@ -204,7 +231,9 @@ def _joints(first, near):
 
 @kernel
 def _walk(first, near, joint):
-    """Every branch as numbers of voxels, one after another; where each begins; the joints it starts and stops at."""
+    """Every branch as numbers of voxels, one after another; where each begins; the joints it starts
+    and stops at.
+    """
     voxels = len(first) - 1
     path = np.empty(3 * voxels + 1, np.int64)
     offsets = np.zeros(voxels + 1, np.int64)
@@ -247,7 +276,12 @@ def _walk(first, near, joint):
                 came, at = at, to
             count += 1
             offsets[count] = length
-    return path[:length].copy(), offsets[: count + 1].copy(), start[:count].copy(), stop[:count].copy()
+    return (
+        path[:length].copy(),
+        offsets[: count + 1].copy(),
+        start[:count].copy(),
+        stop[:count].copy(),
+    )
 
 
 @kernel

@@ -1,7 +1,8 @@
 """Simple points: voxels whose removal changes neither components, tunnels nor cavities.
 
-A neighbourhood of 3x3x3 voxels is a number of 27 bits, bit 9 dz + 3 dy + dx for offsets 0..2; the centre is bit 13. So
-eight table look-ups give the change of the Euler number and a few shifts flood the neighbours.
+A neighbourhood of 3x3x3 voxels is a number of 27 bits, bit 9 dz + 3 dy + dx for offsets 0..2; the
+centre is bit 13. So eight table look-ups give the change of the Euler number and a few shifts flood
+the neighbours.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from trabecula.engine.compile import inline
-from trabecula.measure.cubes import cube_euler
+from trabecula.measure.configurations import cube_euler
 
 CENTRE_BIT = 13
 CENTRE = 1 << CENTRE_BIT
@@ -25,15 +26,16 @@ def _layer(axis: int, at: int) -> int:
     return sum(1 << int(k) for k in np.flatnonzero(offsets == at))
 
 
-# Voxels that a shift by one along x or y may arrive at: not those to which a row or slice wraps around.
+# Voxels that a shift by one along x or y may arrive at: not those to which a row or slice wraps
+# around.
 _NOT_FIRST_X, _NOT_LAST_X = NEIGHBOURS & ~_layer(2, 0) | CENTRE, NEIGHBOURS & ~_layer(2, 2) | CENTRE
 _NOT_FIRST_Y, _NOT_LAST_Y = NEIGHBOURS & ~_layer(1, 0) | CENTRE, NEIGHBOURS & ~_layer(1, 2) | CENTRE
 
 
 @lru_cache
 def euler_changes() -> np.ndarray:
-    """(8, 256) int8: eight times the change of the Euler number (26 neighbours) within octant o, 4 dz + 2 dy + dx, of a
-    voxel's neighbourhood when the voxel is removed."""
+    """(8, 256) int8: eight times the change of the Euler number (26 neighbours) within octant o, 4
+    dz + 2 dy + dx, of a voxel's neighbourhood when the voxel is removed."""
     eighths = np.round(8 * cube_euler(26)).astype(np.int64)
     number = np.arange(256)
     changes = np.empty((8, 256), np.int8)
@@ -44,7 +46,9 @@ def euler_changes() -> np.ndarray:
 
 
 def around(shape: tuple[int, ...]) -> np.ndarray:
-    """(27,) steps in the flat array of a volume from a voxel to its neighbourhood, in the order of the bits."""
+    """(27,) steps in the flat array of a volume from a voxel to its neighbourhood, in the order of
+    the bits.
+    """
     steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(27, 3)
     return np.asarray(steps @ np.array([shape[1] * shape[2], shape[2], 1]), np.int64)
 
@@ -83,7 +87,9 @@ def _one_piece(found):
 
 @inline
 def is_simple(found, changes):
-    """Removing the centre changes no topology, with 26 neighbours inside and 6 outside (Lee, Kashyap and Chu 1994)."""
+    """Removing the centre changes no topology, with 26 neighbours inside and 6 outside (Lee,
+    Kashyap and Chu 1994).
+    """
     found |= CENTRE
     return _keeps_euler(found, changes) and _one_piece(found)
 

@@ -1,13 +1,17 @@
 """Thinning: peel a phase to lines one voxel wide without changing its topology.
 
-Lee, Kashyap and Chu 1994, "Building skeleton models via 3-D medial surface/axis thinning algorithms",
-doi:10.1006/cgip.1994.1042. An iteration has six sub-iterations, one for the border of each direction:
+Lee, Kashyap and Chu 1994, "Building skeleton models via 3-D medial surface/axis thinning
+algorithms", doi:10.1006/cgip.1994.1042. An iteration has six sub-iterations, one for the border of
+each direction:
 
-1. candidates: voxels whose neighbour in that direction is outside, that are simple, and no end of a line;
-2. one after another each candidate is looked at again, as others have gone in the meantime, and removed.
+1. candidates: voxels whose neighbour in that direction is outside, that are simple, and no end of a
+line;
+2. one after another each candidate is looked at again, as others have gone in the meantime, and
+removed.
 
-The second look tests the Euler number too, not the connectivity alone, so the topology is kept whatever the order.
-Only voxels of the border are visited, and of those only what has changed around since the last time.
+The second look tests the Euler number too, not the connectivity alone, so the topology is kept
+whatever the order. Only voxels of the border are visited, and of those only what has changed around
+since the last time.
 """
 
 from __future__ import annotations
@@ -18,7 +22,13 @@ from numpy.typing import ArrayLike
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.measure.phases import as_inside, indicator
-from trabecula.measure.skeleton.simple import around, euler_changes, is_end, is_simple, neighbourhood
+from trabecula.measure.skeleton.simple import (
+    around,
+    euler_changes,
+    is_end,
+    is_simple,
+    neighbourhood,
+)
 
 _INSIDE, _LISTED, _SETTLED = 1, 2, 4
 _UNSETTLED = 255 - _SETTLED
@@ -27,7 +37,8 @@ _UNSETTLED = 255 - _SETTLED
 def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndarray:
     """The skeleton of a phase: lines one voxel wide along its medial axis.
 
-    Lee, Kashyap and Chu 1994 (doi:10.1006/cgip.1994.1042), section 4, with 26 neighbours inside and 6 outside.
+    Lee, Kashyap and Chu 1994 (doi:10.1006/cgip.1994.1042), section 4, with 26 neighbours inside and
+    6 outside.
 
     Parameters
     ----------
@@ -38,8 +49,9 @@ def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndar
     Returns
     -------
     skeleton : bool array, the image's shape
-        Has the components, tunnels and cavities of the phase. Around a cavity a shell of one voxel remains. What lies
-        beyond the faces counts as outside, so a strut that a face cuts may end up to its radius before the face.
+        Has the components, tunnels and cavities of the phase. Around a cavity a shell of one voxel
+        remains. What lies beyond the faces counts as outside, so a strut that a face cuts may end
+        up to its radius before the face.
 
     Raises
     ------
@@ -48,7 +60,8 @@ def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndar
 
     Notes
     -----
-    Thinning what is thin changes nothing. Voxels are peeled layer by layer in voxels, whatever the spacing.
+    Thinning what is thin changes nothing. Voxels are peeled layer by layer in voxels, whatever the
+    spacing.
 
     Examples
     --------
@@ -96,7 +109,8 @@ def _peel(state, sides, steps, changes):
             candidates = _candidates(state, border, count, side, steps, changes, chosen)
             for n in range(candidates):
                 at = chosen[n]
-                # Whether it is an end by now is not asked: a pimple of the surface, whose neighbours have just gone, would
+                # Whether it is an end by now is not asked: a pimple of the surface, whose
+                # neighbours have just gone, would
                 # become a branch.
                 if not is_simple(neighbourhood(state, at, steps), changes):
                     continue
@@ -114,7 +128,9 @@ def _peel(state, sides, steps, changes):
 
 @kernel
 def _candidates(state, border, count, side, steps, changes, chosen):
-    """Fill `chosen` with what may go from this side; how many. What can go from no side is settled until it changes."""
+    """Fill `chosen` with what may go from this side; how many. What can go from no side is settled
+    until it changes.
+    """
     candidates = 0
     for n in range(count):
         at = border[n]

@@ -1,4 +1,6 @@
-"""Transport along one axis: diffusion, conduction and flow, each with word on how far the figure can be trusted."""
+"""Transport along one axis: diffusion, conduction and flow, each with word on how far the figure
+can be trusted.
+"""
 
 from trabecula.measure.transport.conduction import conductivity, diffusivity, tortuosity
 from trabecula.measure.transport.permeability import permeability

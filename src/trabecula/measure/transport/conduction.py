@@ -14,7 +14,11 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.phases import as_inside, indicator
-from trabecula.measure.transport.conduction_kernels import assemble, enumerate_voxels, section_fluxes
+from trabecula.measure.transport.conduction_kernels import (
+    assemble,
+    enumerate_voxels,
+    section_fluxes,
+)
 from trabecula.measure.transport.graph import Graph
 from trabecula.measure.transport.krylov import conjugate_gradients
 from trabecula.measure.transport.multigrid import multigrid
@@ -38,13 +42,15 @@ def diffusivity(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Effective diffusivity of a phase along one axis, relative to that of the bulk: D_eff / D_0, 0..1.
+    """Effective diffusivity of a phase along one axis, relative to that of the bulk: D_eff / D_0,
+    0..1.
 
-    Steady diffusion through the phase from one end face of the image (concentration 1) to the other (0), nothing
-    through the sides and the other phases: flux times length over area and difference. Finite volumes of one voxel, seven
-    points (five in 2-D), the end faces half a voxel from the centres. Voxels are neighbours where they share a face;
-    only components that touch both end faces are solved. The same as for the periodic medium that mirrors of the
-    image build (Cooper et al. 2016, doi:10.1016/j.softx.2016.09.002, section 2).
+    Steady diffusion through the phase from one end face of the image (concentration 1) to the other
+    (0), nothing through the sides and the other phases: flux times length over area and difference.
+    Finite volumes of one voxel, seven points (five in 2-D), the end faces half a voxel from the
+    centres. Voxels are neighbours where they share a face; only components that touch both end
+    faces are solved. The same as for the periodic medium that mirrors of the image build (Cooper et
+    al. 2016, doi:10.1016/j.softx.2016.09.002, section 2).
 
     Parameters
     ----------
@@ -57,11 +63,12 @@ def diffusivity(
     tolerance : float, 1e-10 .. 0.1
         Of the imbalance of the flux between sections, of the power, and of the residual.
     box : int or one per axis, optional
-        Solve a centred box of this edge in voxels (or as much of it as there is). Default: the whole image.
+        Solve a centred box of this edge in voxels (or as much of it as there is). Default: the
+        whole image.
     halving : bool
-        Also estimate the error of discretisation: on a centre box of at most 48 voxels an edge, the value with every
-        voxel split into 2x2x2 (2x2) over the value without, minus 1. Stairs stay stairs, so this tells whether the
-        equation is resolved, not whether the image is.
+        Also estimate the error of discretisation: on a centre box of at most 48 voxels an edge, the
+        value with every voxel split into 2x2x2 (2x2) over the value without, minus 1. Stairs stay
+        stairs, so this tells whether the equation is resolved, not whether the image is.
 
     Returns
     -------
@@ -73,7 +80,8 @@ def diffusivity(
     InputError
         No such axis or phase, a tolerance or box out of range, an image too large to solve at once.
     MemoryBudgetError
-        More memory would be needed than there is, 200 bytes a voxel of the phase: give a smaller `box`.
+        More memory would be needed than there is, 200 bytes a voxel of the phase: give a smaller
+        `box`.
 
     Examples
     --------
@@ -101,7 +109,8 @@ def tortuosity(
 ) -> Effective:
     """Tortuosity factor of a phase along one axis: its volume fraction over D_eff / D_0, 1 or more.
 
-    Cooper et al. 2016, doi:10.1016/j.softx.2016.09.002, equation 1. All of the phase counts, also what does not percolate.
+    Cooper et al. 2016, doi:10.1016/j.softx.2016.09.002, equation 1. All of the phase counts, also
+    what does not percolate.
 
     Parameters
     ----------
@@ -111,7 +120,8 @@ def tortuosity(
     Returns
     -------
     effective : Effective
-        `value` is infinite where the phase does not percolate along the axis; `halving` is of the tortuosity.
+        `value` is infinite where the phase does not percolate along the axis; `halving` is of the
+        tortuosity.
 
     Raises
     ------
@@ -123,7 +133,9 @@ def tortuosity(
     >>> tortuosity(np.array([[0, 1], [0, 1]]), axis=1).value
     inf
     """
-    found = diffusivity(image, axis=axis, phase=phase, tolerance=tolerance, box=box, halving=halving)
+    found = diffusivity(
+        image, axis=axis, phase=phase, tolerance=tolerance, box=box, halving=halving
+    )
     value = found.fraction / found.value if found.value > 0.0 else math.inf
     change = None if found.halving is None else 1.0 / (1.0 + found.halving) - 1.0
     return replace(found, value=value, halving=change)
@@ -140,27 +152,29 @@ def conductivity(
 ) -> Effective:
     """Effective conductivity (thermal, electric, ...) along one axis when every phase conducts.
 
-    As `diffusivity`, with the harmonic mean of both voxels at a face, which is exact for layers (Patankar 1980,
-    doi:10.1201/9781482234213, section 4.2-3). Phases of conductivity 0 insulate.
+    As `diffusivity`, with the harmonic mean of both voxels at a face, which is exact for layers
+    (Patankar 1980, doi:10.1201/9781482234213, section 4.2-3). Phases of conductivity 0 insulate.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     conductivities : mapping
-        Phase name -> conductivity, 0 or more, for every phase that occurs. Contrasts beyond a million may not converge
-        (the result says so), beyond 1e12 they are refused.
+        Phase name -> conductivity, 0 or more, for every phase that occurs. Contrasts beyond a
+        million may not converge (the result says so), beyond 1e12 they are refused.
     axis, tolerance, box, halving
         As of `diffusivity`.
 
     Returns
     -------
     effective : Effective
-        `value` in the unit of `conductivities`; 0.0 where no path of conducting voxels joins the end faces.
+        `value` in the unit of `conductivities`; 0.0 where no path of conducting voxels joins the
+        end faces.
 
     Raises
     ------
     InputError
-        A phase that is missing or does not exist, a conductivity that is negative or not finite; and as `diffusivity`.
+        A phase that is missing or does not exist, a conductivity that is negative or not finite;
+        and as `diffusivity`.
     MemoryBudgetError
         As `diffusivity`.
 
@@ -194,13 +208,22 @@ def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -
     sigma = np.zeros(len(image.phases))
     for name, value in conductivities.items():
         check_name(name, image.phases, name="phase")
-        if not isinstance(value, (int, float, np.integer, np.floating)) or not 0.0 <= value < math.inf:
-            raise InputError(f"the conductivity of {name} is {value!r}: give a finite number, 0 or more")
+        if (
+            not isinstance(value, (int, float, np.integer, np.floating))
+            or not 0.0 <= value < math.inf
+        ):
+            raise InputError(
+                f"the conductivity of {name} is {value!r}: give a finite number, 0 or more"
+            )
         sigma[image.phases.index(name)] = value
     found = np.bincount(image.values.ravel(), minlength=len(image.phases))
-    missing = [n for n, count in zip(image.phases, found, strict=True) if count and n not in conductivities]
+    missing = [
+        n for n, count in zip(image.phases, found, strict=True) if count and n not in conductivities
+    ]
     if missing:
-        raise InputError(f"no conductivity is given for {', '.join(missing)}: give one for every phase, 0 to insulate")
+        raise InputError(
+            f"no conductivity is given for {', '.join(missing)}: give one for every phase, 0 to insulate"
+        )
     conducting = sigma[sigma > 0.0]
     if len(conducting) and conducting.max() > _MOST_CONTRAST * conducting.min():
         raise InputError(
@@ -210,7 +233,9 @@ def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -
     return sigma
 
 
-def _conduct(labels: np.ndarray, edges: np.ndarray, *, sigma: np.ndarray, tolerance: float) -> Effective:
+def _conduct(
+    labels: np.ndarray, edges: np.ndarray, *, sigma: np.ndarray, tolerance: float
+) -> Effective:
     """Conduction along the first axis; sigma of every label, at most 1."""
     inside = sigma[labels] > 0.0
     fraction = int(np.count_nonzero(inside)) / inside.size
@@ -235,10 +260,14 @@ def _conduct(labels: np.ndarray, edges: np.ndarray, *, sigma: np.ndarray, tolera
             return False
         flow = flows(x)
         # x . residual is the power put in less the power dissipated.
-        return imbalance(flow) <= tolerance and abs(dot(x, residual)) <= tolerance * abs(float(flow.mean()))
+        return imbalance(flow) <= tolerance and abs(dot(x, residual)) <= tolerance * abs(
+            float(flow.mean())
+        )
 
     x = np.zeros(count)
-    steps, converged = conjugate_gradients(graph, right, x, multigrid(graph), done=done, most=_MOST_STEPS)
+    steps, converged = conjugate_gradients(
+        graph, right, x, multigrid(graph), done=done, most=_MOST_STEPS
+    )
     flow = flows(x)
     depth, height, width = labels.shape
     value = float(flow.mean()) * depth / (height * width) / float(pull[0])

@@ -8,10 +8,11 @@ import numpy as np
 
 
 class Graph(NamedTuple):
-    """The matrix `diagonal[i] x[i] - sum of weight[k] x[other[k]]`, k from start[i] to start[i + 1].
+    """The matrix `diagonal[i] x[i] - sum of weight[k] x[other[k]]`, k from start[i] to start[i +
+    1].
 
-    `diagonal` is at least the sum of a row's weights. Neighbours before i come first, up to middle[i]. `place` is where
-    a node lies on the grid of voxels.
+    `diagonal` is at least the sum of a row's weights. Neighbours before i come first, up to
+    middle[i]. `place` is where a node lies on the grid of voxels.
     """
 
     start: np.ndarray  # int64, (N + 1,)

@@ -24,7 +24,8 @@ def conjugate_gradients(
 ) -> tuple[int, bool]:
     """Improve `x` in place; the steps taken, and whether `done` ended them.
 
-    Flexible conjugate gradients, truncated to one direction (Notay 2000, doi:10.1137/S1064827599362314).
+    Flexible conjugate gradients, truncated to one direction (Notay 2000,
+    doi:10.1137/S1064827599362314).
     """
     residual = right - multiply(*graph.rows, x)
     direction = image = np.zeros(0)
@@ -54,10 +55,11 @@ def conjugate_residuals(
     most: int,
     keep: int = 3,
 ) -> tuple[int, bool]:
-    """Improve `x` and its `residual` in place, for any matrix; the steps taken, and whether `done` ended them.
+    """Improve `x` and its `residual` in place, for any matrix; the steps taken, and whether `done`
+    ended them.
 
-    Generalised conjugate residuals, truncated to the last `keep` directions (Eisenstat, Elman and Schultz 1983,
-    doi:10.1137/0720023).
+    Generalised conjugate residuals, truncated to the last `keep` directions (Eisenstat, Elman and
+    Schultz 1983, doi:10.1137/0720023).
     """
     kept: deque[tuple[np.ndarray, np.ndarray, float]] = deque()
     source, left = residual, dot(residual, residual)
@@ -78,7 +80,8 @@ def conjugate_residuals(
         add_to(residual, -length, image)
         kept.append((direction, image, size))
         idle = length * length * size < _IDLE * left
-        # The same residual would give the same direction again, for ever: go on from its image, and remember more.
+        # The same residual would give the same direction again, for ever: go on from its image, and
+        # remember more.
         source = image if idle else residual
         keep = min(keep + 3, _LONGEST) if idle else keep
         while len(kept) > keep:

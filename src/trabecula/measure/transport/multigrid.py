@@ -1,13 +1,15 @@
 """Aggregation multigrid for M-matrices on graphs: the preconditioner of every solve in this room.
 
-Notay 2010, "An aggregation-based algebraic multigrid method" (Electronic Transactions on Numerical Analysis 37,
-123-146), with geometric aggregates: the nodes of a 2x2x2 block that hang together inside it become one node of the
-next level. Pores on both sides of a wall so stay apart on every level, however thin the wall, and blocks without
-walls give the coarse grid of plain geometric multigrid. The coarse matrix is the Galerkin product with piecewise constants;
-the scale error of these is repaired by two steps of conjugate gradients on every level (the K-cycle).
+Notay 2010, "An aggregation-based algebraic multigrid method" (Electronic Transactions on Numerical
+Analysis 37, 123-146), with geometric aggregates: the nodes of a 2x2x2 block that hang together
+inside it become one node of the next level. Pores on both sides of a wall so stay apart on every
+level, however thin the wall, and blocks without walls give the coarse grid of plain geometric
+multigrid. The coarse matrix is the Galerkin product with piecewise constants; the scale error of
+these is repaired by two steps of conjugate gradients on every level (the K-cycle).
 
-The matrix of a level is `diagonal[i] x[i] - sum of weight[k] x[other[k]]`, k in start[i] .. start[i + 1], where the
-neighbours before i come first, up to middle[i]. Vectors inside the cycle are float32.
+The matrix of a level is `diagonal[i] x[i] - sum of weight[k] x[other[k]]`, k in start[i] .. start[i
++ 1], where the neighbours before i come first, up to middle[i]. Vectors inside the cycle are
+float32.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trabecula.engine.tiles import one_blas_thread
+from trabecula.engine.parallel import one_blas_thread
 from trabecula.measure.transport.graph import Graph
 from trabecula.measure.transport.multigrid_kernels import (
     aggregate_blocks,
@@ -40,7 +42,9 @@ _STRONG = 0.1  # couplings below this share of the strongest of either node do n
 
 
 class Level(NamedTuple):
-    """One level: its matrix, the inverse of its diagonal, and the node of the next level that each node belongs to."""
+    """One level: its matrix, the inverse of its diagonal, and the node of the next level that each
+    node belongs to.
+    """
 
     graph: Graph
     inverse: np.ndarray
@@ -67,14 +71,18 @@ class Multigrid:
             return sweeps(*graph.rows, level.inverse, right, 20)
         x = forward(graph.start, graph.middle, graph.other, graph.weight, level.inverse, right)
         below = len(self.levels[depth + 1].inverse)
-        coarse = restrict(graph.start, graph.middle, graph.other, graph.weight, level.aggregate, x, below)
+        coarse = restrict(
+            graph.start, graph.middle, graph.other, graph.weight, level.aggregate, x, below
+        )
         correction = self._coarse(depth + 1, coarse)
         prolong(level.aggregate, correction, x)
         backward(graph.start, graph.other, graph.weight, level.inverse, right, x)
         return x
 
     def _coarse(self, depth: int, right: np.ndarray) -> np.ndarray:
-        """Two steps of flexible conjugate gradients, each preconditioned by the cycle of this level."""
+        """Two steps of flexible conjugate gradients, each preconditioned by the cycle of this
+        level.
+        """
         if depth + 1 == len(self.levels):
             return self._cycle(depth, right)
         rows = self.levels[depth].graph.rows
@@ -88,7 +96,11 @@ class Multigrid:
         if dot(rest, rest) <= _ENOUGH**2 * dot(right, right):
             return combine(step, first, 0.0, first)
         second = self._cycle(depth, rest)
-        cross, own, gain = dot(second, image), dot(second, multiply(*rows, second)), dot(second, rest)
+        cross, own, gain = (
+            dot(second, image),
+            dot(second, multiply(*rows, second)),
+            dot(second, rest),
+        )
         remaining = own - cross * cross / energy
         if remaining <= 0.0:
             return combine(step, first, 0.0, first)
@@ -113,12 +125,15 @@ def _coarser(graph: Graph) -> tuple[np.ndarray, Graph] | None:
     place = graph.place
     strongest = strongest_couplings(graph.start, graph.weight)
     while True:
-        for strong in (_STRONG, 0.0):  # what hangs on weakly has to be joined at last, or it would never get coarse
+        # what hangs on weakly has to be joined at last, or it would never get coarse
+        for strong in (_STRONG, 0.0):
             aggregate, count = aggregate_blocks(
                 graph.start, graph.middle, graph.other, graph.weight, strongest, place, strong
             )
             if count <= _SLOWEST * len(place):
-                return aggregate, Graph(*galerkin(*graph.rows, graph.middle, place, aggregate, count))
+                return aggregate, Graph(
+                    *galerkin(*graph.rows, graph.middle, place, aggregate, count)
+                )
         if not place.any():
             return None
         place = place >> 1  # neighbours lie in other blocks: double the blocks

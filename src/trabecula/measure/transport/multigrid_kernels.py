@@ -32,7 +32,9 @@ def forward(start, middle, other, weight, inverse, right):
 
 @kernel
 def restrict(start, middle, other, weight, aggregate, x, count):
-    """The residual summed over aggregates. After a forward sweep it is what the later neighbours add."""
+    """The residual summed over aggregates. After a forward sweep it is what the later neighbours
+    add.
+    """
     coarse = np.zeros(count, np.float32)
     for i in range(len(x)):
         total = np.float32(0.0)

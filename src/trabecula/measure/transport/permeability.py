@@ -16,7 +16,8 @@ from trabecula.measure.transport.section import Solver, checked_tolerance, effec
 from trabecula.measure.transport.stokes import flow_through
 
 FLOW_BYTES = 880
-"""Memory per voxel that carries flow, at the peak: resident memory, from 40 and 64 voxels an edge."""
+"""Memory per voxel that carries flow, at the peak: resident memory, from 40 and 64 voxels an edge.
+"""
 
 
 def permeability(
@@ -28,20 +29,21 @@ def permeability(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Permeability k of a phase along one axis, in unit^2 (voxel^2 without a unit): Darcy's law, q = -k grad(p) / viscosity.
+    """Permeability k of a phase along one axis, in unit^2 (voxel^2 without a unit): Darcy's law, q
+    = -k grad(p) / viscosity.
 
-    Stokes flow through the phase from one end face of the image to the other by a difference of pressure: no slip at
-    the other phases, mirrors at the side faces (no flow across them, no drag either), constant pressure and no
-    tangential velocity on the end faces. That is the flow through the periodic medium that mirrors of the image
-    build. Finite differences on a marker-and-cell grid with the voxels' spacing (Manwart et al. 2002,
-    doi:10.1103/PhysRevE.66.016702, section III; Harlow and Welch 1965, doi:10.1063/1.1761178), solved for velocity
-    and pressure at once. Voxels are neighbours where they share a face; only components that touch both end faces are
-    solved.
+    Stokes flow through the phase from one end face of the image to the other by a difference of
+    pressure: no slip at the other phases, mirrors at the side faces (no flow across them, no drag
+    either), constant pressure and no tangential velocity on the end faces. That is the flow through
+    the periodic medium that mirrors of the image build. Finite differences on a marker-and-cell
+    grid with the voxels' spacing (Manwart et al. 2002, doi:10.1103/PhysRevE.66.016702, section III;
+    Harlow and Welch 1965, doi:10.1063/1.1761178), solved for velocity and pressure at once. Voxels
+    are neighbours where they share a face; only components that touch both end faces are solved.
 
-    Narrow pores are resolved badly by any method on voxels. Here a slit of n voxels comes out too permeable by the
-    factor 1 + 2 / n^2 exactly, a square duct by 1 + 4 / n^2 about (4 voxels: 22 %); simple cubic spheres within 2 % at a
-    radius of 10 voxels, within 8 % at 5. Memory: about 900 bytes a voxel of the phase, checked
-    before anything is solved. Edges that differ by a hundred
+    Narrow pores are resolved badly by any method on voxels. Here a slit of n voxels comes out too
+    permeable by the factor 1 + 2 / n^2 exactly, a square duct by 1 + 4 / n^2 about (4 voxels: 22
+    %); simple cubic spheres within 2 % at a radius of 10 voxels, within 8 % at 5. Memory: about 900
+    bytes a voxel of the phase, checked before anything is solved. Edges that differ by a hundred
     times may not converge (the result says so).
 
     Parameters
@@ -55,11 +57,12 @@ def permeability(
     tolerance : float, 1e-10 .. 0.1
         Of the imbalance of the flow between sections, of the power, and of the residual.
     box : int or one per axis, optional
-        Solve a centred box of this edge in voxels (or as much of it as there is). Default: the whole image.
+        Solve a centred box of this edge in voxels (or as much of it as there is). Default: the
+        whole image.
     halving : bool
-        Also estimate the error of discretisation: on a centre box of at most 48 voxels an edge, the value with every
-        voxel split into 2x2x2 (2x2) over the value without, minus 1. Stairs stay stairs and get rougher by it, so for
-        round grains it overstates the error.
+        Also estimate the error of discretisation: on a centre box of at most 48 voxels an edge, the
+        value with every voxel split into 2x2x2 (2x2) over the value without, minus 1. Stairs stay
+        stairs and get rougher by it, so for round grains it overstates the error.
 
     Returns
     -------
@@ -84,7 +87,9 @@ def permeability(
     image, inside = indicator(image, phase, default="void")
     solve = partial(_flow, tolerance=checked_tolerance(tolerance))
     solver = Solver(solve, np.array([False, True]), FLOW_BYTES)
-    return effective(image, as_inside(inside).reshape(image.shape), solver, axis=axis, box=box, halving=halving)
+    return effective(
+        image, as_inside(inside).reshape(image.shape), solver, axis=axis, box=box, halving=halving
+    )
 
 
 def _flow(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) -> Effective:

@@ -17,20 +17,21 @@ class Effective:
     Parameters
     ----------
     value : float
-        The coefficient. 0.0 where the phase does not percolate along the axis (no component of voxels that share
-        faces touches both end faces).
+        The coefficient. 0.0 where the phase does not percolate along the axis (no component of
+        voxels that share faces touches both end faces).
     converged : bool
-        The flux through every section across the axis is the same to within the tolerance, and so are the power put
-        in and the power dissipated. A small residual alone does not count.
+        The flux through every section across the axis is the same to within the tolerance, and so
+        are the power put in and the power dissipated. A small residual alone does not count.
     imbalance : float
         (max - min) / mean of the flux through all sections across the axis.
     iterations : int
         Steps of the solver; 0 where the phase does not percolate.
     fraction : float
-        Share of the voxels that belong to the phase (that conduct), 0..1, in the box that was solved.
+        Share of the voxels that belong to the phase (that conduct), 0..1, in the box that was
+        solved.
     halving : float, optional
-        Relative change of the value when every voxel of a centre box is split into 2x2x2 (2x2). None where it was
-        not asked for, or where that box does not percolate.
+        Relative change of the value when every voxel of a centre box is split into 2x2x2 (2x2).
+        None where it was not asked for, or where that box does not percolate.
     """
 
     value: float

@@ -1,4 +1,6 @@
-"""What is solved: a centred box of the image, the axis of transport first, and the voxels that percolate along it."""
+"""What is solved: a centred box of the image, the axis of transport first, and the voxels that
+percolate along it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ import numpy as np
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.box import box_sides, centre, check_memory, clipped
+from trabecula.measure.centre_crop import box_sides, centre, check_memory, clipped
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
 from trabecula.measure.phases import as_axis
@@ -54,7 +56,9 @@ def effective(
     if own == 2:  # one slice between two mirrors
         cut, edges = cut[:, None, :], [edges[0], min(edges), edges[1]]
     _check_size(cut.shape)
-    check_memory(needed(solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0))
+    check_memory(
+        needed(solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0)
+    )
     result = solver.solve(np.ascontiguousarray(cut), np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
@@ -71,7 +75,8 @@ def effective(
 
 
 def needed(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
-    """Bytes that a solve takes beyond its input; with `split` axes halved in a centre box, those of the larger solve.
+    """Bytes that a solve takes beyond its input; with `split` axes halved in a centre box, those of
+    the larger solve.
 
     What does not percolate is left out of the solve, but is found too late to count here.
     """
@@ -81,11 +86,16 @@ def needed(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
 
     if not split:
         return one(carrying)
-    return max(one(carrying), 2**split * one(centre(carrying, clipped([HALVED] * carrying.ndim, carrying.shape))))
+    return max(
+        one(carrying),
+        2**split * one(centre(carrying, clipped([HALVED] * carrying.ndim, carrying.shape))),
+    )
 
 
 def percolating(inside: np.ndarray) -> np.ndarray | None:
-    """The voxels of the components (of shared faces) that touch both ends of the first axis; None without any."""
+    """The voxels of the components (of shared faces) that touch both ends of the first axis; None
+    without any.
+    """
     if not (inside[0].any() and inside[-1].any()):
         return None
     voxels = spanning_voxels(label_components(inside)[0], 0)
@@ -100,4 +110,6 @@ def checked_tolerance(tolerance: float) -> float:
 def _check_size(shape: tuple[int, ...]) -> None:
     if max(shape) > _LONGEST or int(np.prod(shape, dtype=np.int64)) > _MOST:
         size = "x".join(map(str, shape))
-        raise InputError(f"{size} voxels are too many to solve at once: give box=, the edge of a centred box")
+        raise InputError(
+            f"{size} voxels are too many to solve at once: give box=, the edge of a centred box"
+        )

@@ -1,13 +1,18 @@
-"""Stokes flow along the first axis: the saddle point of velocity and pressure, and its preconditioner.
+"""Stokes flow along the first axis: the saddle point of velocity and pressure, and its
+preconditioner.
 
-Viscous matrix A, divergence B: A u - B' p = f, B u = 0. A step of the preconditioner is a step of SIMPLE (Patankar
-and Spalding 1972, doi:10.1016/0017-9310(72)90054-3): a velocity from the momentum, a pressure that makes it free of
-divergence, a velocity corrected by that pressure. Two things make it quick in porous media:
+Viscous matrix A, divergence B: A u - B' p = f, B u = 0. A step of the preconditioner is a step of
+SIMPLE (Patankar and Spalding 1972, doi:10.1016/0017-9310(72)90054-3): a velocity from the momentum,
+a pressure that makes it free of divergence, a velocity corrected by that pressure. Two things make
+it quick in porous media:
 
-- The inverse of A that stands between pressure and velocity is replaced by its row sums, the solution of A m = 1: the
-  parabola of every channel, so that m is the local permeability, and B m B' the pressure equation of Darcy's law. It
-  is exact for a constant gradient, where the usual inverse of A's diagonal is off by the square of the pore's width.
-- Below the width of a pore B A^-1 B' is the identity; so the identity's inverse is added to that of B m B' (as for a
+- The inverse of A that stands between pressure and velocity is replaced by its row sums, the
+solution of A m = 1: the
+  parabola of every channel, so that m is the local permeability, and B m B' the pressure equation
+  of Darcy's law. It is exact for a constant gradient, where the usual inverse of A's diagonal is
+  off by the square of the pore's width.
+- Below the width of a pore B A^-1 B' is the identity; so the identity's inverse is added to that of
+B m B' (as for a
   Helmholtz term by Cahouet and Chabard 1988, doi:10.1002/fld.1650080802).
 
 With it some 12 to 20 steps do, whatever the size of the image and the width of its pores.
@@ -85,9 +90,13 @@ class Simple:
         ends = (flow.cells_of < 0).any(axis=1)
         share = np.where(ends, 0.5 * flow.volume, flow.volume)
         mobility = np.zeros(len(share))
-        conjugate_gradients(flow.viscous, share, mobility, self.velocity, done=_roughly(share), most=20)
+        conjugate_gradients(
+            flow.viscous, share, mobility, self.velocity, done=_roughly(share), most=20
+        )
         self.mobility = mobility / share
-        links = assemble_pressure(flow.faces_of, flow.cells_of, self.mobility, flow.area, flow.place)
+        links = assemble_pressure(
+            flow.faces_of, flow.cells_of, self.mobility, flow.area, flow.place
+        )
         self.pressure_graph = Graph(*links)
         self.pressure = multigrid(self.pressure_graph)
 
@@ -97,7 +106,9 @@ class Simple:
         u = self.mobility * force
         right = -divergence(flow.faces_of, flow.area, u)
         p = np.zeros(len(right))
-        conjugate_gradients(self.pressure_graph, right, p, self.pressure, done=_roughly(right), most=20)
+        conjugate_gradients(
+            self.pressure_graph, right, p, self.pressure, done=_roughly(right), most=20
+        )
         push(flow.cells_of, flow.bounds, flow.area, p, self.mobility, u)
         return np.concatenate([u, p])
 
@@ -116,8 +127,12 @@ def _roughly(right: np.ndarray):
     return lambda x, residual: dot(residual, residual) <= limit
 
 
-def flow_through(active: np.ndarray, edges: np.ndarray, *, tolerance: float) -> tuple[np.ndarray, int, bool]:
-    """Flow through every section of the first axis for a pressure drop of 1 and viscosity 1; steps, converged."""
+def flow_through(
+    active: np.ndarray, edges: np.ndarray, *, tolerance: float
+) -> tuple[np.ndarray, int, bool]:
+    """Flow through every section of the first axis for a pressure drop of 1 and viscosity 1; steps,
+    converged.
+    """
     flow = grid(active, edges)
     count = len(flow.cells_of)
     force = flow.driving_force()
@@ -135,7 +150,11 @@ def flow_through(active: np.ndarray, edges: np.ndarray, *, tolerance: float) -> 
             return False
         through = flows(x)
         # x . residual is the power put in less the power dissipated.
-        return imbalance(through) <= tolerance and abs(dot(x, residual)) <= tolerance * abs(float(through.mean()))
+        return imbalance(through) <= tolerance and abs(dot(x, residual)) <= tolerance * abs(
+            float(through.mean())
+        )
 
-    steps, converged = conjugate_residuals(flow.apply, residual, x, precondition, done=done, most=_MOST_STEPS)
+    steps, converged = conjugate_residuals(
+        flow.apply, residual, x, precondition, done=done, most=_MOST_STEPS
+    )
     return flows(x), steps, converged

@@ -1,10 +1,13 @@
-"""The marker-and-cell grid: pressure in voxels, velocity on the faces between two voxels of the void.
+"""The marker-and-cell grid: pressure in voxels, velocity on the faces between two voxels of the
+void.
 
-Harlow and Welch 1965, doi:10.1063/1.1761178. Everything is multiplied by the volume of a control volume, so that the
-viscous matrix is symmetric. Pressure falls along the first axis from 1 on the near end face to 0 on the far one.
+Harlow and Welch 1965, doi:10.1063/1.1761178. Everything is multiplied by the volume of a control
+volume, so that the viscous matrix is symmetric. Pressure falls along the first axis from 1 on the
+near end face to 0 on the far one.
 
-Faces are numbered axis by axis, each in raster order; a face has the place of the voxel above it. Of the faces of the
-image only those at the ends of the first axis carry an unknown, with half a control volume.
+Faces are numbered axis by axis, each in raster order; a face has the place of the voxel above it.
+Of the faces of the image only those at the ends of the first axis carry an unknown, with half a
+control volume.
 """
 
 from __future__ import annotations
@@ -16,7 +19,9 @@ from trabecula.engine.compile import inline, kernel
 
 @kernel
 def enumerate_faces(number):
-    """Number of every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; the first of every axis, and the end."""
+    """Number of every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; the first of every
+    axis, and the end.
+    """
     depth, height, width = number.shape
     bounds = np.zeros(4, np.int64)
     faces = np.full((3, depth + 1, height, width), -1, np.int32)
@@ -44,7 +49,9 @@ def enumerate_faces(number):
 
 @kernel
 def link(number, faces, cells, count):
-    """The faces of every voxel, (N, 6): low z, y, x, high z, y, x; and the voxels of every face, (M, 2): -1 is an end."""
+    """The faces of every voxel, (N, 6): low z, y, x, high z, y, x; and the voxels of every face,
+    (M, 2): -1 is an end.
+    """
     depth, height, width = number.shape
     faces_of, cells_of = np.full((cells, 6), -1, np.int32), np.full((count, 2), -1, np.int32)
     for z in range(depth):
@@ -72,13 +79,15 @@ def _is_void(number, z, y, x):
 
 @kernel
 def assemble_viscous(number, faces, count, pull):
-    """The viscous matrix of all velocities as the fields of a Graph; pull[d] is volume / edge[d]**2.
+    """The viscous matrix of all velocities as the fields of a Graph; pull[d] is volume /
+    edge[d]**2.
 
-    Ahead and behind, a wall face is a velocity of 0 at the distance of an edge. Beside, the wall lies half an edge off
-    where both voxels are solid; where one of them is, the face between them is a velocity of 0 at the distance of an
-    edge (a wall at half of it over half of the face holds staircases more firmly, but makes round grains too large: the
-    drag of a simple cubic array of spheres 3 to 5 % too high at radii of 6 to 12 voxels, against 1 %).
-    Tangential velocity is 0 on the end faces; side faces are mirrors.
+    Ahead and behind, a wall face is a velocity of 0 at the distance of an edge. Beside, the wall
+    lies half an edge off where both voxels are solid; where one of them is, the face between them
+    is a velocity of 0 at the distance of an edge (a wall at half of it over half of the face holds
+    staircases more firmly, but makes round grains too large: the drag of a simple cubic array of
+    spheres 3 to 5 % too high at radii of 6 to 12 voxels, against 1 %). Tangential velocity is 0 on
+    the end faces; side faces are mirrors.
     """
     depth, height, width = number.shape
     start, middle = np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
@@ -100,7 +109,14 @@ def assemble_viscous(number, faces, count, pull):
                         d = n if n < 3 else 5 - n
                         step = -1 if n < 3 else 1
                         u, v, w = z + step * (d == 0), y + step * (d == 1), x + step * (d == 2)
-                        outside = u < 0 or v < 0 or w < 0 or u >= depth + (a == 0) or v >= height or w >= width
+                        outside = (
+                            u < 0
+                            or v < 0
+                            or w < 0
+                            or u >= depth + (a == 0)
+                            or v >= height
+                            or w >= width
+                        )
                         if outside and ((d == a and a == 0) or (d != a and d != 0)):
                             continue
                         strength = np.float32(pull[d] * (0.5 if at_end and d != 0 else 1.0))
@@ -112,7 +128,8 @@ def assemble_viscous(number, faces, count, pull):
                             diagonal[i] += strength
                         else:
                             open_beside = not outside and (
-                                _is_void(number, u, v, w) or _is_void(number, u - (a == 0), v - (a == 1), w - (a == 2))
+                                _is_void(number, u, v, w)
+                                or _is_void(number, u - (a == 0), v - (a == 1), w - (a == 2))
                             )
                             diagonal[i] += strength * (1.0 if open_beside else 2.0)
                     start[i + 1] = used
@@ -121,7 +138,9 @@ def assemble_viscous(number, faces, count, pull):
 
 @kernel
 def assemble_pressure(faces_of, cells_of, mobility, area, place):
-    """The matrix of div (mobility grad) over the voxels, as the fields of a Graph; area[d] of a face."""
+    """The matrix of div (mobility grad) over the voxels, as the fields of a Graph; area[d] of a
+    face.
+    """
     count = len(faces_of)
     start, middle = np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
     other, weight = np.empty(6 * count, np.int32), np.empty(6 * count, np.float32)
@@ -178,7 +197,9 @@ def divergence(faces_of, area, velocity):
 
 @kernel
 def push(cells_of, bounds, area, pressure, mobility, velocity):
-    """velocity += mobility * area * (pressure before a face - pressure behind it); the pressure beyond the ends is 0."""
+    """velocity += mobility * area * (pressure before a face - pressure behind it); the pressure
+    beyond the ends is 0.
+    """
     for d in range(3):
         for f in range(bounds[d], bounds[d + 1]):
             drop = 0.0

@@ -1,4 +1,6 @@
-"""Sums and products of vectors in a fixed order, whatever the number of threads (BLAS promises no order)."""
+"""Sums and products of vectors in a fixed order, whatever the number of threads (BLAS promises no
+order).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def dot(a, b):
-    """Scalar product, accumulated in float64 in eight interleaved sums: one sum would wait for each addition."""
+    """Scalar product, accumulated in float64 in eight interleaved sums: one sum would wait for each
+    addition.
+    """
     part = np.zeros(8)
     whole = len(a) // 8 * 8
     for i in range(0, whole, 8):

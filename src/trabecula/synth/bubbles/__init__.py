@@ -1,9 +1,9 @@
 """Growing bubbles (Baravalle et al. 2016). See README.md in this folder."""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 from trabecula.synth.bubbles.flow.presets import PRESETS
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="bubbles",
     summary="bubbles that grow, keep a wall apart and follow a flow: foams, breads, sponges in any shape, from settings alone",
     paper="Baravalle, Scandolo, Delrieux, García Bauza, Eisemann (2016), Realistic modeling of porous materials",

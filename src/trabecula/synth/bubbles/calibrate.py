@@ -1,8 +1,9 @@
 """Settings that make bubbles look like an exemplar, found by trial.
 
-A trial grows a small volume and measures how far it is from the exemplar (`likeness`); `search` looks for the settings that
-are nearest. All trials have the same seed: what differs between two is due to their settings. Only settings that are at
-their defaults are looked for; a flow that was given stays, and how far it is followed is found.
+A trial grows a small volume and measures how far it is from the exemplar (`likeness`); `search`
+looks for the settings that are nearest. All trials have the same seed: what differs between two is
+due to their settings. Only settings that are at their defaults are looked for; a flow that was
+given stays, and how far it is followed is found.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core import progress
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, with_values
-from trabecula.core.progress import tell
 from trabecula.measure.fabric import fabric
-from trabecula.synth.base import Model
+from trabecula.synth.api.exemplar_info import ExemplarInfo, without_exemplar
+from trabecula.synth.api.method import Model
 from trabecula.synth.bubbles.config import BubblesConfig
-from trabecula.synth.bubbles.likeness import Look, apart, look_of
-from trabecula.synth.bubbles.search import Point, Scale, Search, even
-from trabecula.synth.facts import Facts, blank
+from trabecula.synth.bubbles.fit_objective import Look, apart, look_of
+from trabecula.synth.bubbles.fit_search import Point, Scale, Search, even
 
 _SIDE = {3: 72, 2: 400}
 """Voxels of the exemplar along an axis that are looked at, the middle ones."""
@@ -37,11 +38,13 @@ _LAST, _OTHERS = 5, (1, 2)
 _CHECKS = (3, 4, 5)
 """Seeds that neither has seen, by which what was found is judged."""
 
-_HELD, _LEAST_HELD = 30, 8_600_000  # bytes a voxel of a trial and its measures, and of directions, whatever its size
+# bytes a voxel of a trial and its measures, and of directions, whatever its size
+_HELD, _LEAST_HELD = 30, 8_600_000
 _ROOM = 0.005  # porosity that has to be in reach beyond what is wanted
 _LEAST = 32  # voxels along an axis that a coarser exemplar keeps
 _LOOKS = 0.3  # share of the trials that look where to begin
-_WEIGHTS = {"anisotropy": 3.0}  # of the distances in their sum: a direction is seen long before it measures much
+# of the distances in their sum: a direction is seen long before it measures much
+_WEIGHTS = {"anisotropy": 3.0}
 _ALIKE = 1.15  # longest over shortest intercept length from which a direction is preferred
 _SCALES = {
     "size": Scale("size", -4.0, 4.0, 0.75),  # log2 of the first guess's density over what is tried
@@ -54,7 +57,7 @@ _SCALES = {
 }
 _SAME = ("spread", "regularity", "coalescence", "roughness")
 
-Maker = Callable[[BubblesConfig, list[Facts]], Model]
+Maker = Callable[[BubblesConfig, list[ExemplarInfo]], Model]
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,16 @@ class Exemplar:
         return self.image.spacing[0]
 
 
-def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[BubblesConfig, dict[str, Any]]:
+def calibrated(
+    config: BubblesConfig, exemplar: Image, make: Maker
+) -> tuple[BubblesConfig, dict[str, Any]]:
     """The settings that come nearest to an exemplar, and how they were found.
 
     Parameters
     ----------
     config : BubblesConfig
-        Its `trials` are the settings that are tried, at most; what differs from its default is kept.
+        Its `trials` are the settings that are tried, at most; what differs from its default is
+        kept.
     exemplar : Image of void and another phase, (Z, Y, X) or (Y, X)
     make : callable
         The model of settings and facts (blank).
@@ -86,8 +92,9 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
     -------
     found : BubblesConfig
     report : dict
-        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their weighted sum `total`),
-        `checks` (the end's for seeds that the search has not seen), `trace` (the least total so far after every trial).
+        Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their
+        weighted sum `total`), `checks` (the end's for seeds that the search has not seen), `trace`
+        (the least total so far after every trial).
     """
     if not config.trials:
         return config, {}
@@ -96,7 +103,7 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
     scales = [scale for name, scale in _SCALES.items() if _is_free(name, config, first)]
 
     def cost(point: Point) -> float:
-        tell("fitting bubbles", len(search.tried) / config.trials)
+        progress.report("fitting bubbles", len(search.tried) / config.trials)
         return total(trial(moved(first, scales, point), seen, make, _SEED))
 
     search = Search(cost, scales, config.trials)
@@ -104,13 +111,18 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
     if scales:
         search.run(_starts(start, scales, config.trials))
     found = _steady(
-        [moved(first, scales, point) for point in search.best(1 + min(_LAST, config.trials // 10)) or [start]],
+        [
+            moved(first, scales, point)
+            for point in search.best(1 + min(_LAST, config.trials // 10)) or [start]
+        ],
         seen,
         make,
     )
-    tell("fitting bubbles", 1.0)
+    progress.report("fitting bubbles", 1.0)
     changed = {
-        f.name: getattr(found, f.name) for f in fields(found) if getattr(found, f.name) != getattr(config, f.name)
+        f.name: getattr(found, f.name)
+        for f in fields(found)
+        if getattr(found, f.name) != getattr(config, f.name)
     }
     report = {
         "found": changed,
@@ -123,16 +135,25 @@ def calibrated(config: BubblesConfig, exemplar: Image, make: Maker) -> tuple[Bub
 
 
 def _steady(candidates: list[BubblesConfig], seen: Exemplar, make: Maker) -> BubblesConfig:
-    """The one that is nearest for other seeds than the search's, to which the best of many settings is fitted by chance."""
-    costs = [sum(total(trial(config, seen, make, seed)) for seed in _OTHERS) for config in candidates]
+    """The one that is nearest for other seeds than the search's, to which the best of many settings
+    is fitted by chance.
+    """
+    costs = [
+        sum(total(trial(config, seen, make, seed)) for seed in _OTHERS) for config in candidates
+    ]
     return _reachable(candidates[costs.index(min(costs))], seen, make)
 
 
 def _reachable(found: BubblesConfig, seen: Exemplar, make: Maker) -> BubblesConfig:
-    """Without a porosity where walls hardly leave room for it: growth to the end comes as near, and is never refused."""
+    """Without a porosity where walls hardly leave room for it: growth to the end comes as near, and
+    is never refused.
+    """
     if found.porosity is None:
         return found
-    model = make(replace(found, porosity=min(found.porosity + _ROOM, 0.9999)), [blank(seen.spacing, seen.image.unit)])
+    model = make(
+        replace(found, porosity=min(found.porosity + _ROOM, 0.9999)),
+        [without_exemplar(seen.spacing, seen.image.unit)],
+    )
     try:
         model.generate(seen.image.shape, seed=_SEED)
     except RequestError:
@@ -149,7 +170,9 @@ def reduced(exemplar: Image) -> Exemplar:
         The middle holds one phase alone.
     """
     void = exemplar.phases.index("void") if "void" in exemplar.phases else 0
-    whole = Image((exemplar.values != void).astype(np.uint8), "labels", exemplar.spacing, exemplar.unit)
+    whole = Image(
+        (exemplar.values != void).astype(np.uint8), "labels", exemplar.spacing, exemplar.unit
+    )
     image = _middle(whole)
     look = _seen(image)
     factor = int(look.pores.mean() / exemplar.spacing[0] / _FINE)
@@ -182,21 +205,28 @@ def _coarser(image: Image, factor: int) -> Image:
     inner = image.values[tuple(slice(0, side * factor) for side in shape)]
     split = inner.reshape([part for side in shape for part in (side, factor)])
     counts = split.sum(axis=tuple(range(1, 2 * image.ndim, 2)), dtype=np.int64)
-    level = np.sort(counts, axis=None)[::-1][min(round(inner.mean() * counts.size), counts.size - 1)]
+    level = np.sort(counts, axis=None)[::-1][
+        min(round(inner.mean() * counts.size), counts.size - 1)
+    ]
     either = (counts >= level, counts > level)
     solid = min(either, key=lambda chosen: abs(chosen.mean() - inner.mean()))
-    return with_values(image, solid.astype(np.uint8), spacing=tuple(edge * factor for edge in image.spacing))
+    return with_values(
+        image, solid.astype(np.uint8), spacing=tuple(edge * factor for edge in image.spacing)
+    )
 
 
 def trial(config: BubblesConfig, seen: Exemplar, make: Maker, seed: int) -> Mapping[str, float]:
     """Distances of a volume of these settings, as large as what is looked at of the exemplar.
 
-    Where walls leave no room for the porosity, growth goes on to the end, and the porosity that lacks is a distance.
+    Where walls leave no room for the porosity, growth goes on to the end, and the porosity that
+    lacks is a distance.
     """
-    facts = blank(seen.spacing, seen.image.unit)
+    facts = without_exemplar(seen.spacing, seen.image.unit)
     for tried in (config, replace(config, porosity=None)):
         try:
-            return apart(look_of(make(tried, [facts]).generate(seen.image.shape, seed=seed)), seen.look)
+            return apart(
+                look_of(make(tried, [facts]).generate(seen.image.shape, seed=seed)), seen.look
+            )
         except RequestError:
             continue
     return apart(None, seen.look)
@@ -230,10 +260,13 @@ def moved(first: BubblesConfig, scales: list[Scale], point: Point) -> BubblesCon
 
 
 def _guess(config: BubblesConfig, seen: Exemplar) -> dict[str, Any]:
-    """What measures alone tell: how many bubbles, how thick their walls are, when growth stops, and which way it goes."""
+    """What measures alone tell: how many bubbles, how thick their walls are, when growth stops, and
+    which way it goes.
+    """
     look, ndim = seen.look, seen.ndim
     ball = math.pi / 6 if ndim == 3 else math.pi / 4
-    # Balls of that diameter make that porosity; where bubbles are pressed together, what fits into one is smaller than it.
+    # Balls of that diameter make that porosity; where bubbles are pressed together, what fits into
+    # one is smaller than it.
     ball_diameter = look.pores.mean() / (1 - _PRESSED * look.porosity)
     apart_by = ball_diameter * (ball / look.porosity) ** (1 / ndim)
     changes: dict[str, Any] = {}
@@ -249,14 +282,22 @@ def _guess(config: BubblesConfig, seen: Exemplar) -> dict[str, Any]:
 
 
 def _direction(seen: Exemplar) -> dict[str, Any]:
-    """A flow along the longest intercepts, where they differ; how far it is followed makes them as long."""
+    """A flow along the longest intercepts, where they differ; how far it is followed makes them as
+    long.
+    """
     found = fabric(seen.image)
     longest, others = found.lengths[0], found.lengths[1:]
     if longest < _ALIKE * others.min():
         return {}
-    along = np.round(found.directions[0] * np.sign(found.directions[0][np.argmax(np.abs(found.directions[0]))]), 2)
+    along = np.round(
+        found.directions[0] * np.sign(found.directions[0][np.argmax(np.abs(found.directions[0]))]),
+        2,
+    )
     ratio = float(np.exp(np.mean(np.log(others / longest))))
-    return {"flow": ", ".join(f"{part:g}" for part in along[::-1] + 0.0), "randomness": _rounded(max(ratio, 0.2))}
+    return {
+        "flow": ", ".join(f"{part:g}" for part in along[::-1] + 0.0),
+        "randomness": _rounded(max(ratio, 0.2)),
+    }
 
 
 def _is_free(name: str, config: BubblesConfig, first: BubblesConfig) -> bool:
@@ -282,7 +323,10 @@ def _point(first: BubblesConfig, scales: list[Scale]) -> Point:
 def _starts(start: Point, scales: list[Scale], trials: int) -> list[Point]:
     """The first guess, it with pores that are open to each other, and points all over."""
     opened = [
-        tuple(share if scale.name == "coalescence" else x for scale, x in zip(scales, start, strict=True))
+        tuple(
+            share if scale.name == "coalescence" else x
+            for scale, x in zip(scales, start, strict=True)
+        )
         for share in (0.0, 0.5, 1.0)
     ]
     return list(dict.fromkeys([start, *opened, *even(scales, start, int(trials * _LOOKS))]))

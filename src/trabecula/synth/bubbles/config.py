@@ -22,69 +22,98 @@ _RANGES = {
     "coalescence": (0, 1),
     "randomness": (0.05, 1),
 }
-_OPTIONAL = {"density": (1e-60, 1e60), "separation": (0, 1e20), "time": (0.01, 10), "porosity": (0, 1)}
+_OPTIONAL = {
+    "density": (1e-60, 1e60),
+    "separation": (0, 1e20),
+    "time": (0.01, 10),
+    "porosity": (0, 1),
+}
 
 
 @dataclass(frozen=True)
 class BubblesConfig(FlowConfig):
-    """Settings of `bubbles`. L stands for the mean distance between bubbles: as many of them as cubes of edge L."""
+    """Settings of `bubbles`. L stands for the mean distance between bubbles: as many of them as
+    cubes of edge L.
+    """
 
     density: float | None = None
-    """Bubbles per cubic unit of the voxels' spacing (of a picture: per square unit). L is its inverse cubic (square) root.
-    Default: `distance`."""
+    """Bubbles per cubic unit of the voxels' spacing (of a picture: per square unit). L is its
+    inverse cubic (square) root. Default: `distance`."""
 
     distance: float = 16.0
-    """L in voxels, where no density is given, 2 .. 1e6: then the grid decides how large bubbles are."""
+    """L in voxels, where no density is given, 2 .. 1e6: then the grid decides how large bubbles
+    are.
+    """
 
     separation: float | None = None
-    """Thickness of the wall between two bubbles, in the unit of the voxels' spacing; 0: none. Default: `thickness`."""
+    """Thickness of the wall between two bubbles, in the unit of the voxels' spacing; 0: none.
+    Default: `thickness`.
+    """
 
     thickness: float = 0.08
     """Thickness of the walls in units of L, where no separation is given, 0 .. 2."""
 
     spread: float = 0.25
-    """Of sizes: standard deviation of the logarithm of how fast bubbles grow (lognormal, cut off at 2.5 of them), 0 .. 0.6."""
+    """Of sizes: standard deviation of the logarithm of how fast bubbles grow (lognormal, cut off at
+    2.5 of them), 0 .. 0.6.
+    """
 
     regularity: float = 0.5
-    """How evenly bubbles are spread, 0 .. 1: 0 is chance (a Poisson process), 1 has one in every cube of edge L, nudged apart."""
+    """How evenly bubbles are spread, 0 .. 1: 0 is chance (a Poisson process), 1 has one in every
+    cube of edge L, nudged apart.
+    """
 
     randomness: float = 1.0
-    """How little bubbles heed the flow, 0.05 .. 1: they grow `randomness` times as fast across it as along it; 1 is round."""
+    """How little bubbles heed the flow, 0.05 .. 1: they grow `randomness` times as fast across it
+    as along it; 1 is round.
+    """
 
     roughness: float = 0.2
-    """How uneven bubbles and walls are, 0 .. 1: all is shifted by up to 0.35 `roughness` `grain` L along every axis."""
+    """How uneven bubbles and walls are, 0 .. 1: all is shifted by up to 0.35 `roughness` `grain` L
+    along every axis.
+    """
 
     grain: float = 0.5
     """Length over which the unevenness changes, in units of L, 0.25 .. 4."""
 
     coalescence: float = 0.0
-    """Share of the pairs of neighbours that have no wall between them, 0 .. 1: two bubbles merged, or an open cell."""
+    """Share of the pairs of neighbours that have no wall between them, 0 .. 1: two bubbles merged,
+    or an open cell.
+    """
 
     time: float | None = None
-    """When growth stops: the radius that a bubble of ordinary size has reached where nothing is in its way, in units of L,
+    """When growth stops: the radius that a bubble of ordinary size has reached where nothing is in
+    its way, in units of L,
     0.01 .. 10. Default: at fullness, when all bubbles have met others everywhere."""
 
     porosity: float | None = None
-    """Share of void at which growth stops instead, 0 .. 1, within the room that bubbles have (the crust is left out). A request's
-    target goes before it."""
+    """Share of void at which growth stops instead, 0 .. 1, within the room that bubbles have (the
+    crust is left out). A request's target goes before it."""
 
     growth: str = "fronts"
-    """"fronts": the first arrival of any bubble at every voxel, found at once. "particles": the paper's own rounds of claims on
-    the lattice, for volumes that are made whole."""
+    """"fronts": the first arrival of any bubble at every voxel, found at once. "particles": the
+    paper's own rounds of claims on the lattice, for volumes that are made whole."""
 
     trials: int = 100
-    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. What differs from its default is kept, all else is
-    found. 0: nothing is looked for, the exemplar tells voxels and phases alone."""
+    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. What differs from its
+    default is kept, all else is found. 0: nothing is looked for, the exemplar tells voxels and
+    phases alone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_name(self.growth, GROWTHS, name="growth")
-        object.__setattr__(self, "trials", as_number(self.trials, name="trials", low=0, high=1000, whole=True))
+        object.__setattr__(
+            self, "trials", as_number(self.trials, name="trials", low=0, high=1000, whole=True)
+        )
         for name, (low, high) in _RANGES.items():
-            object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high))
+            object.__setattr__(
+                self, name, as_number(getattr(self, name), name=name, low=low, high=high)
+            )
         for name, (low, high) in _OPTIONAL.items():
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high))
+                object.__setattr__(
+                    self, name, as_number(getattr(self, name), name=name, low=low, high=high)
+                )
         if self.time is not None and self.porosity is not None:
             raise InputError(
                 f"time={self.time} and porosity={self.porosity} both say when growth stops: give one of them"

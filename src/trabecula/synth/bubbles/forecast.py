@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.parallel import thread_count
 from trabecula.synth.bubbles.growth import CUBE, MARGIN, flow_step
+from trabecula.synth.bubbles.growth_law import Law
 from trabecula.synth.bubbles.kernels import BLOCK, MOST
-from trabecula.synth.bubbles.law import Law
-from trabecula.synth.bubbles.stop import bytes_counted
+from trabecula.synth.bubbles.porosity_level import bytes_counted
 
 _DRAWN = 124  # bytes for each bubble, while places are found
 _HELD = 60  # and later
@@ -35,4 +35,6 @@ def bytes_of_box(law: Law, shape: Sequence[int], *, flows: bool) -> int:
 def bytes_of_level(law: Law, shape: Sequence[int], *, flows: bool) -> tuple[int, int]:
     """Of what is known of the arrivals in a request, and of finding it."""
     kept, held, part = bytes_counted(law, shape)
-    return kept, max(held, kept + bytes_of_box(law, [min(part, side) for side in shape], flows=flows))
+    return kept, max(
+        held, kept + bytes_of_box(law, [min(part, side) for side in shape], flows=flows)
+    )

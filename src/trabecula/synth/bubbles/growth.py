@@ -10,12 +10,18 @@ import numpy as np
 
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
-from trabecula.engine.tiles import for_slabs
-from trabecula.synth.bubbles.draw import FINE, count_bubbles, draw_bubbles, draw_vectors, shift_nodes
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.bubbles.flow import Flow
+from trabecula.synth.bubbles.growth_law import NUDGES, PUSH, SWALLOWED, Law, counts_of
 from trabecula.synth.bubbles.kernels import BLOCK, HALF, SUPER
-from trabecula.synth.bubbles.law import NUDGES, PUSH, SWALLOWED, Law, counts_of
-from trabecula.synth.bubbles.settle import nudge, swallow
+from trabecula.synth.bubbles.nucleation import (
+    FINE,
+    count_bubbles,
+    draw_bubbles,
+    draw_vectors,
+    shift_nodes,
+)
+from trabecula.synth.bubbles.nuclei_relaxation import nudge, swallow
 from trabecula.synth.bubbles.sweep import grow
 
 CUBE = BLOCK * SUPER
@@ -50,8 +56,12 @@ class Growth:
     shape: tuple[int, ...]
     flow: Flow | None
 
-    def fill(self, labels: np.ndarray, corner: Sequence[int], phases: tuple[int, int], level: Any) -> None:
-        """Label a box from voxel `corner` on: what bubbles reach up to T^2 = `level` (a number or a field), and what not."""
+    def fill(
+        self, labels: np.ndarray, corner: Sequence[int], phases: tuple[int, int], level: Any
+    ) -> None:
+        """Label a box from voxel `corner` on: what bubbles reach up to T^2 = `level` (a number or a
+        field), and what not.
+        """
         levels = level if isinstance(level, np.ndarray) else _NO_LEVELS
         latest = np.float32(level.max() if isinstance(level, np.ndarray) else level)
         box = tuple((first, first + side) for first, side in zip(corner, labels.shape, strict=True))
@@ -59,7 +69,14 @@ class Growth:
         nothing = (np.empty((0, 3), np.int64), np.empty((0, 0), np.uint8))
         shades = np.array(phases, labels.dtype)
         rest = (self._flat, self.world(box), latest, levels, np.uint64(self.law.merging), shades)
-        given = (labels, np.empty((0, 0), np.float32), np.array(corner, np.int64), first, sides, *nothing)
+        given = (
+            labels,
+            np.empty((0, 0), np.float32),
+            np.array(corner, np.int64),
+            first,
+            sides,
+            *nothing,
+        )
         blocks = int(np.prod(sides)) * SUPER**self.law.ndim
         for_slabs(lambda a, b: grow(*given, a, b, *rest), blocks, least=256)
         for start in range(0, len(labels), _PLANES):
@@ -69,11 +86,23 @@ class Growth:
                 part[~room] = phases[1]
 
     def sample(self, box: Box, blocks: np.ndarray, picks: np.ndarray) -> np.ndarray:
-        """T^2 (N, P) float32 at some voxels of blocks (N, 3) that lie in a box, by their numbers `picks` (1 or N, P)."""
-        values, no_labels = np.empty((len(blocks), picks.shape[1]), np.float32), np.empty((0, 0, 0), np.uint8)
+        """T^2 (N, P) float32 at some voxels of blocks (N, 3) that lie in a box, by their numbers
+        `picks` (1 or N, P).
+        """
+        values, no_labels = (
+            np.empty((len(blocks), picks.shape[1]), np.float32),
+            np.empty((0, 0, 0), np.uint8),
+        )
         none = np.zeros(3, np.int64)
         world, latest = self.world(box), np.float32(self.law.latest**2)
-        rest = (self._flat, world, latest, _NO_LEVELS, np.uint64(self.law.merging), np.zeros(2, np.uint8))
+        rest = (
+            self._flat,
+            world,
+            latest,
+            _NO_LEVELS,
+            np.uint64(self.law.merging),
+            np.zeros(2, np.uint8),
+        )
         given = (no_labels, values, none, none, none, blocks, picks)
         for_slabs(lambda a, b: grow(*given, a, b, *rest), len(blocks), least=256)
         return values
@@ -98,8 +127,12 @@ class Growth:
         return first, last - first
 
     def _edges(self, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Cells of about `length` voxels that fit the periods: how many make a turn (0: there is none), their edges."""
-        around = np.array([max(1, round(period / length)) if period else 0 for period in self.periods], np.int64)
+        """Cells of about `length` voxels that fit the periods: how many make a turn (0: there is
+        none), their edges.
+        """
+        around = np.array(
+            [max(1, round(period / length)) if period else 0 for period in self.periods], np.int64
+        )
         turns = zip(self.periods, around, strict=True)
         return around, np.array([period / count if period else length for period, count in turns])
 
@@ -110,7 +143,9 @@ class Growth:
         near = np.ceil(law.apart / edges).astype(np.int64)
         first, sides = self._cubes(box)
         low = np.floor((first * CUBE - law.reach) / edges).astype(np.int64) - MARGIN * near
-        high = np.floor(((first + sides) * CUBE + law.reach) / edges).astype(np.int64) + MARGIN * near
+        high = (
+            np.floor(((first + sides) * CUBE + law.reach) / edges).astype(np.int64) + MARGIN * near
+        )
         mean = float(np.prod(edges[3 - law.ndim :] / law.apart))
         laps = np.array(self.periods, np.int64) * FINE
         if self._flat:
@@ -119,7 +154,11 @@ class Growth:
         starts = np.empty(int(np.prod(cells)) + 1, np.int64)
         count_bubbles(starts, stage, low, cells, around, counts_of(mean, law.regularity))
         many = int(starts[-1])
-        places, sizes, names = np.empty((many, 3), np.int64), np.empty(many, np.int64), np.empty(many, np.uint32)
+        places, sizes, names = (
+            np.empty((many, 3), np.int64),
+            np.empty(many, np.int64),
+            np.empty(many, np.uint32),
+        )
         draw_bubbles(places, sizes, names, starts, stage, low, cells, around, edges * FINE, laps)
         places, brakes = self._settled(places, starts, cells, near), law.brakes[sizes]
         alive = np.empty(many, bool)
@@ -129,7 +168,9 @@ class Growth:
         edges[0] = edges[0] or 1.0
         return (left[starts], places[alive], brakes[alive], names[alive]), (low, cells, edges)
 
-    def _settled(self, places: np.ndarray, starts: np.ndarray, cells: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def _settled(
+        self, places: np.ndarray, starts: np.ndarray, cells: np.ndarray, near: np.ndarray
+    ) -> np.ndarray:
         """Bubbles nudged apart."""
         apart = FINE * self.law.apart
         for _ in range(NUDGES if self.law.regularity else 0):
@@ -160,7 +201,10 @@ class Growth:
             return free
         low, high = voxels.min(0), voxels.max(0) + 1
         for start in range(int(low[0]), int(high[0]), _PLANES):
-            box = ((start, min(start + _PLANES, int(high[0]))), *zip(low[1:].tolist(), high[1:].tolist(), strict=True))
+            box = (
+                (start, min(start + _PLANES, int(high[0]))),
+                *zip(low[1:].tolist(), high[1:].tolist(), strict=True),
+            )
             here = (voxels[:, 0] >= start) & (voxels[:, 0] < start + _PLANES)
             room = self.room(box)
             if room is not None:
@@ -187,7 +231,9 @@ class Growth:
         return shifts, flow, node
 
     def _flows(self, box: Box, places: np.ndarray) -> np.ndarray:
-        """Half of the flow where bubbles start (N, 3): at the nearest point of a lattice that is fine beside L."""
+        """Half of the flow where bubbles start (N, 3): at the nearest point of a lattice that is
+        fine beside L.
+        """
         assert self.flow is not None
         step = flow_step(self.law)
         first, sides = self._cubes(box)
@@ -203,7 +249,9 @@ class Growth:
 
     def _directions(self, flow: Flow, low: np.ndarray, count: np.ndarray, step: int) -> np.ndarray:
         """The flow at `count` points of the lattice of multiples of `step` voxels, from `low` on."""
-        ends = tuple((step * int(a), step * int(a + n - 1) + 1) for a, n in zip(low, count, strict=True))
+        ends = tuple(
+            (step * int(a), step * int(a + n - 1) + 1) for a, n in zip(low, count, strict=True)
+        )
         if not self._flat:
             return np.ascontiguousarray(flow.directions(ends, step=step))
         found = flow.directions(ends[1:], step=step)

@@ -1,15 +1,20 @@
-"""Arrival of the bubbles at voxels: which come into question, when the first one comes, and where a wall stays.
+"""Arrival of the bubbles at voxels: which come into question, when the first one comes, and where a
+wall stays.
 
     x       a voxel; s, v   where a bubble starts, how fast it grows; u = x - s
-    t(x)    direction of the flow, |t| <= 1; q = (t(x) + t(s)) / 2, with the sign of t(x) that makes it longer
-    T       arrival: v^2 T^2 = |u|^2 (1 + (c - 1) |q|^2) - (c - a) (q.u)^2, where a flow of randomness r makes bubbles grow
-            r^(1/3) times as fast across it (c = r^(-2/3)) and r^(-2/3) times as fast along it (a = r^(4/3))
+    t(x)    direction of the flow, |t| <= 1; q = (t(x) + t(s)) / 2, with the sign of t(x) that makes
+    it longer T       arrival: v^2 T^2 = |u|^2 (1 + (c - 1) |q|^2) - (c - a) (q.u)^2, where a flow
+    of randomness r makes bubbles grow
+            r^(1/3) times as fast across it (c = r^(-2/3)) and r^(-2/3) times as fast along it (a =
+            r^(4/3))
 
-T^2 is found at nodes, four voxels apart; between the nodes of a block it is trilinear with the bend of a quadric, which is
-exact for a straight flow. Blocks lie at multiples of four voxels, and what is done for one depends on nothing else, so
-that every box of the material has the same voxels. A picture is a volume of one plane, in which z is 0.
+T^2 is found at nodes, four voxels apart; between the nodes of a block it is trilinear with the bend
+of a quadric, which is exact for a straight flow. Blocks lie at multiples of four voxels, and what
+is done for one depends on nothing else, so that every box of the material has the same voxels. A
+picture is a volume of one plane, in which z is 0.
 
-The voxels of a block are counted along x slowest, then z, then y: number x * rows + z * 4 + y, of 16 rows (in a picture 4).
+The voxels of a block are counted along x slowest, then z, then y: number x * rows + z * 4 + y, of
+16 rows (in a picture 4).
 """
 
 from __future__ import annotations
@@ -25,7 +30,9 @@ SUPER = 4
 """Blocks along an edge of a cube, what shares one search for bubbles."""
 
 MOST = 512
-"""Bubbles that a block looks at, at most: those that come into question at two voxels from bubble to bubble."""
+"""Bubbles that a block looks at, at most: those that come into question at two voxels from bubble
+to bubble.
+"""
 
 HALF = 1.0 / 254.0
 """Makes 1/2 of a direction of length 127: two of them have a mean."""
@@ -37,8 +44,14 @@ _STEP = np.float32(1.0 / BLOCK)
 
 @inline
 def _quadric(i, around, n, places, flows, across, along):
-    """Of bubble i at place n (z, y, x, and the flow there of length 1/2): T^2 v^2, |u|^2, and the squares of q."""
-    uz, uy, ux = around[n, 0] - places[i, 0], around[n, 1] - places[i, 1], around[n, 2] - places[i, 2]
+    """Of bubble i at place n (z, y, x, and the flow there of length 1/2): T^2 v^2, |u|^2, and the
+    squares of q.
+    """
+    uz, uy, ux = (
+        around[n, 0] - places[i, 0],
+        around[n, 1] - places[i, 1],
+        around[n, 2] - places[i, 2],
+    )
     square = uz * uz + uy * uy + ux * ux
     if len(flows) == 0:
         return square, square, 0.0, 0.0, 0.0
@@ -69,7 +82,8 @@ def _set_node(around, n, z, y, x, shifts, flow, origins):
 
 @inline
 def set_around(around, z, y, x, side, flat, shifts, flow, origins):
-    """Of a cube of `side` blocks from node (z, y, x) on: the places and flows at its corners (0 .. 7) and its middle (8).
+    """Of a cube of `side` blocks from node (z, y, x) on: the places and flows at its corners (0 ..
+    7) and its middle (8).
 
     Behind the middle's: how far, at most, the corners lie from it and their flows from its own.
     """
@@ -84,17 +98,26 @@ def set_around(around, z, y, x, side, flat, shifts, flow, origins):
         around[8, i] = 0.125 * total
     far, bend = 0.0, 0.0
     for n in range(8):
-        dz, dy, dx = around[n, 0] - around[8, 0], around[n, 1] - around[8, 1], around[n, 2] - around[8, 2]
+        dz, dy, dx = (
+            around[n, 0] - around[8, 0],
+            around[n, 1] - around[8, 1],
+            around[n, 2] - around[8, 2],
+        )
         far = max(far, dz * dz + dy * dy + dx * dx)
         if len(flow) > 0:
-            dz, dy, dx = around[n, 3] - around[8, 3], around[n, 4] - around[8, 4], around[n, 5] - around[8, 5]
+            dz, dy, dx = (
+                around[n, 3] - around[8, 3],
+                around[n, 4] - around[8, 4],
+                around[n, 5] - around[8, 5],
+            )
             bend = max(bend, dz * dz + dy * dy + dx * dx)
     around[8, 6], around[8, 7] = np.sqrt(far), np.sqrt(bend)
 
 
 @inline
 def keep_near(found, count, kept, around, places, brakes, flows, law, times, slacks):
-    """Keep those of the first `count` that may come first somewhere about the middle, or leave a wall; returns how many.
+    """Keep those of the first `count` that may come first somewhere about the middle, or leave a
+    wall; returns how many.
 
     The one that comes first there is put first.
     """
@@ -129,7 +152,9 @@ def keep_near(found, count, kept, around, places, brakes, flows, law, times, sla
 
 @inline
 def gather(found, node, flat, starts, places, brakes, first, cells, edges, law, ends):
-    """Bubbles within reach of the cube from a node on, in the order of their cells; returns how many."""
+    """Bubbles within reach of the cube from a node on, in the order of their cells; returns how
+    many.
+    """
     reach, soonest = law[2], np.sqrt(law[4]) / law[0]
     for axis in range(3):
         low, high = BLOCK * node[axis] - reach, BLOCK * (node[axis] + SUPER) + reach
@@ -155,7 +180,9 @@ def gather(found, node, flat, starts, places, brakes, first, cells, edges, law, 
 
 @inline
 def _rows(at, low, rise, flat, bz, by):
-    """Of every row of a block, T^2 at its first voxel and how it rises along x, from the values at the corners."""
+    """Of every row of a block, T^2 at its first voxel and how it rises along x, from the values at
+    the corners.
+    """
     for n in range(4 if flat else 16):
         z, y = np.float32(n >> 2) * _STEP, np.float32(n & 3) * _STEP
         bend = bz * (z - z * z) + by * (y - y * y)
@@ -167,7 +194,9 @@ def _rows(at, low, rise, flat, bz, by):
 
 @inline
 def _slope(at, slopes, m):
-    """Set how T^2 rises along z, y, x in the middle of a block, from its corners; returns how much in all."""
+    """Set how T^2 rises along z, y, x in the middle of a block, from its corners; returns how much
+    in all.
+    """
     z = 0.25 * _STEP * (at[4] + at[5] + at[6] + at[7] - at[0] - at[1] - at[2] - at[3])
     y = 0.25 * _STEP * (at[2] + at[3] + at[6] + at[7] - at[0] - at[1] - at[4] - at[5])
     x = 0.25 * _STEP * (at[1] + at[3] + at[5] + at[7] - at[0] - at[2] - at[4] - at[6])
@@ -176,10 +205,14 @@ def _slope(at, slopes, m):
 
 
 @inline
-def set_forms(forms, slopes, at, ahead, low, rise, kept, count, around, flat, places, brakes, flows, law):
-    """T^2 of bubbles at the voxels of a block, (bubble, voxel) float32, and its slopes in the middle.
+def set_forms(
+    forms, slopes, at, ahead, low, rise, kept, count, around, flat, places, brakes, flows, law
+):
+    """T^2 of bubbles at the voxels of a block, (bubble, voxel) float32, and its slopes in the
+    middle.
 
-    Of the first `count` kept, those stay that matter beside the first one, as the corners tell; returns how many.
+    Of the first `count` kept, those stay that matter beside the first one, as the corners tell;
+    returns how many.
     """
     across, less, rows = law[3], law[3] - law[4], 4 if flat else 16
     left, steep = 0, 0.0
@@ -217,14 +250,18 @@ def set_forms(forms, slopes, at, ahead, low, rise, kept, count, around, flat, pl
 @inline
 def _merged(one, two, merging):
     """Whether two bubbles that meet have no wall."""
-    return ((np.uint64(one) ^ np.uint64(two)) * np.uint64(2654435761) & np.uint64(0xFFFFFFFF)) < merging
+    return (
+        (np.uint64(one) ^ np.uint64(two)) * np.uint64(2654435761) & np.uint64(0xFFFFFFFF)
+    ) < merging
 
 
 @inline
 def set_arrivals(arrivals, walls, forms, slopes, kept, count, voxels, level, wall, names, merging):
-    """T^2 of the first bubble at the voxels of a block; NEVER later than `level`, and where a wall stays.
+    """T^2 of the first bubble at the voxels of a block; NEVER later than `level`, and where a wall
+    stays.
 
-    |T_i^2 - T_j^2| over its slope is the distance to where bubbles i and j meet: a wall, where it is below half of one.
+    |T_i^2 - T_j^2| over its slope is the distance to where bubbles i and j meet: a wall, where it
+    is below half of one.
     """
     for v in range(voxels):
         arrivals[v], walls[v] = NEVER, _FULL
@@ -234,7 +271,11 @@ def set_arrivals(arrivals, walls, forms, slopes, kept, count, voxels, level, wal
             arrivals[v] = f if f < a else a
     for i in range(count):
         for j in range(i):
-            dz, dy, dx = slopes[i, 0] - slopes[j, 0], slopes[i, 1] - slopes[j, 1], slopes[i, 2] - slopes[j, 2]
+            dz, dy, dx = (
+                slopes[i, 0] - slopes[j, 0],
+                slopes[i, 1] - slopes[j, 1],
+                slopes[i, 2] - slopes[j, 2],
+            )
             near = np.float32(0.25 * wall * wall * (dz * dz + dy * dy + dx * dx))
             if near > 0 and not _merged(names[kept[i]], names[kept[j]], merging):
                 for v in range(voxels):

@@ -1,4 +1,6 @@
-"""`bubbles`: where they start and how fast they grow is drawn by cell; what a voxel becomes is told from those around it."""
+"""`bubbles`: where they start and how fast they grow is drawn by cell; what a voxel becomes is told
+from those around it.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +17,20 @@ from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.engine.blocks import Box, slices_of
 from trabecula.engine.plan import Plan
-from trabecula.synth.base import Method
-from trabecula.synth.bubbles import SPEC
+from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.method import Method
+from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.bubbles import CAPABILITIES
 from trabecula.synth.bubbles.calibrate import bytes_of_search, calibrated
 from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.flow import flow_of
 from trabecula.synth.bubbles.flow.forecast import bytes_of_flow
 from trabecula.synth.bubbles.forecast import bytes_of_box, bytes_of_level
 from trabecula.synth.bubbles.growth import Growth
+from trabecula.synth.bubbles.growth_law import Law, distance_of, law_of
 from trabecula.synth.bubbles.kernels import BLOCK
-from trabecula.synth.bubbles.law import Law, distance_of, law_of
-from trabecula.synth.bubbles.stop import Arrivals, arrivals_of
-from trabecula.synth.bubbles.whole import bytes_of_particles, grown_whole
-from trabecula.synth.facts import Facts
-from trabecula.synth.windows import WindowModel
+from trabecula.synth.bubbles.particle_rounds import bytes_of_particles, grown_whole
+from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _LEAST = 8  # voxels along an axis of the exemplar
@@ -37,35 +39,49 @@ _LEAST = 8  # voxels along an axis of the exemplar
 class Bubbles(Method):
     """Bubbles that grow."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = BubblesConfig
 
-    def _blank(self, facts: Facts) -> BubblesModel:
+    def _blank(self, facts: ExemplarInfo) -> BubblesModel:
         return BubblesModel(self.config, [facts])
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         shape = exemplars[0].shape
         search = bytes_of_search(shape) if self.config.trials else 0
-        return Plan({"interpreter and kernels": _PROCESS, "search": search, "its phases": 3 * math.prod(shape) + 4096})
+        return Plan(
+            {
+                "interpreter and kernels": _PROCESS,
+                "search": search,
+                "its phases": 3 * math.prod(shape) + 4096,
+            }
+        )
 
-    def _fit(self, exemplars: Sequence[Image]) -> BubblesModel:
+    def learn(self, exemplars: Sequence[Image]) -> BubblesModel:
         exemplar = exemplars[0]
         present = np.unique(exemplar.values)
         if len(exemplar.phases) != 2:
             names = ", ".join(exemplar.phases[label] for label in present)
-            raise InputError(f"the exemplar is of {names}: bubbles and what is between them are two phases, name two")
+            raise InputError(
+                f"the exemplar is of {names}: bubbles and what is between them are two phases, name two"
+            )
         if min(exemplar.shape) < _LEAST:
-            raise InputError(f"the exemplar is {exemplar.shape}: give at least {_LEAST} voxels along every axis")
+            raise InputError(
+                f"the exemplar is {exemplar.shape}: give at least {_LEAST} voxels along every axis"
+            )
         found, report = calibrated(self.config, exemplar, BubblesModel)
         return BubblesModel(self.config, exemplars, found, report)
 
     def _fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> BubblesModel:
-        return BubblesModel(self.config, exemplars, BubblesConfig(**found["settings"]), found["report"])
+        return BubblesModel(
+            self.config, exemplars, BubblesConfig(**found["settings"]), found["report"]
+        )
 
 
 @dataclass
 class _Run:
-    """What boxes of one request have in common: the growth, and the arrivals in all of its box (True), in its mask (False)."""
+    """What boxes of one request have in common: the growth, and the arrivals in all of its box
+    (True), in its mask (False).
+    """
 
     request: Request
     growth: Growth
@@ -74,7 +90,9 @@ class _Run:
     def serves(self, request: Request) -> bool:
         """Whether another request is of the same material."""
         own = self.request
-        alike = all(getattr(request, name) == getattr(own, name) for name in ("shape", "seed", "periodic"))
+        alike = all(
+            getattr(request, name) == getattr(own, name) for name in ("shape", "seed", "periodic")
+        )
         return alike and request.mask is own.mask
 
 
@@ -89,14 +107,14 @@ class BubblesModel(WindowModel):
         How they were found (`calibrate.calibrated`); empty where they were given.
     """
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: BubblesConfig
     block = 256
 
     def __init__(
         self,
         config: BubblesConfig,
-        exemplars: Sequence[Image | Facts],
+        exemplars: Sequence[Image | ExemplarInfo],
         found: BubblesConfig | None = None,
         report: Mapping[str, Any] | None = None,
     ) -> None:
@@ -112,7 +130,7 @@ class BubblesModel(WindowModel):
     def _report(self) -> Mapping[str, Any]:
         return {"fit": self.report} if self.report else {}
 
-    def _box(self, request: Request, box: Box) -> np.ndarray:
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
         run = self._run(request)
         level = self._level(run, request, box)
         growth, deep = run.growth, _deep(box, (0, 1))
@@ -123,12 +141,14 @@ class BubblesModel(WindowModel):
             labels = labels[np.ix_(*map(_turning, deep, once, growth.periods))]
         return labels[0] if len(box) == 2 else labels
 
-    def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         if self.found.growth == "fronts":
-            return super()._generate(request)
+            return super().make(request)
         wanted = self._wanted(request)
         if np.ndim(wanted):
-            raise RequestError("particles stop all at once: ask for one number as the porosity, or for growth='fronts'")
+            raise RequestError(
+                "particles stop all at once: ask for one number as the porosity, or for growth='fronts'"
+            )
         made = grown_whole(self._growth(request), self.found, request, wanted)
         void, solid = self._phases()
         values = np.where(made.air, np.uint8(void), np.uint8(solid))
@@ -152,7 +172,10 @@ class BubblesModel(WindowModel):
         law = self._law(ndim)
         spacing, length = self._lengths(ndim)
         flow = flow_of(self.found, request.shape, spacing, request.mask, distance=length)
-        periods = [side if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)]
+        periods = [
+            side if wraps else 0
+            for side, wraps in zip(request.shape, request.periodic, strict=True)
+        ]
         return Growth(law, request.seed, _deep(periods, 0), _deep(request.shape, 1), flow)
 
     def _lengths(self, ndim: int) -> tuple[tuple[float, ...], float]:
@@ -168,7 +191,8 @@ class BubblesModel(WindowModel):
         wanted = self._wanted(request)
         if wanted is None:
             return np.float32(run.growth.law.latest**2)
-        # A porosity that was found for an exemplar is the material's, whatever form is cut of it; one that was asked for
+        # A porosity that was found for an exemplar is the material's, whatever form is cut of it;
+        # one that was asked for
         # is the form's.
         mask = None if self.config.porosity is None and not request.target else request.mask
         whole = mask is None
@@ -214,7 +238,9 @@ class BubblesModel(WindowModel):
             )
         if self.found.growth == "particles":
             return {**parts, "rounds": bytes_of_particles(shape, flows=flows)}
-        kept, held = (0, 0) if wanted is None else bytes_of_level(law, _deep(request.shape, 1), flows=flows)
+        kept, held = (
+            (0, 0) if wanted is None else bytes_of_level(law, _deep(request.shape, 1), flows=flows)
+        )
         levels = 28 * math.prod(shape) if np.ndim(wanted) else 0
         return {**parts, "level": max(kept + levels, held - box - math.prod(shape))}
 

@@ -1,7 +1,9 @@
-"""Kernels of growth by particles: what every contour position asks for, who wins, and what the winners reach next.
+"""Kernels of growth by particles: what every contour position asks for, who wins, and what the
+winners reach next.
 
-Volumes are (Z, Y, X), pictures (1, Y, X); positions are flat indices. `near` holds, for every voxel, the one bubble that
-it is within the separation of, FREE, or SHARED between several; `claim` the bubble that asks for it in this round.
+Volumes are (Z, Y, X), pictures (1, Y, X); positions are flat indices. `near` holds, for every
+voxel, the one bubble that it is within the separation of, FREE, or SHARED between several; `claim`
+the bubble that asks for it in this round.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ def draw(rank, key):
 
 @kernel
 def ask(positions, bubbles, rank, near, claim, keep):
-    """Every contour position asks for its voxel; of several the lowest rank is noted. `keep` is False where none can.
+    """Every contour position asks for its voxel; of several the lowest rank is noted. `keep` is
+    False where none can.
 
     The same wish twice is kept once: the second finds the first.
     """
@@ -73,7 +76,9 @@ def judge(positions, bubbles, rank, claim, ball, sides, wraps, keep, won):
 
 @kernel
 def occupy(positions, bubbles, won, near, ball, sides, wraps, open_):
-    """Winners take their voxels: these are air, and what lies within the separation is closed to every other bubble."""
+    """Winners take their voxels: these are air, and what lies within the separation is closed to
+    every other bubble.
+    """
     for k in range(len(positions)):
         if not won[k]:
             continue
@@ -87,10 +92,26 @@ def occupy(positions, bubbles, won, near, ball, sides, wraps, open_):
 
 
 @kernel
-def spread(positions, bubbles, won, directions, allowed, threshold, steps, sides, wraps, open_, key, found, owner):
-    """The neighbours that winners add to their contours (algorithm 2): the one along the flow, and others by chance.
+def spread(
+    positions,
+    bubbles,
+    won,
+    directions,
+    allowed,
+    threshold,
+    steps,
+    sides,
+    wraps,
+    open_,
+    key,
+    found,
+    owner,
+):
+    """The neighbours that winners add to their contours (algorithm 2): the one along the flow, and
+    others by chance.
 
-    Returns how many were written to `found` and `owner`. Without a direction every neighbour is added (algorithm 1).
+    Returns how many were written to `found` and `owner`. Without a direction every neighbour is
+    added (algorithm 1).
     """
     count = 0
     ahead = np.zeros(3, np.int64)
@@ -115,9 +136,11 @@ def spread(positions, bubbles, won, directions, allowed, threshold, steps, sides
 
 @inline
 def _ahead(directions, v, ahead, key):
-    """The neighbour that the flow leads to, drawn so that steps follow its direction on average; False without a flow.
+    """The neighbour that the flow leads to, drawn so that steps follow its direction on average;
+    False without a flow.
 
-    The nearest neighbour of the solution, as the paper takes it, turns all directions into multiples of 45 degrees.
+    The nearest neighbour of the solution, as the paper takes it, turns all directions into
+    multiples of 45 degrees.
     """
     if directions.shape[0] == 0:
         return False

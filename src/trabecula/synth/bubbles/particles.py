@@ -1,9 +1,11 @@
-"""Growth by particles, as Baravalle et al. (2016) state it (section 3, algorithms 1 and 2), in rounds.
+"""Growth by particles, as Baravalle et al. (2016) state it (section 3, algorithms 1 and 2), in
+rounds.
 
-A particle has the voxels that it occupies and a contour of voxels that it may take next. In a round every position of every
-contour asks for its voxel at once. It gets it where no other particle stands within the separation; of those that ask for
-voxels within the separation of each other the one of lower rank, drawn anew for every particle and round. So no order
-of work shows. What is taken adds its neighbours to the contour: all, or where there is a flow the one that the flow leads to and
+A particle has the voxels that it occupies and a contour of voxels that it may take next. In a round
+every position of every contour asks for its voxel at once. It gets it where no other particle
+stands within the separation; of those that ask for voxels within the separation of each other the
+one of lower rank, drawn anew for every particle and round. So no order of work shows. What is taken
+adds its neighbours to the contour: all, or where there is a flow the one that the flow leads to and
 each of the others with the probability `randomness`. A particle whose contour is empty is dead.
 """
 
@@ -61,11 +63,13 @@ def grown(
     Parameters
     ----------
     seeds : (n, d) int array
-        Voxels that they start from, d = 2 or 3; those outside of the room, or within the separation of others, may get none.
+        Voxels that they start from, d = 2 or 3; those outside of the room, or within the separation
+        of others, may get none.
     shape : d int
     seed : int
     separation : float
-        Voxels of mass between particles, at least: none stands nearer than separation + 1 to another.
+        Voxels of mass between particles, at least: none stands nearer than separation + 1 to
+        another.
     randomness : float
         0 .. 1: the probability of a neighbour that the flow does not lead to.
     directions : (..., d) int8 array, optional
@@ -91,7 +95,9 @@ def grown(
     threshold = np.uint64(round(randomness * _SCALE))
     rank = np.empty(len(inside), np.int64)
     last, taken = 0, 0
-    for last in track(range(_MANY if rounds is None else rounds), "bubbles", total=rounds or max(shape)):
+    for last in track(
+        range(_MANY if rounds is None else rounds), "bubbles", total=rounds or max(shape)
+    ):
         draw(rank, key(seed, f"particles/rank/{last}"))
         left = None if goal is None else goal - taken
         got, contour = field.round(contour, rank, threshold, key(seed, f"particles/{last}"), left)
@@ -125,7 +131,11 @@ class _Field:
         size = int(self.sides.prod())
         self.allowed = np.ones(size, bool) if room is None else np.ascontiguousarray(room).ravel()
         empty = np.zeros((0, len(shape)), np.int8)
-        self.directions = empty if directions is None else np.ascontiguousarray(directions).reshape(size, len(shape))
+        self.directions = (
+            empty
+            if directions is None
+            else np.ascontiguousarray(directions).reshape(size, len(shape))
+        )
         self.near, self.claim = np.full(size, FREE, np.int32), np.full(size, FREE, np.int32)
         self.air = np.zeros(size, np.uint8)
 
@@ -149,16 +159,26 @@ class _Field:
             won[order[left:]] = False
         occupy(positions, bubbles, won, self.near, self.ball, self.sides, self.wraps, self.air)
         count = int(np.count_nonzero(won))
-        found, owner = np.empty(count * len(self.steps), np.int64), np.empty(count * len(self.steps), np.int32)
+        found, owner = (
+            np.empty(count * len(self.steps), np.int64),
+            np.empty(count * len(self.steps), np.int32),
+        )
         new = spread(
             positions, bubbles, won, self.directions, self.allowed, threshold, self.steps, self.sides, self.wraps, self.air,
             words, found, owner,
         )  # fmt: skip
         lost = keep & ~won
-        return count, (np.concatenate([positions[lost], found[:new]]), np.concatenate([bubbles[lost], owner[:new]]))
+        return count, (
+            np.concatenate([positions[lost], found[:new]]),
+            np.concatenate([bubbles[lost], owner[:new]]),
+        )
 
 
 def _offsets(reach: int, axes: int, below: float) -> np.ndarray:
     """Steps (n, 3) to what lies nearer than `below`, but for the place itself."""
-    steps = [step for step in product(range(-reach, reach + 1), repeat=axes) if 0 < np.hypot.reduce(step) < below]
+    steps = [
+        step
+        for step in product(range(-reach, reach + 1), repeat=axes)
+        if 0 < np.hypot.reduce(step) < below
+    ]
     return np.array([(0,) * (3 - axes) + step for step in steps], np.int64).reshape(-1, 3)

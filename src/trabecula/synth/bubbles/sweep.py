@@ -1,11 +1,13 @@
-"""Arrivals in all blocks of a box, or in some: a search in three steps, from cubes of 16 voxels over parts of 8 to blocks of 4.
+"""Arrivals in all blocks of a box, or in some: a search in three steps, from cubes of 16 voxels
+over parts of 8 to blocks of 4.
 
 A world is what the kernels read, tuples of arrays:
 
-    nodes     shifts (Z, Y, X, 3) float32, flow (Z, Y, X, 3) int8 (either may be empty: none), the first node of both (6,)
-    bubbles   the first of every cell, places (N, 3) float64, 1 / v, half of their flows (N, 3) or none, names uint32
-    lattice   first cell (3,), cells (3,), their edges (3,) in voxels
-    law       latest arrival, wall, reach (all in voxels), c and a of the flow (see `kernels`)
+    nodes     shifts (Z, Y, X, 3) float32, flow (Z, Y, X, 3) int8 (either may be empty: none), the
+    first node of both (6,) bubbles   the first of every cell, places (N, 3) float64, 1 / v, half of
+    their flows (N, 3) or none, names uint32 lattice   first cell (3,), cells (3,), their edges (3,)
+    in voxels law       latest arrival, wall, reach (all in voxels), c and a of the flow (see
+    `kernels`)
 """
 
 from __future__ import annotations
@@ -42,12 +44,17 @@ def _set_block(node, n, corner, flat):
 def _set_cube(node, n, first, sides, flat):
     """The node where cube n begins."""
     node[0] = 0 if flat else SUPER * (first[0] + n // (sides[1] * sides[2]))
-    node[1], node[2] = SUPER * (first[1] + n // sides[2] % sides[1]), SUPER * (first[2] + n % sides[2])
+    node[1], node[2] = (
+        SUPER * (first[1] + n // sides[2] % sides[1]),
+        SUPER * (first[2] + n % sides[2]),
+    )
 
 
 @inline
 def _moved(seen, node, shift):
-    """Whether a node lies in another cube (part) of 1 << shift blocks than the last one, which is kept in `seen`."""
+    """Whether a node lies in another cube (part) of 1 << shift blocks than the last one, which is
+    kept in `seen`.
+    """
     z, y, x = node[0] >> shift << shift, node[1] >> shift << shift, node[2] >> shift << shift
     moved = z != seen[0] or y != seen[1] or x != seen[2]
     seen[0], seen[1], seen[2] = z, y, x
@@ -55,31 +62,63 @@ def _moved(seen, node, shift):
 
 
 @kernel
-def grow(labels, values, corner, first, sides, blocks, picks, start, stop, flat, world, level, levels, merging, phases):
+def grow(
+    labels,
+    values,
+    corner,
+    first,
+    sides,
+    blocks,
+    picks,
+    start,
+    stop,
+    flat,
+    world,
+    level,
+    levels,
+    merging,
+    phases,
+):
     """Grow blocks: label a box with them, or give T^2 at some of their voxels.
 
     Parameters
     ----------
     labels : (Z, Y, X)
-        Of the box that begins at voxel `corner`: `phases[0]` where T^2 <= `level`, else `phases[1]`. Where `levels` (Z, Y, X)
-        float32 is not empty, it says so of every voxel, and `level` is the highest of them.
+        Of the box that begins at voxel `corner`: `phases[0]` where T^2 <= `level`, else
+        `phases[1]`. Where `levels` (Z, Y, X) float32 is not empty, it says so of every voxel, and
+        `level` is the highest of them.
     first, sides : (3,) int64
-        The cubes of 16 voxels that cover the box. Their blocks `start` .. `stop` are grown, cube by cube, part by part.
+        The cubes of 16 voxels that cover the box. Their blocks `start` .. `stop` are grown, cube by
+        cube, part by part.
     values, blocks, picks : (N, P) float32, (N, 3) int64, (1 or N, P) uint8
-        Where `blocks` is not empty, those from `start` to `stop` are grown instead, and the voxels of these numbers told.
+        Where `blocks` is not empty, those from `start` to `stop` are grown instead, and the voxels
+        of these numbers told.
     """
-    # Arrays are taken apart once and handed on one by one: each time numba takes a tuple apart it counts references.
-    (shifts, flow, origins), (starts, places, brakes, flows, names), (low, cells, edges), law = world
+    # Arrays are taken apart once and handed on one by one: each time numba takes a tuple apart it
+    # counts references.
+    (shifts, flow, origins), (starts, places, brakes, flows, names), (low, cells, edges), law = (
+        world
+    )
     most = len(places) + 1
     everyone, many = np.empty(most, np.int64), np.empty(most, np.int64)
     some, few = np.empty(most, np.int64), np.empty(most, np.int64)
-    times, slacks, around, ends = np.empty(most), np.empty(most), np.zeros((9, 8)), np.zeros((2, 3), np.int64)
+    times, slacks, around, ends = (
+        np.empty(most),
+        np.empty(most),
+        np.zeros((9, 8)),
+        np.zeros((2, 3), np.int64),
+    )
     rows, voxels, each = min(most, MOST), 16 if flat else 64, 16 if flat else 64
     forms, slopes = np.empty((rows, 64), np.float32), np.empty((rows, 3), np.float32)
     at, ahead = np.empty(8, np.float32), np.empty(8, np.float32)
     begins, rises = np.empty(16, np.float32), np.empty(16, np.float32)
     arrivals, walls = np.empty(64, np.float32), np.empty(64, np.float32)
-    cube, part, node, begin = np.full(3, _NOWHERE), np.full(3, _NOWHERE), np.zeros(3, np.int64), np.zeros(3, np.int64)
+    cube, part, node, begin = (
+        np.full(3, _NOWHERE),
+        np.full(3, _NOWHERE),
+        np.zeros(3, np.int64),
+        np.zeros(3, np.int64),
+    )
     flat_labels, flat_levels = labels.reshape(-1), levels.reshape(-1)
     in_cube = in_part = 0
     for n in range(start, stop):
@@ -92,22 +131,57 @@ def grow(labels, values, corner, first, sides, blocks, picks, start, stop, flat,
             if _outside(node[0], node[1], node[2], flat, corner, labels.shape):
                 continue
         if _moved(cube, node, 2):
-            count = gather(everyone, cube, flat, starts, places, brakes, low, cells, edges, law, ends)
+            count = gather(
+                everyone, cube, flat, starts, places, brakes, low, cells, edges, law, ends
+            )
             set_around(around, cube[0], cube[1], cube[2], SUPER, flat, shifts, flow, origins)
-            in_cube = keep_near(everyone, count, many, around, places, brakes, flows, law, times, slacks)
+            in_cube = keep_near(
+                everyone, count, many, around, places, brakes, flows, law, times, slacks
+            )
             part[0] = _NOWHERE
         if _moved(part, node, 1):
             set_around(around, part[0], part[1], part[2], 2, flat, shifts, flow, origins)
-            in_part = keep_near(many, in_cube, some, around, places, brakes, flows, law, times, slacks)
+            in_part = keep_near(
+                many, in_cube, some, around, places, brakes, flows, law, times, slacks
+            )
         set_around(around, node[0], node[1], node[2], 1, flat, shifts, flow, origins)
-        count = min(keep_near(some, in_part, few, around, places, brakes, flows, law, times, slacks), MOST)
-        count = set_forms(forms, slopes, at, ahead, begins, rises, few, count, around, flat, places, brakes, flows, law)
-        set_arrivals(arrivals, walls, forms, slopes, few, count, voxels, level, law[1], names, merging)
+        count = min(
+            keep_near(some, in_part, few, around, places, brakes, flows, law, times, slacks), MOST
+        )
+        count = set_forms(
+            forms,
+            slopes,
+            at,
+            ahead,
+            begins,
+            rises,
+            few,
+            count,
+            around,
+            flat,
+            places,
+            brakes,
+            flows,
+            law,
+        )
+        set_arrivals(
+            arrivals, walls, forms, slopes, few, count, voxels, level, law[1], names, merging
+        )
         if len(blocks) > 0:
             for p in range(picks.shape[1]):
                 values[n, p] = arrivals[picks[n if len(picks) > 1 else 0, p]]
         else:
-            _write(flat_labels, labels.shape, corner, node, flat, arrivals, flat_levels, phases[0], phases[1])
+            _write(
+                flat_labels,
+                labels.shape,
+                corner,
+                node,
+                flat,
+                arrivals,
+                flat_levels,
+                phases[0],
+                phases[1],
+            )
 
 
 @inline
@@ -138,4 +212,6 @@ def _write(voxels, shape, corner, node, flat, arrivals, latest, free, solid):
                 voxels[at] = free if arrivals[(start + i) * rows + n] <= latest[at] else solid
         else:
             for i in range(stop - start):
-                voxels[row + np.uint64(i)] = free if arrivals[(start + i) * rows + n] <= _LATEST else solid
+                voxels[row + np.uint64(i)] = (
+                    free if arrivals[(start + i) * rows + n] <= _LATEST else solid
+                )

@@ -1,8 +1,10 @@
-"""Solid texture synthesis with position and index histograms (Chen and Wang 2010). See README.md in this folder."""
+"""Solid texture synthesis with position and index histograms (Chen and Wang 2010). See README.md in
+this folder.
+"""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="chen",
     summary="a volume from pictures as kopf makes it, of the pictures' own pixels, all of which are used evenly",
     paper="Chen, Wang (2010), High quality solid texture synthesis using position and index histogram matching",

@@ -1,7 +1,9 @@
-"""`chen`: the frame of `shared.solid` with voxels that are pixels, and with two histograms pushed towards even use.
+"""`chen`: the frame of `shared.solid` with voxels that are pixels, and with two histograms pushed
+towards even use.
 
-The index histogram (how often a neighbourhood was chosen) makes distances longer in the search; the position histogram (of how
-many voxels a pixel is the source) makes a pixel count less in the vote, and dearer as a source.
+The index histogram (how often a neighbourhood was chosen) makes distances longer in the search; the
+position histogram (of how many voxels a pixel is the source) makes a pixel count less in the vote,
+and dearer as a source.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.core.request import Request
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.exemplar.views import View
-from trabecula.synth.chen import SPEC
+from trabecula.synth.chen import CAPABILITIES
 from trabecula.synth.chen.config import ChenConfig
 from trabecula.synth.chen.kernels import count_sources
 from trabecula.synth.shared.content import completed
@@ -32,7 +34,7 @@ _DEAREST = 64  # times: beyond it a pixel costs no more
 class Chen(Solid):
     """Solid texture synthesis with position and index histograms."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = ChenConfig
 
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> ChenModel:
@@ -42,7 +44,7 @@ class Chen(Solid):
 class ChenModel(SolidModel):
     """Pictures as pyramids of fields."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: ChenConfig
 
     def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
@@ -54,7 +56,9 @@ class ChenModel(SolidModel):
             return
         aim = state.field if self.config.histogram else votes
         dear = [np.minimum(np.rint(over * 4), 4 * _DEAREST).astype(np.int32) for over in excess]
-        field, state.sources = chosen_planes(frame, state.matches, weights, aim, dear=dear, trim=trim)
+        field, state.sources = chosen_planes(
+            frame, state.matches, weights, aim, dear=dear, trim=trim
+        )
         state.field = frame.region.bounded(field)
         state.votes = votes_of(state.field)
 
@@ -63,13 +67,15 @@ class ChenModel(SolidModel):
         return self.config.discrete
 
     def _delivered(self, state: State, request: Request) -> np.ndarray:
-        """Grey values and colours are those of the pixels themselves: matching channel by channel would make new colours."""
+        """Grey values and colours are those of the pixels themselves: matching channel by channel
+        would make new colours.
+        """
         if self.content.distances or not self.config.discrete or state.sources is None:
             return super()._delivered(state, request)
         sources = state.sources
         pixels = np.concatenate([self._pixels(place) for place in range(len(self.views))])
         depth, height, across = request.shape
-        values = scratch.empty((*request.shape, *pixels.shape[1:]), pixels.dtype)
+        values = memmap.empty((*request.shape, *pixels.shape[1:]), pixels.dtype)
 
         def work(start: int, stop: int) -> None:
             for z in range(start, stop):
@@ -79,19 +85,27 @@ class ChenModel(SolidModel):
         return completed(values, request, empty=0)
 
     def _pixels(self, place: int) -> np.ndarray:
-        """The values of a view's pixels in the order of its sources on the finest level: (n,) or (n, 3)."""
+        """The values of a view's pixels in the order of its sources on the finest level: (n,) or
+        (n, 3).
+        """
         image, candidates = self.views[place].image, self.levels[0].views[place][1]
-        numbers = np.arange(image.values[..., 0].size if image.kind == "colour" else image.values.size)
+        numbers = np.arange(
+            image.values[..., 0].size if image.kind == "colour" else image.values.size
+        )
         order = np.zeros(candidates.stack.field.shape[1:], np.int64)
         turns = symmetries(self.config.orientations, ndim=2, spacing=image.spacing)
         for start, turn in zip(candidates.stack.starts, turns, strict=True):
             turned = oriented(numbers.reshape(1, *image.shape), turn)[0]
             order[start, : turned.shape[0], : turned.shape[1]] = turned
-        return image.values.reshape(len(numbers), -1)[order.ravel()].reshape(-1, *image.values.shape[2:])
+        return image.values.reshape(len(numbers), -1)[order.ravel()].reshape(
+            -1, *image.values.shape[2:]
+        )
 
 
 def excess_of(sources: np.ndarray | None, frame: Frame, strength: float) -> list[np.ndarray]:
-    """1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source of n > 1 times its even share."""
+    """1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source of n >
+    1 times its even share.
+    """
     shapes = [plane.grid.candidates.stack.field.shape[1:] for plane in frame.planes]
     sizes = [int(np.prod(shape)) for shape in shapes]
     if sources is None or not strength:

@@ -1,8 +1,10 @@
-"""A generator learnt from one exemplar that then makes material of any size. See README.md in this folder."""
+"""A generator learnt from one exemplar that then makes material of any size. See README.md in this
+folder.
+"""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="gan",
     summary="a generator learnt from one exemplar in minutes, which then makes material without limit in a moment",
     paper="Zhang, Yang, Li, Wu, Wang (2021), ScaffoldGAN",

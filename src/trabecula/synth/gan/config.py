@@ -21,48 +21,62 @@ class GanConfig:
     """Settings of `gan`."""
 
     generator: str = "subpixel"
-    """Network that makes: "subpixel" (convolutions without padding, sub-pixel steps), "deconvolution" (the paper's table read
-    with its fifth layer as the output: B) or "deconvolution+conv" (with an output convolution after it: A)."""
+    """Network that makes: "subpixel" (convolutions without padding, sub-pixel steps),
+    "deconvolution" (the paper's table read with its fifth layer as the output: B) or
+    "deconvolution+conv" (with an output convolution after it: A)."""
 
     discriminator: str = "scales"
-    """Network that judges: "scales" (a verdict for every place, on two scales), or the paper's layers with one verdict for the
-    whole crop ("score") or one for every place ("patch")."""
+    """Network that judges: "scales" (a verdict for every place, on two scales), or the paper's
+    layers with one verdict for the whole crop ("score") or one for every place ("patch")."""
 
     width: int = 16
-    """Channels of the finest layer of both networks, 2 .. 128; coarser ones have 2, 4 and 8 times as many. The paper's: 64."""
+    """Channels of the finest layer of both networks, 2 .. 128; coarser ones have 2, 4 and 8 times
+    as many. The paper's: 64.
+    """
 
     smoothing: int = 1
-    """Blurs of 1 2 1 along every axis that end the sub-pixel generator, 0 .. 2: without any there are chequerboards."""
+    """Blurs of 1 2 1 along every axis that end the sub-pixel generator, 0 .. 2: without any there
+    are chequerboards.
+    """
 
     polish: int = 0
-    """Further blurs when material is made, after the training, 0 .. 2 - smoothing: fewer specks, smoother interfaces, fewer
-    connections."""
+    """Further blurs when material is made, after the training, 0 .. 2 - smoothing: fewer specks,
+    smoother interfaces, fewer connections."""
 
     specks: int = 2
-    """Edge of the box, voxels, 0 .. 2: pieces of a phase that fit into it are taken away when material is made, 1 to 8 voxels
-    that are joined to nothing. 0 keeps them."""
+    """Edge of the box, voxels, 0 .. 2: pieces of a phase that fit into it are taken away when
+    material is made, 1 to 8 voxels that are joined to nothing. 0 keeps them."""
 
     latent: int = 16
     """Channels of the latent, 1 .. 512. The paper's: 100."""
 
     crop: int = 64
-    """Edge of the crops that are judged, voxels, 32 .. 128: a multiple of 8 of at least 40, for the paper's networks of 32."""
+    """Edge of the crops that are judged, voxels, 32 .. 128: a multiple of 8 of at least 40, for the
+    paper's networks of 32.
+    """
 
     batch: int = 2
     """Crops an iteration, 1 .. 512."""
 
     adversarial: str = "relativistic"
-    """Loss: "relativistic" (pairs of a real and a made crop) or "standard" (the paper's, non-saturating)."""
+    """Loss: "relativistic" (pairs of a real and a made crop) or "standard" (the paper's,
+    non-saturating).
+    """
 
     penalty: float = 0.5
-    """Weight of the gradient penalty R1 on real crops (squared gradient of all verdicts over their number), 0 .. 1000; 0
-    leaves it out. Too much and the judge sees nothing, too little and it runs away from the maker."""
+    """Weight of the gradient penalty R1 on real crops (squared gradient of all verdicts over their
+    number), 0 .. 1000; 0 leaves it out. Too much and the judge sees nothing, too little and it runs
+    away from the maker."""
 
     noise: tuple[float, float] = (0.1, 0.02)
-    """Standard deviation of the noise that both kinds of crops get before they are judged, at the start and at the end."""
+    """Standard deviation of the noise that both kinds of crops get before they are judged, at the
+    start and at the end.
+    """
 
     warmup: float = 0.12
-    """Share of the training that matches sliced distributions of neighbourhoods, before anything is judged, 0 .. 1."""
+    """Share of the training that matches sliced distributions of neighbourhoods, before anything is
+    judged, 0 .. 1.
+    """
 
     sliced: float = 2.0
     """Weight of the same term beside the verdict afterwards, 0 .. 1000."""
@@ -80,27 +94,34 @@ class GanConfig:
     """Share of the training, at its end, over which the rate falls to nothing, 0 .. 1."""
 
     average: float = 0.995
-    """How much of the averaged weights is kept an iteration, 0 .. 0.99999; 0 keeps the last weights alone."""
+    """How much of the averaged weights is kept an iteration, 0 .. 0.99999; 0 keeps the last weights
+    alone.
+    """
 
     clip: float = 5.0
-    """Voxels at which the signed distance that stands for labels saturates, 0 .. 50; 0 learns -1 and 1 (the paper's)."""
+    """Voxels at which the signed distance that stands for labels saturates, 0 .. 50; 0 learns -1
+    and 1 (the paper's).
+    """
 
     orientations: str = "inverted"
-    """Copies of the exemplar that are learnt from as well: "none", "inverted" (its point reflection, which has the same
-    two-point function along every direction), "mirrors" (about the axes), or "all" 48."""
+    """Copies of the exemplar that are learnt from as well: "none", "inverted" (its point
+    reflection, which has the same two-point function along every direction), "mirrors" (about the
+    axes), or "all" 48."""
 
     minutes: float = 10.0
     """Time to train for, 0 .. 100000 minutes by the clock; 0 leaves it to the iterations."""
 
     iterations: int = 0
-    """Iterations to train for, 0 .. 10**8; 0 leaves it to the minutes. Only then does the same seed give the same model; give
-    minutes as well, and it stops where they are over."""
+    """Iterations to train for, 0 .. 10**8; 0 leaves it to the minutes. Only then does the same seed
+    give the same model; give minutes as well, and it stops where they are over."""
 
     looks: int = 24
     """Looks at what is made in a run, 1 .. 1000: figures, a picture, and a state to go on from."""
 
     patience: int = 0
-    """Looks without a better two-point function after which the training stops, 0 .. 1000; 0 goes on."""
+    """Looks without a better two-point function after which the training stops, 0 .. 1000; 0 goes
+    on.
+    """
 
     seed: int = 0
     """Of the training: weights, crops and noise."""
@@ -109,7 +130,9 @@ class GanConfig:
     """Where to train and to generate: "cpu", "cuda", or "auto" (a GPU where there is one)."""
 
     precision: str = "auto"
-    """Of the networks' arithmetic in training: "bf16", "float32", or "auto" (bf16 where the processor multiplies in it)."""
+    """Of the networks' arithmetic in training: "bf16", "float32", or "auto" (bf16 where the
+    processor multiplies in it).
+    """
 
     run: str = ""
     """Folder for metrics.csv, pictures and checkpoints of the training; none where empty."""
@@ -127,7 +150,11 @@ class GanConfig:
         check_name(self.precision, PRECISIONS, name="precision")
         check_name(self.orientations, ORIENTATIONS, name="orientations")
         for name, low, high, whole in _RANGES:
-            object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
+            object.__setattr__(
+                self,
+                name,
+                as_number(getattr(self, name), name=name, low=low, high=high, whole=whole),
+            )
         object.__setattr__(self, "noise", _as_pair(self.noise))
         self._check_crop()
         if self.smoothing + self.polish > 2:
@@ -191,7 +218,9 @@ def _as_pair(noise: Any) -> tuple[float, float]:
     try:
         first, last = noise
     except (TypeError, ValueError):
-        raise InputError(f"noise={noise!r} should be two numbers, at the start and at the end") from None
+        raise InputError(
+            f"noise={noise!r} should be two numbers, at the start and at the end"
+        ) from None
     values = [float(as_number(value, name="noise", low=0, high=10)) for value in (first, last)]
     return values[0], values[1]
 

@@ -27,7 +27,8 @@ class Fields:
     Parameters
     ----------
     values : (K, Z, Y, X) float32 tensor
-        In -1 .. 1: one channel for two phases, rising into that of the higher label, and for grey; else one for each phase.
+        In -1 .. 1: one channel for two phases, rising into that of the higher label, and for grey;
+        else one for each phase.
     turns : tuple
         The orientations that count as alike.
     crop : int
@@ -39,7 +40,9 @@ class Fields:
     crop: int
 
     def crops(self, count: int, seed: int, iteration: int) -> Tensor:
-        """(count, K, crop, crop, crop), random in place and orientation: a function of seed and iteration alone."""
+        """(count, K, crop, crop, crop), random in place and orientation: a function of seed and
+        iteration alone.
+        """
         draw = generator(seed, "gan/crops", iteration)
         c = self.crop
         starts = draw.integers(0, np.asarray(self.values.shape[1:]) - c + 1, (count, 3)).tolist()
@@ -60,7 +63,9 @@ def fields_of(image: Image, config: GanConfig) -> Fields:
     """The fields of an exemplar."""
     if image.kind == "grey":
         low, high = grey_range(image.values)
-        values = np.clip((image.values.astype(np.float32) - low) * np.float32(2 / (high - low)) - 1, -1, 1)[None]
+        values = np.clip(
+            (image.values.astype(np.float32) - low) * np.float32(2 / (high - low)) - 1, -1, 1
+        )[None]
     else:
         values, _ = phase_fields(image)
         # A distance counts where an interface is near; tanh keeps it smooth where it saturates.
@@ -79,8 +84,8 @@ def grey_range(values: np.ndarray) -> tuple[float, float]:
 def turns_of(orientations: str) -> tuple[Turn, ...]:
     """The orientations by name.
 
-    Turned through a point ("inverted") a material keeps every two-point function along every direction; mirrored it keeps
-    those along the axes.
+    Turned through a point ("inverted") a material keeps every two-point function along every
+    direction; mirrored it keeps those along the axes.
     """
     orders = list(permutations((1, 2, 3))) if orientations == "all" else [(1, 2, 3)]
     flips: list[tuple[int, ...]] = [()]

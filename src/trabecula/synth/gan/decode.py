@@ -1,9 +1,12 @@
-"""From what a generator makes to values of an image, voxel by voxel: windows agree because no neighbour counts.
+"""From what a generator makes to values of an image, voxel by voxel: windows agree because no
+neighbour counts.
 
-A field has one channel for two phases (rising into the phase of the higher label), one for grey, and one for each phase
-where there are more. A calibration is plain JSON: {"kind": "labels", "present": [0, 1], "offsets": [t]} where the higher
-label is given above t; {"kind": "labels", "present": [0, 1, 2], "offsets": [a, b, c]} where the channel that is highest
-after its offset is added gives the label; {"kind": "grey", "dtype": "uint8", "from": [...], "to": [...]}, rising tables.
+A field has one channel for two phases (rising into the phase of the higher label), one for grey,
+and one for each phase where there are more. A calibration is plain JSON: {"kind": "labels",
+"present": [0, 1], "offsets": [t]} where the higher label is given above t; {"kind": "labels",
+"present": [0, 1, 2], "offsets": [a, b, c]} where the channel that is highest after its offset is
+added gives the label; {"kind": "grey", "dtype": "uint8", "from": [...], "to": [...]}, rising
+tables.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ SIDE = 96
 """Voxels along an edge of the volume that is looked at."""
 
 _REACH = 30
-_LEAST_SPREAD = 0.2  # of the real crops' standard deviation: less, and far from the middle, is one phase
+# of the real crops' standard deviation: less, and far from the middle, is one phase
+_LEAST_SPREAD = 0.2
 _MIDDLE = 0.5  # a slow start is as narrow, but lies around 0
 _DEAD = 0.02  # as the first, wherever it lies
 _MOST_ALIKE = 0.95  # correlation of two made crops: more is one picture
@@ -30,7 +31,9 @@ def trouble_with(made: Tensor, real: Tensor, told: dict[str, float], *, grown: b
 
     A network that has hardly learnt yet (not `grown`) may make one phase, but numbers.
     """
-    if not (all(np.isfinite(value) for value in told.values()) and bool(torch.isfinite(made).all())):
+    if not (
+        all(np.isfinite(value) for value in told.values()) and bool(torch.isfinite(made).all())
+    ):
         return "the loss is not a number any more"
     if not grown:
         return ""
@@ -58,8 +61,12 @@ class Figures:
     def __init__(self, image: Image, seed: int) -> None:
         self.image, self.seed = image, seed
         self.reach = min(_REACH, min(image.shape) // 2)
-        self.phases = [int(label) for label in np.unique(image.values)] if image.kind == "labels" else []
-        self.curves = {label: two_point(image, r_max=self.reach, phase=label) for label in self.phases[1:]}
+        self.phases = (
+            [int(label) for label in np.unique(image.values)] if image.kind == "labels" else []
+        )
+        self.curves = {
+            label: two_point(image, r_max=self.reach, phase=label) for label in self.phases[1:]
+        }
 
     def of(self, network: Any, fields: Tensor) -> tuple[dict[str, float], np.ndarray]:
         """Figures of a generator, and the middle slice of what it made (values).
@@ -77,9 +84,15 @@ class Figures:
         with torch.inference_mode():
             z = torch.randn(1, network.latent, side, side, side, generator=draw).to(weight.dtype)
             field = network.cells(z.to(memory_format=torch.channels_last_3d)).float()
-            common = [slice(min(sides)) for sides in zip(field.shape[2:], fields.shape[1:], strict=True)]
-            distance = float(sliced(field[(..., *common)], fields[(None, slice(None), *common)], draw))
-        calibration = calibration_of(network, self.image, self.seed, tiles=max(1, network.tiles // 64))
+            common = [
+                slice(min(sides)) for sides in zip(field.shape[2:], fields.shape[1:], strict=True)
+            ]
+            distance = float(
+                sliced(field[(..., *common)], fields[(None, slice(None), *common)], draw)
+            )
+        calibration = calibration_of(
+            network, self.image, self.seed, tiles=max(1, network.tiles // 64)
+        )
         values = decode(field[0].numpy(), calibration)
         found = {"distance": distance}
         if self.curves:

@@ -10,9 +10,9 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.optional import need
 from trabecula.engine.plan import Plan
-from trabecula.synth.base import Method
-from trabecula.synth.facts import Facts
-from trabecula.synth.gan import SPEC
+from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.method import Method
+from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.model import PROCESS, GanModel, opened
 
@@ -20,10 +20,10 @@ from trabecula.synth.gan.model import PROCESS, GanModel, opened
 class Gan(Method):
     """A generative adversarial network."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = GanConfig
 
-    def _fit(self, exemplars: Sequence[Image]) -> GanModel:
+    def learn(self, exemplars: Sequence[Image]) -> GanModel:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.train import trained
 
@@ -33,15 +33,17 @@ class Gan(Method):
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.forecast import training_bytes
 
-        return Plan({"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])})
+        return Plan(
+            {"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])}
+        )
 
-    def restored(
+    def from_state(
         self,
-        facts: Sequence[Facts],
+        facts: Sequence[ExemplarInfo],
         arrays: Mapping[str, np.ndarray],
         plain: Mapping[str, Any],
         *,
         history: Mapping[str, Any],
     ) -> GanModel:
-        """The model that a file holds (see `Model.learned`)."""
+        """The model that a file holds (see `Model.state`)."""
         return opened(self.config, facts, {"generator": arrays, **plain, "training": history})

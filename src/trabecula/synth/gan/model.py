@@ -15,12 +15,12 @@ from trabecula.core.optional import need
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
-from trabecula.engine.tiles import thread_count
-from trabecula.synth.facts import Facts
-from trabecula.synth.gan import SPEC
+from trabecula.engine.parallel import thread_count
+from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.decode import decode
-from trabecula.synth.windows import WindowModel
 
 PROCESS = 470 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
@@ -36,23 +36,26 @@ class GanModel(WindowModel):
     config : GanConfig
     exemplars : sequence of Image or Facts
     state : dict
-        "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see `decode` and `train`).
+        "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see
+        `decode` and `train`).
     """
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: GanConfig
 
-    def __init__(self, config: GanConfig, exemplars: Sequence[Image | Facts], state: Mapping[str, Any]) -> None:
+    def __init__(
+        self, config: GanConfig, exemplars: Sequence[Image | ExemplarInfo], state: Mapping[str, Any]
+    ) -> None:
         # Where the training left its pictures is no part of what it learned.
         super().__init__(replace(config, run=""), exemplars)
         weights = {name: _as_array(tensor) for name, tensor in state["generator"].items()}
-        self.state = {**state, "generator": weights}
+        self.arrays = {**state, "generator": weights}
         self._network: Any = None
 
     @property
     def calibration(self) -> Mapping[str, Any]:
         """How fields become values (see `decode`)."""
-        found: Mapping[str, Any] = self.state["calibration"]
+        found: Mapping[str, Any] = self.arrays["calibration"]
         return found
 
     @property
@@ -78,25 +81,26 @@ class GanModel(WindowModel):
             need("torch", extra="learn", purpose="method 'gan'")
             from trabecula.synth.gan.loading import network_of
 
-            self._network = network_of(self.config, self.channels, self.state["generator"])
+            self._network = network_of(self.config, self.channels, self.arrays["generator"])
         return self._network
 
-    def learned(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
+    def state(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
         """The weights, and how fields become values."""
-        return self.state["generator"], {"calibration": self.calibration}
+        return self.arrays["generator"], {"calibration": self.calibration}
 
     @property
     def history(self) -> Mapping[str, Any]:
         """How the training went."""
-        return dict(self.state.get("training", {}))
+        return dict(self.arrays.get("training", {}))
 
-    def _box(self, request: Request, box: Box) -> np.ndarray:
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
         network = self.network
         from trabecula.synth.gan.window import made
 
         cell = self.config.cell
         periods = tuple(
-            side // cell if wraps else 0 for side, wraps in zip(request.shape, request.periodic, strict=True)
+            side // cell if wraps else 0
+            for side, wraps in zip(request.shape, request.periodic, strict=True)
         )
         become = partial(decode, calibration=self.calibration)
         latent = key(request.seed, "gan/latent")
@@ -125,7 +129,7 @@ class GanModel(WindowModel):
         from trabecula.synth.gan.loading import tile_bytes
         from trabecula.synth.gan.window import CELLS, more_cells
 
-        weights = sum(array.nbytes for array in self.state["generator"].values())
+        weights = sum(array.nbytes for array in self.arrays["generator"].values())
         edge = (CELLS + more_cells(self.specks)) * self.config.cell
         return {
             "interpreter and kernels": PROCESS,
@@ -135,7 +139,7 @@ class GanModel(WindowModel):
         }
 
 
-def opened(config: GanConfig, facts: Sequence[Facts], state: Mapping[str, Any]) -> GanModel:
+def opened(config: GanConfig, facts: Sequence[ExemplarInfo], state: Mapping[str, Any]) -> GanModel:
     """The model of a file, whose parts are checked here.
 
     Raises
@@ -148,7 +152,9 @@ def opened(config: GanConfig, facts: Sequence[Facts], state: Mapping[str, Any]) 
     calibration = state["calibration"]
     grey = calibration["kind"] == "grey"
     if calibration["kind"] != facts[0].kind:
-        raise ValueError(f"it is calibrated for {calibration['kind']!r}, its exemplar is {facts[0].kind}")
+        raise ValueError(
+            f"it is calibrated for {calibration['kind']!r}, its exemplar is {facts[0].kind}"
+        )
     if grey:
         _check_table(calibration)
     else:
@@ -170,8 +176,17 @@ def _check_table(calibration: Mapping[str, Any]) -> None:
 def _check_labels(calibration: Mapping[str, Any], phases: int) -> None:
     present = [int(label) for label in calibration["present"]]
     offsets = np.asarray(calibration["offsets"], np.float64)
-    rising = present == sorted(set(present)) and len(present) >= 2 and present[0] >= 0 and present[-1] < phases
-    if not rising or offsets.shape != (len(present) if len(present) > 2 else 1,) or not np.isfinite(offsets).all():
+    rising = (
+        present == sorted(set(present))
+        and len(present) >= 2
+        and present[0] >= 0
+        and present[-1] < phases
+    )
+    if (
+        not rising
+        or offsets.shape != (len(present) if len(present) > 2 else 1,)
+        or not np.isfinite(offsets).all()
+    ):
         raise ValueError(f"its calibration of the phases {present} is damaged")
 
 

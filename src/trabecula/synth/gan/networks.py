@@ -1,9 +1,10 @@
 """The networks. A module that imports torch: reached through `core.optional` alone.
 
-A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent that it needs beyond each
-side), `tiles` (of noise that it is calibrated on) and `latent` (channels). Its `cells` makes the voxels of the inner cells,
-whatever lies beyond the halo. A discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its
-layers on request.
+A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent
+that it needs beyond each side), `tiles` (of noise that it is calibrated on) and `latent`
+(channels). Its `cells` makes the voxels of the inner cells, whatever lies beyond the halo. A
+discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its layers
+on request.
 """
 
 from __future__ import annotations
@@ -30,8 +31,12 @@ def generator_of(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
         Of its output.
     """
     if config.generator == "subpixel":
-        return Subpixel(config.latent, config.width, channels, smoothing=config.smoothing, polish=config.polish)
-    return Deconvolution(config.latent, config.width, channels, last=config.generator == "deconvolution+conv")
+        return Subpixel(
+            config.latent, config.width, channels, smoothing=config.smoothing, polish=config.polish
+        )
+    return Deconvolution(
+        config.latent, config.width, channels, last=config.generator == "deconvolution+conv"
+    )
 
 
 def discriminator_of(config: GanConfig, channels: int) -> Patches | Score:
@@ -42,7 +47,8 @@ def discriminator_of(config: GanConfig, channels: int) -> Patches | Score:
 
 
 class Subpixel(nn.Module):
-    """Convolutions without padding that double by sub-pixels: a voxel never knows where its tile ends.
+    """Convolutions without padding that double by sub-pixels: a voxel never knows where its tile
+    ends.
 
     Parameters
     ----------
@@ -56,7 +62,9 @@ class Subpixel(nn.Module):
     halo = 3
     tiles = 256
 
-    def __init__(self, latent: int, width: int, channels: int, *, smoothing: int, polish: int) -> None:
+    def __init__(
+        self, latent: int, width: int, channels: int, *, smoothing: int, polish: int
+    ) -> None:
         super().__init__()
         self.latent, self.smoothing, self.polish = latent, smoothing, polish
         self.layers = nn.ModuleList(
@@ -110,7 +118,9 @@ def halved(x: Tensor) -> Tensor:
 
 
 def blurred(x: Tensor) -> Tensor:
-    """A mean with weights 1 2 1 along every axis, which no chequerboard passes; a voxel is lost on each side."""
+    """A mean with weights 1 2 1 along every axis, which no chequerboard passes; a voxel is lost on
+    each side.
+    """
     for axis in (2, 3, 4):
         n = x.shape[axis] - 2
         x = 0.25 * (x.narrow(axis, 0, n) + x.narrow(axis, 2, n)) + 0.5 * x.narrow(axis, 1, n)
@@ -125,14 +135,16 @@ def trimmed(x: Tensor, *sides: int) -> Tensor:
 
 
 class Deconvolution(nn.Module):
-    """The paper's generator (its section 3.4): transposed convolutions of 4^3, the first from 1 to 4, the others doubling.
+    """The paper's generator (its section 3.4): transposed convolutions of 4^3, the first from 1 to
+    4, the others doubling.
 
     Parameters
     ----------
     latent, width, channels : int
         Channels of the latent, of the finest layer (64 in the paper) and of the output.
     last : bool
-        Whether an output convolution follows the fifth layer (reading A), or that is the output (reading B).
+        Whether an output convolution follows the fifth layer (reading A), or that is the output
+        (reading B).
     """
 
     cell = 16
@@ -167,7 +179,8 @@ class Deconvolution(nn.Module):
 
 
 class Patches(nn.Module):
-    """Verdicts for every place on two scales, 20 voxels wide and 40 on a field of half the resolution, without padding.
+    """Verdicts for every place on two scales, 20 voxels wide and 40 on a field of half the
+    resolution, without padding.
 
     Parameters
     ----------
@@ -210,7 +223,8 @@ def _verdicts(layers: nn.ModuleList, x: Tensor) -> Tensor:
 
 
 class Score(nn.Module):
-    """The paper's discriminator: five convolutions of 4^3; `features` are those after its first three.
+    """The paper's discriminator: five convolutions of 4^3; `features` are those after its first
+    three.
 
     Parameters
     ----------
@@ -223,7 +237,9 @@ class Score(nn.Module):
         super().__init__()
         maps = [channels, width, 2 * width, 4 * width, 8 * width]
         self.blocks = nn.ModuleList(
-            nn.Sequential(nn.Conv3d(before, after, 4, 2, 1), nn.BatchNorm3d(after), nn.LeakyReLU(_SLOPE))
+            nn.Sequential(
+                nn.Conv3d(before, after, 4, 2, 1), nn.BatchNorm3d(after), nn.LeakyReLU(_SLOPE)
+            )
             for before, after in pairwise(maps)
         )
         self.fifth = nn.Conv3d(8 * width, 8 * width, 4, 2, 1)

@@ -1,6 +1,8 @@
-"""The paper's losses on the discriminator's features: gram (section 3.3) and structural (section 3.2, equations 3 and 4).
+"""The paper's losses on the discriminator's features: gram (section 3.3) and structural (section
+3.2, equations 3 and 4).
 
-Both are means rather than the sums of the paper's equations, so that their weights do not depend on the size of a crop.
+Both are means rather than the sums of the paper's equations, so that their weights do not depend on
+the size of a crop.
 """
 
 from __future__ import annotations
@@ -16,11 +18,14 @@ SLICES = 4
 """Equally spaced slices along every axis that the gram loss looks at."""
 
 EDGES = (8, 4, 2)
-"""Edge and stride of the cubical regions of the structural loss, voxels of each of the first three layers."""
+"""Edge and stride of the cubical regions of the structural loss, voxels of each of the first three
+layers.
+"""
 
 
 def gram(made: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:
-    """Squared distance of the gram matrices of slices in three directions, a sum over layers, a mean over crops.
+    """Squared distance of the gram matrices of slices in three directions, a sum over layers, a
+    mean over crops.
 
     Parameters
     ----------
@@ -28,24 +33,31 @@ def gram(made: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:
         Features of the layers.
     """
     return sum(
-        ((_gram_of(a) - _gram_of(b.detach())).square().mean() for a, b in zip(made, real, strict=True)),
+        (
+            (_gram_of(a) - _gram_of(b.detach())).square().mean()
+            for a, b in zip(made, real, strict=True)
+        ),
         torch.zeros((), device=made[0].device),
     )
 
 
 def _gram_of(features: Tensor) -> Tensor:
-    """(B, 3 directions, slices, C, C): products of every two features, a mean over the voxels of a slice."""
+    """(B, 3 directions, slices, C, C): products of every two features, a mean over the voxels of a
+    slice.
+    """
     found = []
     for axis in (2, 3, 4):
         side = features.shape[axis]
         at = torch.arange(SLICES, device=features.device) * side // SLICES + side // (2 * SLICES)
-        flat = features.index_select(axis, at).movedim(axis, 1).flatten(3).float()  # (B, slices, C, voxels)
+        # (B, slices, C, voxels)
+        flat = features.index_select(axis, at).movedim(axis, 1).flatten(3).float()
         found.append(flat @ flat.transpose(2, 3) / flat.shape[3])
     return torch.stack(found, 1)
 
 
 class Table:
-    """The look-up table of the structural loss, refreshed in chunks so that it need not be in memory at once.
+    """The look-up table of the structural loss, refreshed in chunks so that it need not be in
+    memory at once.
 
     Parameters
     ----------
@@ -60,7 +72,8 @@ class Table:
         self.chunk = chunk
 
     def loss(self, judge: Score, made: Sequence[Tensor]) -> Tensor:
-        """Mean squared distance of the regions of made features to the nearest of the exemplar, a sum over layers.
+        """Mean squared distance of the regions of made features to the nearest of the exemplar, a
+        sum over layers.
 
         Parameters
         ----------
@@ -72,7 +85,10 @@ class Table:
         asked = [regions_of(layer, edge) for layer, edge in zip(made, EDGES, strict=True)]
         nearest = self._nearest(judge, [regions.detach() for regions in asked])
         return sum(
-            ((regions.float() - match.float()).square().mean() for regions, match in zip(asked, nearest, strict=True)),
+            (
+                (regions.float() - match.float()).square().mean()
+                for regions, match in zip(asked, nearest, strict=True)
+            ),
             torch.zeros((), device=made[0].device),
         )
 
@@ -92,11 +108,17 @@ class Table:
 
 
 def regions_of(features: Tensor, edge: int) -> Tensor:
-    """(B, C, Z, Y, X) as its cubes of `edge`, side by side: (B Z Y X / edge^3, C edge^3); what is left over is cut."""
+    """(B, C, Z, Y, X) as its cubes of `edge`, side by side: (B Z Y X / edge^3, C edge^3); what is
+    left over is cut.
+    """
     b, c, *sides = features.shape
     z, y, x = (side // edge for side in sides)
     cut = features[:, :, : z * edge, : y * edge, : x * edge]
-    return cut.reshape(b, c, z, edge, y, edge, x, edge).permute(0, 2, 4, 6, 1, 3, 5, 7).reshape(b * z * y * x, -1)
+    return (
+        cut.reshape(b, c, z, edge, y, edge, x, edge)
+        .permute(0, 2, 4, 6, 1, 3, 5, 7)
+        .reshape(b * z * y * x, -1)
+    )
 
 
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from trabecula.core.image import Image
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.core.recipe import digest
 from trabecula.engine.files import replacing
 from trabecula.synth.gan.config import GanConfig
@@ -32,7 +32,9 @@ class Left:
     plain: dict[str, Any]
 
 
-def kept(config: GanConfig, image: Image, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
+def kept(
+    config: GanConfig, image: Image, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]
+) -> None:
     """Write the state into the run's folder, where it has one."""
     if not config.run:
         return
@@ -50,12 +52,14 @@ def left(config: GanConfig, image: Image) -> Left | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
             about = json.loads(bytes(stored[_ABOUT]))
-            arrays = {name.removeprefix("state."): stored[name] for name in stored.files if name != _ABOUT}
+            arrays = {
+                name.removeprefix("state."): stored[name] for name in stored.files if name != _ABOUT
+            }
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        say(f"{path.name} is damaged ({error}): starting from the beginning")
+        notify(f"{path.name} is damaged ({error}): starting from the beginning")
         return None
     if about.pop("identity", None) != _identity(config, image):
-        say(f"{path.name} was left by another training: starting from the beginning")
+        notify(f"{path.name} was left by another training: starting from the beginning")
         return None
     return Left({name: torch.from_numpy(array) for name, array in arrays.items()}, about)
 
@@ -63,7 +67,13 @@ def left(config: GanConfig, image: Image) -> Left | None:
 def _identity(config: GanConfig, image: Image) -> str:
     """SHA-256 of all that the training depends on; how long it goes on may be changed."""
     settings = {
-        name: value for name, value in asdict(config).items() if name not in ("run", "minutes", "looks", "patience")
+        name: value
+        for name, value in asdict(config).items()
+        if name not in ("run", "minutes", "looks", "patience")
     }
-    parts = {"settings": settings, "exemplar": digest(image.values), "torch": str(torch.__version__)}
+    parts = {
+        "settings": settings,
+        "exemplar": digest(image.values),
+        "torch": str(torch.__version__),
+    }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

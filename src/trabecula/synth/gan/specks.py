@@ -1,4 +1,5 @@
-"""Specks: pieces of a phase of a few voxels, where a field hardly passes its threshold. Scans have them as well, but fewer.
+"""Specks: pieces of a phase of a few voxels, where a field hardly passes its threshold. Scans have
+them as well, but fewer.
 
 A piece is taken away on the evidence of its neighbourhood alone, so that windows agree.
 """
@@ -10,14 +11,15 @@ import numpy as np
 from trabecula.engine.compile import inline, kernel
 
 LARGEST = 2
-"""Edge of the largest box, voxels, whose pieces may be taken away: none of them can hold another."""
+"""Edge of the largest box, voxels, whose pieces may be taken away: none of them can hold another.
+"""
 
 
 def without_specks(labels: np.ndarray, edge: int) -> np.ndarray:
     """Labels without the pieces that fit into a box of `edge` voxels along every axis.
 
-    A piece is what is joined across faces of voxels. It becomes what lies before its first voxel along x. Pieces that touch
-    the border of the array stay, as nobody knows where they end.
+    A piece is what is joined across faces of voxels. It becomes what lies before its first voxel
+    along x. Pieces that touch the border of the array stay, as nobody knows where they end.
 
     Parameters
     ----------
@@ -37,22 +39,30 @@ def without_specks(labels: np.ndarray, edge: int) -> np.ndarray:
 
 @kernel
 def _clear(labels, edge, piece, found):
-    """Look at every voxel that can be the first of a piece in raster order; `piece` is room for the voxels of one."""
+    """Look at every voxel that can be the first of a piece in raster order; `piece` is room for the
+    voxels of one.
+    """
     depth, height, width = labels.shape
     for z in range(1, depth - 1):
         for y in range(1, height - 1):
             for x in range(1, width - 1):
                 label = labels[z, y, x]
-                if labels[z, y, x - 1] == label or labels[z, y - 1, x] == label or labels[z - 1, y, x] == label:
+                if (
+                    labels[z, y, x - 1] == label
+                    or labels[z, y - 1, x] == label
+                    or labels[z - 1, y, x] == label
+                ):
                     continue
                 for number in range(_gather(labels, z, y, x, edge, piece)):
-                    found[piece[number, 0], piece[number, 1], piece[number, 2]] = labels[z, y, x - 1]
+                    found[piece[number, 0], piece[number, 1], piece[number, 2]] = labels[
+                        z, y, x - 1
+                    ]
 
 
 @inline
 def _gather(labels, z, y, x, edge, piece):
-    """The voxels of the piece that starts with a voxel, and their number; 0 where it starts before, is larger than `edge` or
-    touches the border."""
+    """The voxels of the piece that starts with a voxel, and their number; 0 where it starts before,
+    is larger than `edge` or touches the border."""
     low, high = np.array([z, y, x]), np.array([z, y, x])
     piece[0] = low
     count, at = 1, 0
@@ -69,7 +79,9 @@ def _gather(labels, z, y, x, edge, piece):
             known = False
             for number in range(count):
                 known = known or (
-                    piece[number, 0] == here[0] and piece[number, 1] == here[1] and piece[number, 2] == here[2]
+                    piece[number, 0] == here[0]
+                    and piece[number, 1] == here[1]
+                    and piece[number, 2] == here[2]
                 )
             if known:
                 continue

@@ -1,4 +1,6 @@
-"""Training: one loop. Random numbers are functions of seed and iteration, so that a run resumes where it stopped."""
+"""Training: one loop. Random numbers are functions of seed and iteration, so that a run resumes
+where it stopped.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +15,18 @@ from torch import Tensor
 
 from trabecula.core.errors import InputError, MemoryBudgetError, TrainingError
 from trabecula.core.image import Image
-from trabecula.core.progress import say, tell
+from trabecula.core.progress import notify, report
 from trabecula.core.seeds import key
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.parallel import thread_count
+from trabecula.synth.gan.adversarial import Players
 from trabecula.synth.gan.calibrate import calibration_of
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.data import Fields, fields_of
 from trabecula.synth.gan.figures import Figures, trouble_with
 from trabecula.synth.gan.loading import network_of
+from trabecula.synth.gan.log import TrainingLog
 from trabecula.synth.gan.perceptual import Table
-from trabecula.synth.gan.players import Players
 from trabecula.synth.gan.resume import kept, left
-from trabecula.synth.gan.watch import Folder
 
 TABLE, CHUNK = 16, 4
 """Crops that hold the candidates of the structural loss, and how many of them at once."""
@@ -38,7 +40,7 @@ _BETTER = 0.98  # an improvement is a figure below this much of the best
 
 
 @dataclass
-class Course:
+class TrainingState:
     """Where a training stands: all of it is plain JSON."""
 
     iteration: int = 0
@@ -49,7 +51,9 @@ class Course:
     stale: int = 0
 
     def done(self, config: GanConfig) -> float:
-        """The share of the training that is done, 0 .. 1: by iterations where they are given, so that it repeats exactly."""
+        """The share of the training that is done, 0 .. 1: by iterations where they are given, so
+        that it repeats exactly.
+        """
         late = config.minutes and self.seconds >= 60 * config.minutes
         if late or (config.patience and self.stale >= config.patience):
             return 1.0
@@ -82,7 +86,8 @@ def trained(config: GanConfig, image: Image) -> dict[str, Any]:
     Returns
     -------
     state : dict
-        "generator": weights by name; "calibration": see `decode`; "training": what there is to tell, plain JSON.
+        "generator": weights by name; "calibration": see `decode`; "training": what there is to
+        tell, plain JSON.
 
     Raises
     ------
@@ -102,12 +107,16 @@ def trained(config: GanConfig, image: Image) -> dict[str, Any]:
 def _trained(config: GanConfig, image: Image, fields: Fields) -> dict[str, Any]:
     players = Players(config, len(fields.values), fields.values.device)
     if config.structural:
-        players.table = Table(fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40), chunk=CHUNK)
-    looks = _Looks(config, image, fields.values.cpu())
+        players.table = Table(
+            fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40), chunk=CHUNK
+        )
+    looks = Evaluator(config, image, fields.values.cpu())
     course = looks.resumed(players)
     good, looked, mark = (replace(course), players.state()), -1.0, time.monotonic()
     while (done := course.done(config)) < 1:
-        draw = torch.Generator(players.device).manual_seed(int(key(config.seed, f"gan/{course.iteration}")) >> 1)
+        draw = torch.Generator(players.device).manual_seed(
+            int(key(config.seed, f"gan/{course.iteration}")) >> 1
+        )
         real = fields.crops(config.batch, config.seed, course.iteration)
         players.paced(course.rate(done, config))
         if done < config.warmup:
@@ -124,46 +133,50 @@ def _trained(config: GanConfig, image: Image, fields: Fields) -> dict[str, Any]:
                 course = _back(trouble, course, good[0])
                 players.restore(good[1])
                 continue
-        tell(_line(course, told), done)
+        report(_line(course, told), done)
         if done - looked >= 1 / config.looks:
             looked = done
             course.noticed(looks.at(players, course, told))
             good = (replace(course), players.state())
             kept(config, image, good[1], {"course": vars(course), "rows": looks.folder.rows})
-    tell("training", 1.0)
+    report("training", 1.0)
     return looks.state(players, course)
 
 
-class _Looks:
+class Evaluator:
     """What is seen of a training from time to time, and at its end."""
 
     def __init__(self, config: GanConfig, image: Image, fields: Tensor) -> None:
         self.config, self.image, self.fields = config, image, fields
-        self.figures, self.folder = Figures(image, config.seed), Folder(config.run)
+        self.figures, self.folder = Figures(image, config.seed), TrainingLog(config.run)
 
-    def resumed(self, players: Players) -> Course:
+    def resumed(self, players: Players) -> TrainingState:
         """Where the same run was left, or its start."""
         found = left(self.config, self.image)
         if found is None:
-            return Course()
-        course = Course(**found.plain["course"])
+            return TrainingState()
+        course = TrainingState(**found.plain["course"])
         players.restore(found.tensors)
         self.folder.continued(found.plain["rows"])
-        say(f"going on after {course.iteration} iterations")
+        notify(f"going on after {course.iteration} iterations")
         return course
 
-    def at(self, players: Players, course: Course, told: dict[str, float]) -> float:
+    def at(self, players: Players, course: TrainingState, told: dict[str, float]) -> float:
         """Look, keep figures and picture, and return the figure that tells how near it is."""
         seen, middle = self.figures.of(self._ready(players), self.fields)
-        self.folder.add({"iteration": course.iteration, "minutes": course.seconds / 60, **told, **seen}, middle)
+        self.folder.add(
+            {"iteration": course.iteration, "minutes": course.seconds / 60, **told, **seen}, middle
+        )
         return seen.get("two_point", seen["distance"])
 
-    def state(self, players: Players, course: Course) -> dict[str, Any]:
+    def state(self, players: Players, course: TrainingState) -> dict[str, Any]:
         """What a model keeps."""
         self.at(players, course, {})
         names = ("distance", "two_point", "largest", "euler")
         return {
-            "generator": {name: tensor.cpu() for name, tensor in players.average.state_dict().items()},
+            "generator": {
+                name: tensor.cpu() for name, tensor in players.average.state_dict().items()
+            },
             "calibration": calibration_of(self._ready(players), self.image, self.config.seed),
             "training": {
                 "iterations": course.iteration,
@@ -179,24 +192,30 @@ class _Looks:
 
     def _ready(self, players: Players) -> Any:
         """The averaged maker as it will make material: on the processor, in that arithmetic."""
-        weights = {name: tensor.cpu().numpy() for name, tensor in players.average.state_dict().items()}
+        weights = {
+            name: tensor.cpu().numpy() for name, tensor in players.average.state_dict().items()
+        }
         return network_of(self.config, players.channels, weights)
 
 
-def _back(trouble: str, course: Course, last: Course) -> Course:
+def _back(trouble: str, course: TrainingState, last: TrainingState) -> TrainingState:
     """The course from the last good state on, at a lower rate."""
     if course.restarts >= _RESTARTS:
         raise TrainingError(
             f"the training failed {course.restarts + 1} times ({trouble}): try a lower rate, a higher penalty or another seed"
         )
     pace = course.pace * _SLOWER
-    say(f"after {course.iteration} iterations {trouble}: back to {last.iteration}, with the rate times {pace:g}")
+    notify(
+        f"after {course.iteration} iterations {trouble}: back to {last.iteration}, with the rate times {pace:g}"
+    )
     # The clock goes on, or a run that fails again and again would never end.
     return replace(last, seconds=course.seconds, pace=pace, restarts=course.restarts + 1)
 
 
-def _line(course: Course, told: dict[str, float]) -> str:
-    losses = " ".join(f"{name} {value:.2f}" for name, value in told.items() if name in ("judge", "maker"))
+def _line(course: TrainingState, told: dict[str, float]) -> str:
+    losses = " ".join(
+        f"{name} {value:.2f}" for name, value in told.items() if name in ("judge", "maker")
+    )
     return f"training {course.iteration}: {losses}"
 
 
@@ -215,7 +234,9 @@ def device_of(config: GanConfig) -> torch.device:
     """Where to train."""
     there = torch.cuda.is_available()
     if config.device == "cuda" and not there:
-        raise InputError("device='cuda', but PyTorch finds no GPU: use device='cpu', or install a PyTorch built for it")
+        raise InputError(
+            "device='cuda', but PyTorch finds no GPU: use device='cpu', or install a PyTorch built for it"
+        )
     return torch.device("cuda" if there and config.device != "cpu" else "cpu")
 
 

@@ -1,11 +1,13 @@
-"""Any box of what a generator makes: the tiles of one endless grid that touch it, each made alone, then cropped.
+"""Any box of what a generator makes: the tiles of one endless grid that touch it, each made alone,
+then cropped.
 
-A tile's latent is a function of seed and place, its shape is always the same, and its network runs in one thread: so a
-voxel does not depend on the box, on other tiles or on the number of threads. (Networks give other last bits for other
-shapes, which is why a smaller box does not get a smaller tile.)
+A tile's latent is a function of seed and place, its shape is always the same, and its network runs
+in one thread: so a voxel does not depend on the box, on other tiles or on the number of threads.
+(Networks give other last bits for other shapes, which is why a smaller box does not get a smaller
+tile.)
 
-Where specks are taken away, a tile is made with half a cell more on every side: no speck is so wide that a face could hide
-what it is joined to.
+Where specks are taken away, a tile is made with half a cell more on every side: no speck is so wide
+that a face could hide what it is joined to.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ import torch
 
 from trabecula.core.progress import track
 from trabecula.engine.blocks import Box
-from trabecula.engine.normals import normal_cells, quantiles
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine.gaussian_random import normal_cells, quantiles
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.gan.specks import without_specks
 
 CELLS = 8
-"""Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes that are no multiple."""
+"""Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes
+that are no multiple.
+"""
 
 
 def made(
@@ -55,7 +59,8 @@ def made(
     values = np.empty([last - first for first, last in box], dtype)
     edge = CELLS * network.cell
     tiles = list(product(*(range(first // edge, -(-last // edge)) for first, last in box)))
-    # One piece of work an item of `track`, so that there is progress; as many tiles as threads in each.
+    # One piece of work an item of `track`, so that there is progress; as many tiles as threads in
+    # each.
     width = thread_count()
     with _one_thread_each():
         for first in track(range(0, len(tiles), width), "tiles"):
@@ -80,7 +85,9 @@ def more_cells(specks: int) -> int:
     return 1 if specks else 0
 
 
-def _tile(network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...], more: int) -> np.ndarray:
+def _tile(
+    network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...], more: int
+) -> np.ndarray:
     """The field of a tile of the grid, (K, Z, Y, X) float32, and of `more` cells after it."""
     halo = network.halo
     latent = np.empty((network.latent, *(CELLS + more + 2 * halo,) * 3), np.float32)
@@ -93,7 +100,9 @@ def _tile(network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[in
     return field
 
 
-def _places(box: Box, tile: tuple[int, ...], edge: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+def _places(
+    box: Box, tile: tuple[int, ...], edge: int
+) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """What of a tile lies in the box: its place in the tile, and in the box."""
     inside, target = [], []
     for (first, last), place in zip(box, tile, strict=True):
@@ -105,7 +114,9 @@ def _places(box: Box, tile: tuple[int, ...], edge: int) -> tuple[tuple[slice, ..
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Networks inside the block run in the thread that calls them: tiles are what is spread over threads."""
+    """Networks inside the block run in the thread that calls them: tiles are what is spread over
+    threads.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

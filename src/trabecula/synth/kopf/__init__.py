@@ -1,8 +1,8 @@
 """Solid texture synthesis from 2-D exemplars (Kopf et al. 2007). See README.md in this folder."""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="kopf",
     summary="a volume whose slices look like one picture or several, by optimising the squares in its planes together",
     paper="Kopf, Fu, Cohen-Or, Deussen, Lischinski, Wong (2007), Solid texture synthesis from 2D exemplars",

@@ -7,7 +7,8 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def count_bins(votes, free, counts, start, stop):
-    """How many voxels of planes start..stop of (C, Z, Y, X) int16 lie in each of 16 equal bins, added to counts (C, 16).
+    """How many voxels of planes start..stop of (C, Z, Y, X) int16 lie in each of 16 equal bins,
+    added to counts (C, 16).
 
     Only those that are `free` (Z, Y, X) bool count; empty means all.
     """

@@ -1,7 +1,8 @@
 """`kopf`: the frame of `shared.solid` with the soft histogram matching of the paper's weights.
 
-A contribution of an exemplar's pixel weighs less by 1 + sum over channels of max(0, H_S(b) - H_E(b)), where b is the bin of its
-value, H_S the histogram of the result so far and H_E that of the pictures.
+A contribution of an exemplar's pixel weighs less by 1 + sum over channels of max(0, H_S(b) -
+H_E(b)), where b is the bin of its value, H_S the histogram of the result so far and H_E that of the
+pictures.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.tiles import sum_slabs
+from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
-from trabecula.synth.kopf import SPEC
+from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.kernels import count_bins
 from trabecula.synth.shared.histogram import Histogram
@@ -28,7 +29,7 @@ _BINS = 16
 class Kopf(Solid):
     """Solid texture synthesis from 2-D exemplars."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = KopfConfig
 
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> KopfModel:
@@ -38,19 +39,26 @@ class Kopf(Solid):
 class KopfModel(SolidModel):
     """Pictures as pyramids of fields."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: KopfConfig
 
     def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
         factors = None
         if self.config.reweighting:
             excess = excess_of(state.votes, frame, self.config.reweighting)
-            factors = [factors_of(plane.grid.candidates.stack.field, excess, frame.full) for plane in frame.planes]
-        self._make(frame, state, voted_planes(frame, state.matches, weights, factors=factors, trim=trim))
+            factors = [
+                factors_of(plane.grid.candidates.stack.field, excess, frame.full)
+                for plane in frame.planes
+            ]
+        self._make(
+            frame, state, voted_planes(frame, state.matches, weights, factors=factors, trim=trim)
+        )
 
 
 def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
-    """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in the target."""
+    """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in
+    the target.
+    """
     free = np.empty((0, 0, 0), bool) if frame.region.free is None else frame.region.free
 
     def count(start: int, stop: int) -> np.ndarray:
@@ -64,7 +72,9 @@ def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
 
 
 def factors_of(exemplar: np.ndarray, excess: np.ndarray, full: int) -> np.ndarray:
-    """The factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the excess of its values' bins."""
+    """The factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the excess of
+    its values' bins.
+    """
     total = np.ones(exemplar.shape[1:])
     for channel, over in zip(exemplar, excess, strict=True):
         total += over[_bin(channel)]

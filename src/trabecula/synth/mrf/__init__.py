@@ -1,8 +1,8 @@
 """Maximum likelihood from one image (Urs, Da Costa, Germain 2014). See README.md in this folder."""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="mrf",
     summary="a volume from a picture, voxel by voxel from the conditional density of its slices' neighbourhoods",
     paper="Urs, Da Costa, Germain (2014), Maximum-likelihood based synthesis of volumetric textures from a 2D sample",

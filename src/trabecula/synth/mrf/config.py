@@ -12,73 +12,91 @@ from trabecula.exemplar.views import as_planes
 
 @dataclass(frozen=True)
 class MrfConfig:
-    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last counts for the rest."""
+    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last counts for
+    the rest.
+    """
 
     views: tuple[str, ...] = ()
-    """Planes in which slices are to look like the picture, such as [yx, zx]; empty: all three, or by the number of pictures."""
+    """Planes in which slices are to look like the picture, such as [yx, zx]; empty: all three, or
+    by the number of pictures.
+    """
 
     neighbourhood: int = 7
     """Width w of the square neighbourhoods, pixels of the scale, odd, 3 .. 15 (section V.A: 7)."""
 
     scales: int = 3
-    """Resolutions at most, each half the next by decimation, 1 .. 6 (section V.A: 3). Fewer where the picture has no room."""
+    """Resolutions at most, each half the next by decimation, 1 .. 6 (section V.A: 3). Fewer where
+    the picture has no room.
+    """
 
     relaxation: str = "gibbs"
-    """"gibbs": a draw from the conditional density; "icm": its mode, with the pixels' temperatures (equations 8, 9); "annealing":
-    a level at random, accepted by the ratio of densities (figure 1)."""
+    """"gibbs": a draw from the conditional density; "icm": its mode, with the pixels' temperatures
+    (equations 8, 9); "annealing": a level at random, accepted by the ratio of densities (figure 1).
+    """
 
     heuristic: str = "h2b"
-    """What makes one density of the views': "h2b" the product, "h2a" the least; "h1a" and "h1b" (icm only) take the most probable
-    level of the least certain view, or the mean of all (equations 12 to 15)."""
+    """What makes one density of the views': "h2b" the product, "h2a" the least; "h1a" and "h1b"
+    (icm only) take the most probable level of the least certain view, or the mean of all (equations
+    12 to 15)."""
 
     sweeps: tuple[int, ...] = (8, 12, 24)
     """Sweeps per scale, each 1 .. 1000. For icm the most."""
 
     heat: tuple[float, ...] = (1.0,)
-    """Temperature of the draw at the start of each scale, 0 .. 10: the density to the power 1 / heat; 1 is exact, 0 the mode.
-    (gibbs)"""
+    """Temperature of the draw at the start of each scale, 0 .. 10: the density to the power 1 /
+    heat; 1 is exact, 0 the mode. (gibbs)"""
 
     final_heat: tuple[float, ...] = (0.7,)
     """Temperature at the end of each scale, 0 .. 10; in between it falls evenly. (gibbs)"""
 
     polish: int | None = None
-    """Sweeps by the mode after those of the finest scale, 0 .. 20. Default: 2 for labels, 0 for grey and colour, whose rare
-    values they would lose. (gibbs, annealing)"""
+    """Sweeps by the mode after those of the finest scale, 0 .. 20. Default: 2 for labels, 0 for
+    grey and colour, whose rare values they would lose. (gibbs, annealing)"""
 
     correction: float = 1.0
-    """Power of the marginal that the product of views is divided by, over (views - 1), 0 .. 2: 1 is Bayes' rule, 0 the paper.
-    (h2b)"""
+    """Power of the marginal that the product of views is divided by, over (views - 1), 0 .. 2: 1 is
+    Bayes' rule, 0 the paper. (h2b)"""
 
     shares: bool = True
-    """Whether every class of sites is drawn with just the wanted shares of the levels; without, as in the paper, they drift."""
+    """Whether every class of sites is drawn with just the wanted shares of the levels; without, as
+    in the paper, they drift.
+    """
 
     feedback: float | None = None
-    """How fast a bias learns, from sweep to sweep, how levels go with the sums around them, 0 .. 20; 0: not, as in the paper.
-    Default: 1 for two phases, 5 for more, 0 for grey and colour."""
+    """How fast a bias learns, from sweep to sweep, how levels go with the sums around them, 0 ..
+    20; 0: not, as in the paper. Default: 1 for two phases, 5 for more, 0 for grey and colour."""
 
     coupling: float | None = None
-    """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none, as in the paper. Default:
-    0.75 for two phases, 0.4 for more, 0.4 for grey, 0.35 for colour. Where it is too high they swing."""
+    """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none,
+    as in the paper. Default:
+    0.75 for two phases, 0.4 for more, 0.4 for grey, 0.35 for colour. Where it is too high they
+    swing."""
 
     reach: int = 20
     """Farthest pairs that are coupled, voxels of the finest scale, 2 .. 200."""
 
     oblique: bool | None = None
-    """Whether sweeps also go by planes turned by 45 degrees. Default: for gibbs, where one picture with square pixels is for all
-    three planes and is alike in all directions."""
+    """Whether sweeps also go by planes turned by 45 degrees. Default: for gibbs, where one picture
+    with square pixels is for all three planes and is alike in all directions."""
 
     cells: int = 12
-    """Cells of the local sum of a neighbourhood, for the feedback, 1 .. 48; with 1 it knows the levels' shares alone."""
+    """Cells of the local sum of a neighbourhood, for the feedback, 1 .. 48; with 1 it knows the
+    levels' shares alone.
+    """
 
     bandwidth: float | None = None
-    """Factor on h_opt, the Parzen window of equation 6, .05 .. 4; 1 as in the paper. Default: 1 for labels, 0.35 for grey and
-    colour, which at h_opt are noise."""
+    """Factor on h_opt, the Parzen window of equation 6, .05 .. 4; 1 as in the paper. Default: 1 for
+    labels, 0.35 for grey and colour, which at h_opt are noise."""
 
     candidates: int = 4096
-    """Neighbourhoods of the picture that the density sums over, at most, 64 .. 65536: evenly spread ones where it has more."""
+    """Neighbourhoods of the picture that the density sums over, at most, 64 .. 65536: evenly spread
+    ones where it has more.
+    """
 
     every: bool = True
-    """Whether a coarse scale learns from all of the 4^s pictures that begin at another pixel, not from the first alone."""
+    """Whether a coarse scale learns from all of the 4^s pictures that begin at another pixel, not
+    from the first alone.
+    """
 
     levels: int = 64
     """Grey levels at most, 2 .. 256; fewer are quantiles."""
@@ -87,15 +105,17 @@ class MrfConfig:
     """Colours of the palette, 2 .. 255, each a colour of the picture."""
 
     spread: bool = True
-    """Whether a voxel of the result takes, at random, the value of one of the pixels that its level stands for; without, the
-    level's middle."""
+    """Whether a voxel of the result takes, at random, the value of one of the pixels that its level
+    stands for; without, the level's middle."""
 
     upsampling: str = "all"
-    """What a finer scale starts from: "one", a coarse voxel in one of its eight and the others at random (1/8); "all": in all
-    (8/8)."""
+    """What a finer scale starts from: "one", a coarse voxel in one of its eight and the others at
+    random (1/8); "all": in all (8/8)."""
 
     resynthesis: bool = True
-    """Whether voxels inherited from a coarser scale are questioned again, with full confidence for their neighbours. (icm)"""
+    """Whether voxels inherited from a coarser scale are questioned again, with full confidence for
+    their neighbours. (icm)
+    """
 
     xi: float = -3.0
     """How fast temperatures fall, -1000 .. 0, exclusive (equation 8). (icm)"""
@@ -120,7 +140,9 @@ class MrfConfig:
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         if self.neighbourhood % 2 == 0:
-            raise InputError(f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, 9 or 11")
+            raise InputError(
+                f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, 9 or 11"
+            )
         if self.heuristic in ("h1a", "h1b") and self.relaxation != "icm":
             raise InputError(
                 f"heuristic={self.heuristic} gives a level and no density: it goes with relaxation=icm, or take h2a or h2b"
@@ -128,14 +150,20 @@ class MrfConfig:
 
     def _keep(self, name: str, low: float, high: float) -> None:
         whole = isinstance(getattr(MrfConfig, name, None), int) or name == "polish"
-        object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
+        object.__setattr__(
+            self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
+        )
 
     def _keep_several(self, name: str, low: float, high: float, *, whole: bool) -> None:
         given = getattr(self, name)
         counts = tuple(given) if isinstance(given, (list, tuple)) else (given,)
         if not counts:
-            raise InputError(f"{name} is empty: give one number, or one for each scale, finest first")
-        checked = tuple(as_number(count, name=name, low=low, high=high, whole=whole) for count in counts)
+            raise InputError(
+                f"{name} is empty: give one number, or one for each scale, finest first"
+            )
+        checked = tuple(
+            as_number(count, name=name, low=low, high=high, whole=whole) for count in counts
+        )
         object.__setattr__(self, name, checked)
 
     def feedback_of(self, sort: str) -> float:

@@ -1,6 +1,8 @@
-"""What the pictures hold, as numbered levels: labels, grey values or colours, each level with whole-number features.
+"""What the pictures hold, as numbered levels: labels, grey values or colours, each level with
+whole-number features.
 
-The squared distance of two neighbourhoods is the sum over their pixels of the squared differences of the levels' features.
+The squared distance of two neighbourhoods is the sum over their pixels of the squared differences
+of the levels' features.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ class Content:
     empty : int
         What lies outside a form, as a value of the result (label of void; 0).
     pool : (N,) or (N, 3)
-        The pixels' own values by rising level; those of level l begin at `starts[l]`, (L + 1,) int64.
+        The pixels' own values by rising level; those of level l begin at `starts[l]`, (L + 1,)
+        int64.
     """
 
     kind: str
@@ -60,7 +63,9 @@ class Content:
         return "two phases" if len(self.values) == 2 else "phases"
 
     def drawn(self, levels: np.ndarray, z: int, key: np.uint64) -> np.ndarray:
-        """Levels (Y, X) of plane z as values: each voxel takes one of the pixels that its level stands for, at random."""
+        """Levels (Y, X) of plane z as values: each voxel takes one of the pixels that its level
+        stands for, at random.
+        """
         chosen = np.empty(levels.shape, np.int64)
         draw_pixels(levels, self.starts, key, z, chosen)
         return self.pool[chosen]
@@ -76,14 +81,18 @@ class Content:
     def levels_of(self, values: np.ndarray) -> np.ndarray:
         """The nearest level (uint8) of values of the exemplars' kind."""
         if self.kind == "labels":
-            return np.searchsorted(self.values, values).clip(0, len(self.values) - 1).astype(np.uint8)
+            return (
+                np.searchsorted(self.values, values).clip(0, len(self.values) - 1).astype(np.uint8)
+            )
         if self.kind == "grey":
             middles = self.values[:-1] + (self.values[1:] - self.values[:-1]) / 2
             return np.searchsorted(middles, values, side="left").astype(np.uint8)
         flat, where = np.unique(values.reshape(-1, 3), axis=0, return_inverse=True)
         nearest = np.empty(len(flat), np.uint8)
         for first in range(0, len(flat), 4096):
-            part = flat[first : first + 4096, None].astype(np.int32) - self.values[None].astype(np.int32)
+            part = flat[first : first + 4096, None].astype(np.int32) - self.values[None].astype(
+                np.int32
+            )
             nearest[first : first + 4096] = (part**2).sum(2).argmin(1)
         return nearest[where.reshape(values.shape[:-1])]
 
@@ -94,7 +103,9 @@ def draw_pixels(levels, starts, key, z, chosen):
     for y in range(levels.shape[0]):
         for x in range(levels.shape[1]):
             first = starts[levels[y, x]]
-            chosen[y, x] = first + below(philox(key, z, y, x, 0)[0], starts[levels[y, x] + 1] - first)
+            chosen[y, x] = first + below(
+                philox(key, z, y, x, 0)[0], starts[levels[y, x] + 1] - first
+            )
 
 
 def content_of(images: Sequence[Image], *, full: int, levels: int, colours: int) -> Content:
@@ -150,27 +161,39 @@ def _grey(images: Sequence[Image], full: int, levels: int) -> Content:
     else:
         table, numbers = present, np.arange(len(present))
     low, high = float(present[0]), float(present[-1])
-    features = np.rint((table.astype(np.float64) - low) * (2 * full / max(high - low, 1e-300)) - full)
-    pictures = [numbers[np.searchsorted(present, image.values)].astype(np.uint8) for image in images]
+    features = np.rint(
+        (table.astype(np.float64) - low) * (2 * full / max(high - low, 1e-300)) - full
+    )
+    pictures = [
+        numbers[np.searchsorted(present, image.values)].astype(np.uint8) for image in images
+    ]
     groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
-    return Content("grey", table, features.astype(np.int16)[:, None], 1, groups, pictures, 0, *parts)
+    return Content(
+        "grey", table, features.astype(np.int16)[:, None], 1, groups, pictures, 0, *parts
+    )
 
 
 def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
     pooled = np.concatenate([image.values.reshape(-1, 3) for image in images])
     table, pixels = palette_of(pooled, colours)
-    order = np.argsort(table.astype(np.int64) @ np.array([299, 587, 114]), kind="stable")  # by rising brightness
+    # by rising brightness
+    order = np.argsort(table.astype(np.int64) @ np.array([299, 587, 114]), kind="stable")
     place = np.empty(len(order), np.uint8)
     place[order] = np.arange(len(order))
     table, pixels = table[order], place[pixels]
     ends = np.cumsum([image.values.size // 3 for image in images])[:-1]
-    pictures = [part.reshape(image.shape) for part, image in zip(np.split(pixels, ends), images, strict=True)]
+    pictures = [
+        part.reshape(image.shape)
+        for part, image in zip(np.split(pixels, ends), images, strict=True)
+    ]
     features = np.rint((table.astype(np.float64) - 127.5) * (full / 127.5)).astype(np.int16)
     groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
     return Content("colour", table, features, 3, groups, pictures, 0, *parts)
 
 
-def _pooled(pooled: np.ndarray, pictures: Sequence[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+def _pooled(
+    pooled: np.ndarray, pictures: Sequence[np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """The pixels' values by level, and where each level's begin."""
     levels = np.concatenate([picture.ravel() for picture in pictures])
     starts = np.concatenate([[0], np.cumsum(np.bincount(levels, minlength=count))])

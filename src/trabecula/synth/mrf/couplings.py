@@ -1,10 +1,11 @@
-"""Pair couplings: an energy of pairs of voxels, learnt until the output's two-point function is the picture's.
+"""Pair couplings: an energy of pairs of voxels, learnt until the output's two-point function is the
+picture's.
 
-A neighbourhood sees few voxels; how things lie farther apart is in no slice's density. So pairs of voxels up to some
-distance have an energy that depends on their offset alone, one multiplier for every statistic, moved by how far the
-statistic is off (Zhu, Wu, Mumford 1998, "Filters, random fields and maximum entropy (FRAME)",
-doi:10.1023/A:1007925832420, section 3). Offsets are told apart by their distance and by the axis that they lie nearest to;
-those that no picture holds have none.
+A neighbourhood sees few voxels; how things lie farther apart is in no slice's density. So pairs of
+voxels up to some distance have an energy that depends on their offset alone, one multiplier for
+every statistic, moved by how far the statistic is off (Zhu, Wu, Mumford 1998, "Filters, random
+fields and maximum entropy (FRAME)", doi:10.1023/A:1007925832420, section 3). Offsets are told apart
+by their distance and by the axis that they lie nearest to; those that no picture holds have none.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.mrf.tables import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs, Planes
 
@@ -49,8 +50,8 @@ class Couplings:
     Attributes
     ----------
     strength : (C, bins) float64
-        Of every bin of offsets: what the mean standardised feature there, times the site's own, adds to the logarithm of a
-        density.
+        Of every bin of offsets: what the mean standardised feature there, times the site's own,
+        adds to the logarithm of a density.
     misfit : float
         Root mean square of the last difference in autocorrelation.
     """
@@ -75,7 +76,7 @@ class Couplings:
         self._held = held & (self._pairs.fits > 0) & (r >= min(_NEAR, far))
         self.strength = np.zeros_like(self._wanted)
         self.misfit = 0.0
-        self._field = scratch.zeros((features.shape[1], *shape), np.int16)
+        self._field = memmap.zeros((features.shape[1], *shape), np.int16)
 
     def _targets(self, pictures: Pictures) -> tuple[np.ndarray, np.ndarray]:
         """The pictures' autocorrelation (C, bins), and which bins they hold."""
@@ -83,25 +84,36 @@ class Couplings:
         fits = np.zeros(self._pairs.bins)
         for axis, picture in pictures:
             slab = np.expand_dims(picture, axis)
-            pairs = Pairs(slab.shape, self._pairs.r_max, (False, False, False), self._edges, cones=CONES)
+            pairs = Pairs(
+                slab.shape, self._pairs.r_max, (False, False, False), self._edges, cones=CONES
+            )
             fits += pairs.fits
             for c in range(len(sums)):
                 spectrum = pairs.forward(self._values[slab, c])
                 sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
         return sums / np.maximum(fits, 1), fits > 0
 
-    def start(self, coarse: Couplings | None, levels: np.ndarray, there: np.ndarray | None = None) -> None:
-        """Take over the strengths of a coarser scale, whose voxels are twice as long, before the first sweep."""
+    def start(
+        self, coarse: Couplings | None, levels: np.ndarray, there: np.ndarray | None = None
+    ) -> None:
+        """Take over the strengths of a coarser scale, whose voxels are twice as long, before the
+        first sweep.
+        """
         if coarse is not None:
             count, bins = len(self.strength), self._pairs.r_max + 1
             known = coarse.strength.reshape(count, 3 * CONES, -1)
             at = np.arange(bins) / 2
-            finer = [[np.interp(at, np.arange(known.shape[2]), row) / 2 for row in channel] for channel in known]
+            finer = [
+                [np.interp(at, np.arange(known.shape[2]), row) / 2 for row in channel]
+                for channel in known
+            ]
             self.strength = np.where(self._held, np.reshape(finer, (count, -1)), 0.0)
         self.act(levels, there)
 
     def learn(self, levels: np.ndarray, there: np.ndarray | None = None) -> None:
-        """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them count (None: all)."""
+        """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them
+        count (None: all).
+        """
         apart = np.zeros_like(self.strength)
         both = self._both(there)
         for c in range(len(apart)):
@@ -110,7 +122,9 @@ class Couplings:
             apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now[0]), 1e-6), 0.0)
             if len(apart) > 1:
                 del spectrum  # before the next is made
-        self.misfit = float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
+        self.misfit = (
+            float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
+        )
         self.strength = self.strength + self._rate * apart
         if len(apart) == 1:
             self._act(0, spectrum)
@@ -162,7 +176,9 @@ class Couplings:
 
 def _standardised(pictures: Pictures, features: np.ndarray) -> np.ndarray:
     """Features (L, C) float32 with the pictures' mean 0 and variance 1."""
-    counts = np.sum([np.bincount(picture.ravel(), minlength=len(features)) for _, picture in pictures], axis=0)
+    counts = np.sum(
+        [np.bincount(picture.ravel(), minlength=len(features)) for _, picture in pictures], axis=0
+    )
     share = counts / counts.sum()
     plain = features.astype(np.float64)
     mean = share @ plain

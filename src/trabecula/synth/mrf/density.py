@@ -1,9 +1,10 @@
 """The local conditional density of all levels at once (Urs 2014, equations 3 to 7).
 
-For the neighbourhood r of a site and a level l, f(l) = sum over p of exp(-(D_p + (l - y_p)^2) / 2 h^2), where D_p is the
-squared distance of r to the exemplar's neighbourhood p and y_p its centre. D_p is shared by all levels: what is summed up first
-is exp(-D_p / 2 h^2) over the p of equal centre, and the centre's Gaussian is a small matrix. Distances are whole numbers and
-weights are entries of a table of whole numbers, so every sum is exact and the same on every machine.
+For the neighbourhood r of a site and a level l, f(l) = sum over p of exp(-(D_p + (l - y_p)^2) / 2
+h^2), where D_p is the squared distance of r to the exemplar's neighbourhood p and y_p its centre.
+D_p is shared by all levels: what is summed up first is exp(-D_p / 2 h^2) over the p of equal
+centre, and the centre's Gaussian is a small matrix. Distances are whole numbers and weights are
+entries of a table of whole numbers, so every sum is exact and the same on every machine.
 """
 
 from __future__ import annotations
@@ -19,8 +20,18 @@ LANES = 16
 _FLOOR = 2.0**-40
 """Of a density: what no candidate supports stays possible where another view asks for it."""
 
-_S1, _S2, _S4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
-_BYTES, _1, _2, _4, _56 = np.uint64(0x0101010101010101), np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
+_S1, _S2, _S4 = (
+    np.uint64(0x5555555555555555),
+    np.uint64(0x3333333333333333),
+    np.uint64(0x0F0F0F0F0F0F0F0F),
+)
+_BYTES, _1, _2, _4, _56 = (
+    np.uint64(0x0101010101010101),
+    np.uint64(1),
+    np.uint64(2),
+    np.uint64(4),
+    np.uint64(56),
+)
 
 
 @inline
@@ -59,10 +70,11 @@ def _passing(distance, reach, passed):
 
 @kernel
 def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
-    """Weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ where the mask is set.
+    """Weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ where
+    the mask is set.
 
-    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8, rising; 255 fills up to a multiple of `LANES`. `times`
-    (n,) int64: how often a candidate occurs.
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8, rising; 255 fills up to a
+    multiple of `LANES`. `times` (n,) int64: how often a candidate occurs.
     """
     n = count = len(centres)
     while centres[count - 1] == 255:
@@ -90,13 +102,18 @@ def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
 
 @kernel
 def bins_of_products(products, centres, table, shift, view, bins):
-    """Weights by centre from products: `products` (S, n) float32 whole numbers, the distances less a constant of the site.
+    """Weights by centre from products: `products` (S, n) float32 whole numbers, the distances less
+    a constant of the site.
 
-    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8; 255 fills up to a multiple of `LANES`, with the products
-    of another.
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8; 255 fills up to a multiple
+    of `LANES`, with the products of another.
     """
     n = len(centres)
-    low, passed, near = np.empty(LANES, np.float32), np.empty(n, np.bool_), np.empty(n + 1, np.int32)
+    low, passed, near = (
+        np.empty(LANES, np.float32),
+        np.empty(n, np.bool_),
+        np.empty(n + 1, np.int32),
+    )
     eights = passed.view(np.uint64)
     cut = np.float32((len(table) - 1) << shift)
     for s in range(len(products)):
@@ -136,7 +153,8 @@ def _below(row, bound, passed):
 
 @kernel
 def densities(bins, blur, logs, share, log):
-    """Equation 7 from the weights: `share` (S, V, L) float64, summing to 1 over the levels, and its `log` in units (int64).
+    """Equation 7 from the weights: `share` (S, V, L) float64, summing to 1 over the levels, and its
+    `log` in units (int64).
 
     `blur` (V, L, L) float64: exp(-(l - y)^2 / 2 h^2), [v, y, l].
     """
@@ -161,7 +179,9 @@ def densities(bins, blur, logs, share, log):
 
 
 def blur_of(features: np.ndarray, twice_variance: float) -> np.ndarray:
-    """exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so that machines agree."""
+    """exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so that
+    machines agree.
+    """
     apart = features[:, None].astype(np.int64) - features[None].astype(np.int64)
     return np.rint(np.exp(-(apart**2).sum(2) / twice_variance) * 2.0**40) / 2.0**40
 

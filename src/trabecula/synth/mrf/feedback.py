@@ -1,8 +1,9 @@
 """Feedback: a learnt bias that draws the output's local statistics to the picture's.
 
-For every channel of the features, the sum over a slice neighbourhood is put in one of a few cells; how often a group of levels
-occurs as the centre of each cell is the joint statistic. After a sweep the bias of a group in a cell moves by the logarithm of
-how often it should occur there over how often it does. The levels' shares of the whole are not its business (`shares`).
+For every channel of the features, the sum over a slice neighbourhood is put in one of a few cells;
+how often a group of levels occurs as the centre of each cell is the joint statistic. After a sweep
+the bias of a group in a cell moves by the logarithm of how often it should occur there over how
+often it does. The levels' shares of the whole are not its business (`shares`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from trabecula.synth.mrf.tables import UNIT
 
 if TYPE_CHECKING:
     from trabecula.synth.mrf.content import Content
-    from trabecula.synth.mrf.source import Patches
+    from trabecula.synth.mrf.patches import Patches
 
 _ROWS = 4096  # neighbourhoods that are summed at once
 _MOST = 12.0  # factors of two in a bias
@@ -25,7 +26,9 @@ _MOST = 12.0  # factors of two in a bias
 
 @dataclass(frozen=True)
 class Joint:
-    """How often (C, B, G) float64 a group of levels has a local sum in a cell; `edges` (C, B - 1) int32 part the cells."""
+    """How often (C, B, G) float64 a group of levels has a local sum in a cell; `edges` (C, B - 1)
+    int32 part the cells.
+    """
 
     edges: np.ndarray
     share: np.ndarray
@@ -42,19 +45,27 @@ def joint_of(patches: Patches, content: Content, bins: int) -> Joint:
         parts = np.array_split(patches.around, 1 + len(patches.around) // _ROWS)
         sums = np.concatenate([column[part].sum(1, dtype=np.int32) for part in parts])
         edges[c] = np.sort(sums)[np.arange(1, bins) * len(sums) // bins]
-        np.add.at(share[c], (np.searchsorted(edges[c], sums, side="left"), content.groups[patches.centres]), 1)
+        np.add.at(
+            share[c],
+            (np.searchsorted(edges[c], sums, side="left"), content.groups[patches.centres]),
+            1,
+        )
     return Joint(edges, share / len(patches.centres))
 
 
 def local_change(joint: Joint, counted: np.ndarray) -> np.ndarray:
-    """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G), at most 1 factor of two.
+    """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G),
+    at most 1 factor of two.
 
-    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the groups' own shares, which have
-    another owner. One count is added on both sides, so that what is rare is not moved by chance.
+    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the
+    groups' own shares, which have another owner. One count is added on both sides, so that what is
+    rare is not moved by chance.
     """
     wanted = joint.share * counted[0].sum() + 1
     seen = counted + 1
-    given = np.log2(wanted / wanted.sum(2, keepdims=True)) - np.log2(seen / seen.sum(2, keepdims=True))
+    given = np.log2(wanted / wanted.sum(2, keepdims=True)) - np.log2(
+        seen / seen.sum(2, keepdims=True)
+    )
     given = np.clip(given - given.mean(2, keepdims=True), -1, 1)
     given -= (joint.share.sum(2, keepdims=True) * given).sum(1, keepdims=True)
     return given

@@ -11,8 +11,8 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content
-from trabecula.synth.mrf.frame import BATCH_OF_BITS, BATCH_OF_PRODUCTS
-from trabecula.synth.mrf.source import Source, codes_of
+from trabecula.synth.mrf.patches import Source, codes_of
+from trabecula.synth.mrf.slice_planes import BATCH_OF_BITS, BATCH_OF_PRODUCTS
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _ROWS, _MANY = 4096, 65536  # neighbourhoods that are summed at once, and in all
@@ -23,8 +23,12 @@ _OF_A_SITE = 42  # bytes while it is told whether sites lie in the result
 _OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
 
 
-def learning_bytes(images: Sequence[Image], scales: int, config: MrfConfig, *, turned: bool) -> tuple[int, int]:
-    """What is kept of the pictures once they are learnt at all scales, and the most that it takes meanwhile."""
+def learning_bytes(
+    images: Sequence[Image], scales: int, config: MrfConfig, *, turned: bool
+) -> tuple[int, int]:
+    """What is kept of the pictures once they are learnt at all scales, and the most that it takes
+    meanwhile.
+    """
     area, held = config.neighbourhood**2, sum(int(np.prod(image.shape)) for image in images)
     peak = held * _OF_A_PIXEL[images[0].kind]
     for scale in range(scales):
@@ -32,11 +36,16 @@ def learning_bytes(images: Sequence[Image], scales: int, config: MrfConfig, *, t
         for image in [*images, *([images[0]] * 2 if turned else [])]:
             count = _neighbourhoods(image.shape, scale, config)
             kept = _source_bytes(image, count, config)
-            sums = 5.3 * area * min(count, _ROWS) + 12 * min(count, _MANY) + area * _MANY * (count > _MANY)
+            sums = (
+                5.3 * area * min(count, _ROWS)
+                + 12 * min(count, _MANY)
+                + area * _MANY * (count > _MANY)
+            )
             preparing = kept + _SMALL + max(6.3 * area * min(count, config.candidates), sums)
             peak = max(peak, held + area * count + round(max(before + 2 * area * count, preparing)))
             held += kept
-            before = area * count  # the neighbourhoods of the last picture go when the next ones are there
+            # the neighbourhoods of the last picture go when the next ones are there
+            before = area * count
     return held, peak
 
 
@@ -45,7 +54,14 @@ def _neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -> int:
     stride, edge = 2**scale, config.neighbourhood - 1
     corners = np.ndindex(stride, stride) if config.every else [(0, 0)]
     return sum(
-        int(np.prod([max(0, -(-(side - first) // stride) - edge) for side, first in zip(shape, corner, strict=True)]))
+        int(
+            np.prod(
+                [
+                    max(0, -(-(side - first) // stride) - edge)
+                    for side, first in zip(shape, corner, strict=True)
+                ]
+            )
+        )
         for corner in corners
     )
 
@@ -66,7 +82,8 @@ def _source_bytes(image: Image, count: int, config: MrfConfig) -> int:
 class Run:
     """What a run's memory depends on.
 
-    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads` how many work at once.
+    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads`
+    how many work at once.
     """
 
     request: Request
@@ -88,11 +105,15 @@ class Run:
         if words:
             return self.threads * BATCH_OF_BITS * (shares + 16 * max(words))
         widest = max(len(source.centres) for source in self.sources)
-        return self.threads * (BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest)
+        return self.threads * (
+            BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest
+        )
 
     @property
     def output(self) -> int:
-        """The lattices of all scales, and the most that anything takes beside them; the scratch of sites comes on top."""
+        """The lattices of all scales, and the most that anything takes beside them; the scratch of
+        sites comes on top.
+        """
         beside = *self._sites(), self._couplings() - self.scratch, self._values() - self.scratch
         return self._held() + max(0, *beside)
 
@@ -126,21 +147,32 @@ class Run:
         each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
         if self.pairs is not None:
             each += 9 / 8 * 2 * channels
-        return round(self._voxels * each) + 8 * 4 * self.views * levels**2 + self._tables + 2 * _SMALL
+        return (
+            round(self._voxels * each) + 8 * 4 * self.views * levels**2 + self._tables + 2 * _SMALL
+        )
 
     def _sites(self) -> tuple[int, int]:
-        """A class of sites with their scores, and then with the groups' scores less what scratch there was before."""
+        """A class of sites with their scores, and then with the groups' scores less what scratch
+        there was before.
+        """
         levels, channels = self.content.features.shape
         groups = int(self.content.groups.max()) + 1
         sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
         rows = 4 * levels + self.views * channels * (self.config.feedback_of(self.content.sort) > 0)
-        return (8 + rows) * sites, self.config.shares * (rows + 8 * groups + _OF_A_SITE) * sites - self.scratch
+        return (8 + rows) * sites, self.config.shares * (
+            rows + 8 * groups + _OF_A_SITE
+        ) * sites - self.scratch
 
     def _couplings(self) -> int:
         """The transforms of a field."""
         if self.pairs is None:
             return 0
-        return 2 * self.pairs.spectrum_bytes + self.pairs.kernel_bytes + 4 * self._voxels + self.pairs.slab_bytes
+        return (
+            2 * self.pairs.spectrum_bytes
+            + self.pairs.kernel_bytes
+            + 4 * self._voxels
+            + self.pairs.slab_bytes
+        )
 
     def _values(self) -> int:
         """The values that come out."""

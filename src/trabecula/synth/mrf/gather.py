@@ -1,6 +1,7 @@
 """The neighbours of sites, as numbers: rows of a matrix product, or bits of a word.
 
-A neighbour that is not there, since it lies outside a form, has weight 0: it is left out of the distance.
+A neighbour that is not there, since it lies outside a form, has weight 0: it is left out of the
+distance.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def gather_places(sites, offsets, shape, there, places):
-    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `there`; without entries all are."""
+    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `there`;
+    without entries all are.
+    """
     marks = there.ravel()
     every = len(marks) == 0
     Z, Y, X = shape
@@ -30,7 +33,9 @@ def gather_places(sites, offsets, shape, there, places):
 
 @kernel
 def gather_levels(places, levels, found, weight):
-    """The levels of the neighbours (S, K) uint8, and 1 or 0 in `weight` (S, K) uint8 as they are there or not."""
+    """The levels of the neighbours (S, K) uint8, and 1 or 0 in `weight` (S, K) uint8 as they are
+    there or not.
+    """
     flat = levels.ravel()
     for s in range(len(places)):
         for k in range(places.shape[1]):
@@ -41,7 +46,9 @@ def gather_levels(places, levels, found, weight):
 
 @kernel
 def gather_confidence(places, temperature, full, weight):
-    """Weights (1 - t)^2 of the neighbours (equation 9), in `full` steps, rounded; 0 for those that are not there."""
+    """Weights (1 - t)^2 of the neighbours (equation 9), in `full` steps, rounded; 0 for those that
+    are not there.
+    """
     flat = temperature.ravel()
     for s in range(len(places)):
         for k in range(places.shape[1]):
@@ -52,7 +59,9 @@ def gather_confidence(places, temperature, full, weight):
 
 @kernel
 def local_sums(found, weight, features, sums):
-    """The features summed over the neighbours, (S, C) int32, scaled up where some are missing (weight 0)."""
+    """The features summed over the neighbours, (S, C) int32, scaled up where some are missing
+    (weight 0).
+    """
     K = found.shape[1]
     for s in range(len(found)):
         count = 0
@@ -69,7 +78,9 @@ def local_sums(found, weight, features, sums):
 
 @kernel
 def plain_rows(found, features, rows):
-    """Rows (S, C K + 1) float32: -2 times the features, channel by channel, and a 1 for the squares."""
+    """Rows (S, C K + 1) float32: -2 times the features, channel by channel, and a 1 for the
+    squares.
+    """
     K, C = found.shape[1], features.shape[1]
     for s in range(len(found)):
         for c in range(C):
@@ -80,7 +91,9 @@ def plain_rows(found, features, rows):
 
 @kernel
 def weighted_rows(found, weight, features, rows):
-    """Rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel, then the weights."""
+    """Rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel, then the
+    weights.
+    """
     K, C = found.shape[1], features.shape[1]
     for s in range(len(found)):
         for c in range(C):
@@ -92,8 +105,8 @@ def weighted_rows(found, weight, features, rows):
 
 @kernel
 def bit_rows(found, weight, codes, each, words, masks):
-    """Neighbours as bits: `codes` (L,) uint64 of so many bits `each`, packed from the low end into (S, W) uint64; `masks` alike,
-    with ones where a neighbour is there."""
+    """Neighbours as bits: `codes` (L,) uint64 of so many bits `each`, packed from the low end into
+    (S, W) uint64; `masks` alike, with ones where a neighbour is there."""
     ones = (np.uint64(1) << np.uint64(each)) - np.uint64(1)
     per = 64 // each
     for s in range(len(found)):

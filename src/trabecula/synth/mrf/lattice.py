@@ -1,4 +1,6 @@
-"""The output at one scale: its levels, what may change, what counts as a neighbour, and what belongs to the result."""
+"""The output at one scale: its levels, what may change, what counts as a neighbour, and what
+belongs to the result.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
 
 ALL = np.zeros((0, 0, 0), bool)
 """To a kernel: every voxel is marked."""
@@ -26,14 +28,15 @@ class Lattice:
     there : (Z, Y, X) bool, or None
         Voxels that are neighbours: what is made and what is known. Outside a form there is nothing.
     box : three int, or None
-        The corner of the lattice that is the result, whose shares are to be right; a rim beyond it is made as well and then cut
-        away.
+        The corner of the lattice that is the result, whose shares are to be right; a rim beyond it
+        is made as well and then cut away.
     form : bool of the shape of the box, or None
         What of the box the result is.
 
     Notes
     -----
-    A torus: every axis is periodic. Where the result is not to be, there is more of the lattice than of the result.
+    A torus: every axis is periodic. Where the result is not to be, there is more of the lattice
+    than of the result.
     """
 
     levels: np.ndarray
@@ -68,7 +71,9 @@ class Lattice:
         return asked
 
     def known(self, count: int) -> tuple[int, np.ndarray]:
-        """How many voxels of the result are still to be made, and how many of each of `count` levels are known."""
+        """How many voxels of the result are still to be made, and how many of each of `count`
+        levels are known.
+        """
 
         def work(first: int, last: int) -> np.ndarray:
             asked = self.asked(first, last)
@@ -96,7 +101,7 @@ def halved(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 def any_of_eight(marks: np.ndarray) -> np.ndarray:
     """(Z, Y, X) bool at half the resolution: whether any of the eight voxels is marked."""
-    coarse = scratch.zeros(halved(marks.shape), bool)
+    coarse = memmap.zeros(halved(marks.shape), bool)
 
     def work(first: int, last: int) -> None:
         for corner in np.ndindex(2, 2, 2):
@@ -108,8 +113,13 @@ def any_of_eight(marks: np.ndarray) -> np.ndarray:
 
 
 def known_halved(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Known voxels (uint8 levels) at half the resolution: a cell takes the first of its eight that is known."""
-    result, found = scratch.zeros(halved(known.shape), values.dtype), scratch.zeros(halved(known.shape), bool)
+    """Known voxels (uint8 levels) at half the resolution: a cell takes the first of its eight that
+    is known.
+    """
+    result, found = (
+        memmap.zeros(halved(known.shape), values.dtype),
+        memmap.zeros(halved(known.shape), bool),
+    )
 
     def work(first: int, last: int) -> None:
         for corner in np.ndindex(2, 2, 2):
@@ -132,7 +142,7 @@ def _of_corner(values: np.ndarray, corner: tuple[int, ...], first: int, last: in
 
 def grown(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
     """What lies at most `reach` (a box) from a form at the corner of a torus, (Z, Y, X) bool."""
-    there = scratch.empty(shape, bool)
+    there = memmap.empty(shape, bool)
     height, width = form.shape[1:]
 
     def work(first: int, last: int) -> None:

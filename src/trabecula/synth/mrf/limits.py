@@ -26,4 +26,6 @@ def largest_feature(kind: str, config: MrfConfig) -> int:
     """Such that distances stay exact in float32: 3 W F^2 C K < 2^24, with weights up to W."""
     channels = 3 if kind == "colour" else 1
     weight = STEPS if config.relaxation == "icm" else 1
-    return min(127, int(np.sqrt((2**24 - 1) / (3 * weight * channels * (config.neighbourhood**2 - 1)))))
+    return min(
+        127, int(np.sqrt((2**24 - 1) / (3 * weight * channels * (config.neighbourhood**2 - 1))))
+    )

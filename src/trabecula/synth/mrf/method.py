@@ -1,10 +1,15 @@
-"""`mrf`: fit learns the picture's neighbourhoods at every scale, generate relaxes a volume from coarse to fine.
+"""`mrf`: fit learns the picture's neighbourhoods at every scale, generate relaxes a volume from
+coarse to fine.
 
-1. The pictures become numbered levels (`content`), decimated by two for every scale; their neighbourhoods become the
+1. The pictures become numbered levels (`content`), decimated by two for every scale; their
+neighbourhoods become the
    candidates of a Parzen estimate with h_opt (`source`).
-2. The coarsest scale starts from white noise with the picture's histogram; each finer one from what it inherits.
-3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the slices through it
-   (`density`), the views' densities made one, a level chosen (`choose`), the site's temperature or the bias learnt (`relax`).
+2. The coarsest scale starts from white noise with the picture's histogram; each finer one from what
+it inherits.
+3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the
+slices through it
+   (`density`), the views' densities made one, a level chosen (`choose`), the site's temperature or
+   the bias learnt (`relax`).
 """
 
 from __future__ import annotations
@@ -20,35 +25,36 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
-from trabecula.engine import scratch
-from trabecula.engine.checkpoint import State, resumed
+from trabecula.engine import memmap
+from trabecula.engine.checkpoint import Checkpoint, resumed
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.engine.plan import Plan
-from trabecula.engine.tiles import for_slabs, thread_count
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
-from trabecula.synth.mrf import SPEC
+from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content, content_of
 from trabecula.synth.mrf.couplings import Couplings
 from trabecula.synth.mrf.forecast import Run, learning_bytes
-from trabecula.synth.mrf.frame import Face
 from trabecula.synth.mrf.lattice import Lattice
 from trabecula.synth.mrf.limits import STEPS, largest_feature, scales_of
+from trabecula.synth.mrf.patches import Source, bytes_of, patches_of, source_of
 from trabecula.synth.mrf.planes import across, turned
+from trabecula.synth.mrf.porosity_reweighting import tilted
 from trabecula.synth.mrf.scales import count_of, lattices_of, padded_shape, started
-from trabecula.synth.mrf.source import Source, bytes_of, patches_of, source_of
-from trabecula.synth.mrf.tilt import tilted
+from trabecula.synth.mrf.slice_planes import Face
 from trabecula.synth.shared.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-_STRETCHED = ((False, True), (True, True))  # along which of a turned plane's axes steps are diagonals
+# along which of a turned plane's axes steps are diagonals
+_STRETCHED = ((False, True), (True, True))
 
 
 class Mrf(PictureMethod):
     """Maximum likelihood from one picture."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = MrfConfig
 
     def _width(self) -> int:
@@ -60,19 +66,25 @@ class Mrf(PictureMethod):
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         config = self.config
         three = len(config.views) in (0, 3)
-        turned = _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
+        turned = (
+            _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
+        )
         kept, peak = learning_bytes(exemplars, scales_of(exemplars, config), config, turned=turned)
-        return Plan({"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept})
+        return Plan(
+            {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
+        )
 
 
 class MrfModel(PictureModel):
     """Views of the pictures, and their neighbourhoods at every scale."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     spills = True
     config: MrfConfig
 
-    def __init__(self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]) -> None:
+    def __init__(
+        self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]
+    ) -> None:
         super().__init__(config, exemplars, views)
         # A picture that several views share is learnt once.
         images: list[Image] = []
@@ -82,16 +94,23 @@ class MrfModel(PictureModel):
             self.learners.append(known[0] if known else len(images))
             images += [] if known else [view.image]
         self.content: Content = content_of(
-            images, full=largest_feature(images[0].kind, config), levels=config.levels, colours=config.colours
+            images,
+            full=largest_feature(images[0].kind, config),
+            levels=config.levels,
+            colours=config.colours,
         )
         three = len(self.views) == 3
-        self.oblique = _turns(config, images, three=three) if config.oblique is None else config.oblique
+        self.oblique = (
+            _turns(config, images, three=three) if config.oblique is None else config.oblique
+        )
         self.count = scales_of(images, config)
-        self.sources = [self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")]
+        self.sources = [
+            self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")
+        ]
 
     def _learn(self, scale: int, porosity: float | None) -> list[Source]:
-        """What each picture says at a scale, then what the first says along diagonals; its neighbourhoods chosen for a `porosity`
-        where one is asked for."""
+        """What each picture says at a scale, then what the first says along diagonals; its
+        neighbourhoods chosen for a `porosity` where one is asked for."""
         config, content = self.config, self.content
         kinds = [(picture, (False, False)) for picture in content.pictures]
         if self.oblique:
@@ -99,7 +118,11 @@ class MrfModel(PictureModel):
         sources = []
         for picture, stretched in kinds:
             patches = patches_of(
-                picture, scale=scale, width=config.neighbourhood, every=config.every, stretched=stretched
+                picture,
+                scale=scale,
+                width=config.neighbourhood,
+                every=config.every,
+                stretched=stretched,
             )
             if porosity is not None and content.void is not None:
                 patches = tilted(patches, content.void, porosity)
@@ -117,12 +140,16 @@ class MrfModel(PictureModel):
         return sources
 
     def _frames(self, sources: Sequence[Source]) -> list[list[Face]]:
-        """The views along the axes, and where the material is alike in all directions those turned about each of them."""
+        """The views along the axes, and where the material is alike in all directions those turned
+        about each of them.
+        """
         pairs = zip(self.views, self.learners, strict=True)
         frames = [[Face(across(view.axis), sources[learner], learner) for view, learner in pairs]]
         for axis in range(3) if self.oblique else ():
             numbers = [1 + _STRETCHED.index(plane.stretched) for plane in turned(axis)]
-            frames.append([Face(plane, sources[n], n) for plane, n in zip(turned(axis), numbers, strict=True)])
+            frames.append(
+                [Face(plane, sources[n], n) for plane, n in zip(turned(axis), numbers, strict=True)]
+            )
         return frames
 
     def _couplings(self, scale: int, lattice: Lattice) -> Couplings | None:
@@ -159,22 +186,35 @@ class MrfModel(PictureModel):
         """The porosity that is asked for."""
         wanted = porosity_of(request.target)
         if isinstance(wanted, np.ndarray):
-            raise RequestError("this method honours one number as target porosity, not a field: give a number")
+            raise RequestError(
+                "this method honours one number as target porosity, not a field: give a number"
+            )
         return wanted
 
     def _shares(self, porosity: float | None) -> np.ndarray:
-        """The shares (L,) of the levels that the result is to have: the pictures', or with another porosity."""
+        """The shares (L,) of the levels that the result is to have: the pictures', or with another
+        porosity.
+        """
         content = self.content
         pictures = [content.pictures[learner] for learner in self.learners]
-        counts = np.sum([np.bincount(p.ravel(), minlength=len(content.values)) / p.size for p in pictures], axis=0)
+        counts = np.sum(
+            [np.bincount(p.ravel(), minlength=len(content.values)) / p.size for p in pictures],
+            axis=0,
+        )
         if porosity is not None:
             rest = np.where(content.values == content.empty, 0, counts)
-            counts = np.where(content.values == content.empty, porosity, (1 - porosity) * rest / rest.sum())
+            counts = np.where(
+                content.values == content.empty, porosity, (1 - porosity) * rest / rest.sum()
+            )
         return np.asarray(counts / counts.sum())
 
-    def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+    def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         porosity = self._porosity(request)
-        sources = self.sources if porosity is None else [self._learn(scale, porosity) for scale in range(self.count)]
+        sources = (
+            self.sources
+            if porosity is None
+            else [self._learn(scale, porosity) for scale in range(self.count)]
+        )
         lattices = lattices_of(request, self.content, self.count, self.config.neighbourhood)
         top = len(lattices) - 1
         learnt: Couplings | None = None
@@ -203,18 +243,23 @@ class MrfModel(PictureModel):
             state = None
             del relaxation, couplings
         del learnt
-        return self._delivered(lattices[0].levels, request), {"scales": told, "oblique": self.oblique}
+        return self._delivered(lattices[0].levels, request), {
+            "scales": told,
+            "oblique": self.oblique,
+        }
 
     def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
         """Levels as values; what is known comes out as it was, and outside a form is nothing."""
         table, word = self.content.values, key(request.seed, "mrf/values")
         depth, height, width = request.shape
-        values = scratch.empty((*request.shape, *table.shape[1:]), table.dtype)
+        values = memmap.empty((*request.shape, *table.shape[1:]), table.dtype)
 
         def work(first: int, last: int) -> None:
             for z in range(first, last):  # an index of the whole would take 8 bytes a voxel
                 plane = levels[z, :height, :width]
-                values[z] = self.content.drawn(plane, z, word) if self.config.spread else table[plane]
+                values[z] = (
+                    self.content.drawn(plane, z, word) if self.config.spread else table[plane]
+                )
                 if request.mask is not None:
                     values[z][~request.mask[z]] = self.content.empty
                 if request.fixed is not None and request.known is not None:
@@ -224,7 +269,7 @@ class MrfModel(PictureModel):
         for_slabs(work, depth)
         return values
 
-    def _resumed(self, top: int) -> tuple[int, State | None]:
+    def _resumed(self, top: int) -> tuple[int, Checkpoint | None]:
         """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
         for scale in range(top + 1):
             state = resumed(f"scale {scale}")
@@ -235,7 +280,9 @@ class MrfModel(PictureModel):
     def _plan(self, request: Request) -> Plan:
         run = self._run(request)
         memory = {**self._fixed(request), "output": run.output, "scratch": run.scratch}
-        return Plan(memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes)
+        return Plan(
+            memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
+        )
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
         return {**self._fixed(request), "slab": self._run(request).slab}
@@ -245,7 +292,9 @@ class MrfModel(PictureModel):
         kept = bytes_of([source for scale in self.sources for source in scale])
         memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
         if request.target:  # the pictures are learnt anew
-            memory["learning"] = learning_bytes(self.exemplars, self.count, self.config, turned=self.oblique)[1]
+            memory["learning"] = learning_bytes(
+                self.exemplars, self.count, self.config, turned=self.oblique
+            )[1]
         return memory
 
     def _run(self, request: Request) -> Run:
@@ -254,7 +303,9 @@ class MrfModel(PictureModel):
         shape = padded_shape(request.shape, request.periodic, count=count, width=width)
         kept = [source for scale in self.sources for source in scale]
         pairs = self._pairs(shape)
-        return Run(request, shape, self.content, kept, len(self.views), pairs, config, thread_count())
+        return Run(
+            request, shape, self.content, kept, len(self.views), pairs, config, thread_count()
+        )
 
     def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
         """The pairs of a lattice that are coupled at most."""

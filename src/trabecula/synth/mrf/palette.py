@@ -1,4 +1,6 @@
-"""A palette of real colours, by median cut with the box of largest scatter split first (Heckbert 1982)."""
+"""A palette of real colours, by median cut with the box of largest scatter split first (Heckbert
+1982).
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def palette_of(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     for i, box in enumerate(boxes):
         number[box] = i
         size = int(counts[box].sum())
-        apart = colours[box] * size - (colours[box] * counts[box, None]).sum(0)  # from the mean, times the size
+        # from the mean, times the size
+        apart = colours[box] * size - (colours[box] * counts[box, None]).sum(0)
         table[i] = colours[box[int(np.argmin(np.abs(apart).sum(1)))]]
     return table, number[where]
 
@@ -57,7 +60,9 @@ def _scatter(colours: np.ndarray, counts: np.ndarray, box: np.ndarray) -> np.nda
     return np.asarray(second - first.astype(np.float64) ** 2 / size)
 
 
-def _halves(colours: np.ndarray, counts: np.ndarray, box: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
+def _halves(
+    colours: np.ndarray, counts: np.ndarray, box: np.ndarray, channel: int
+) -> tuple[np.ndarray, np.ndarray]:
     """A box split at its mean along a channel: neither part is empty where the scatter is not 0."""
     values = colours[box, channel]
     below = values * counts[box].sum() <= (values * counts[box]).sum()

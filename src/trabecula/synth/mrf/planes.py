@@ -1,8 +1,9 @@
 """The planes that a site is seen in: along the axes, or turned by 45 degrees about one of them.
 
-A volume that is only ever looked at along its axes comes out with boxes and rods along them. Where a material is alike in
-all directions any plane will do; so sweeps take in turn three planes along the axes, and three that are turned. Along a diagonal
-voxels lie sqrt(2) apart: its k-th neighbour stands for the picture's pixel at rint(k sqrt(2)).
+A volume that is only ever looked at along its axes comes out with boxes and rods along them. Where
+a material is alike in all directions any plane will do; so sweeps take in turn three planes along
+the axes, and three that are turned. Along a diagonal voxels lie sqrt(2) apart: its k-th neighbour
+stands for the picture's pixel at rint(k sqrt(2)).
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ Step = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane by what one step along a picture's rows' axis, and one along its columns' axis, is in voxels (z, y, x)."""
+    """A plane by what one step along a picture's rows' axis, and one along its columns' axis, is in
+    voxels (z, y, x).
+    """
 
     rows: Step
     columns: Step
@@ -36,7 +39,9 @@ class Plane:
     def offsets(self, width: int) -> np.ndarray:
         """Where the neighbours lie, (w^2 - 1, 3) int64, in the order of a picture's pixels."""
         steps = np.arange(width) - width // 2
-        grid = steps[:, None, None] * np.array(self.rows) + steps[None, :, None] * np.array(self.columns)
+        grid = steps[:, None, None] * np.array(self.rows) + steps[None, :, None] * np.array(
+            self.columns
+        )
         return np.delete(grid.reshape(-1, 3), width**2 // 2, axis=0)
 
 

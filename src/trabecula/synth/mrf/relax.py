@@ -1,7 +1,8 @@
 """Relaxation at one scale: sweeps over the classes of sites, each class at once.
 
-Within a class no site is another's neighbour, so that all of them at once is the same as one after another. What a site becomes
-depends on its neighbours, on what has been learnt and on a random number of its own; batches, slabs and threads do not matter.
+Within a class no site is another's neighbour, so that all of them at once is the same as one after
+another. What a site becomes depends on its neighbours, on what has been learnt and on a random
+number of its own; batches, slabs and threads do not matter.
 """
 
 from __future__ import annotations
@@ -16,19 +17,28 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import generator, key
-from trabecula.engine.checkpoint import State, due, offer
-from trabecula.engine.tiles import sum_slabs
-from trabecula.synth.mrf import choose
+from trabecula.engine.checkpoint import Checkpoint, due, offer
+from trabecula.engine.parallel import sum_slabs
+from trabecula.synth.mrf import decision_rules
+from trabecula.synth.mrf.bias_feedback import Steering
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content
 from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.frame import Face, Frame
 from trabecula.synth.mrf.lattice import ALL, Lattice, marks_of
-from trabecula.synth.mrf.members import Members
 from trabecula.synth.mrf.planes import union_of
-from trabecula.synth.mrf.steering import Steering
+from trabecula.synth.mrf.site_class import Members
+from trabecula.synth.mrf.site_update import (
+    Scored,
+    Shifts,
+    Step,
+    Tally,
+    count_into,
+    levels_for,
+    parts_of,
+    scored,
+)
+from trabecula.synth.mrf.slice_planes import Face, Frame
 from trabecula.synth.mrf.temperature import cool
-from trabecula.synth.mrf.visit import Scored, Shifts, Step, Tally, count_into, levels_for, parts_of, scored
 
 T = TypeVar("T")
 
@@ -66,22 +76,33 @@ class Relaxation:
         config = self.config
         self._feedback = config.feedback_of(self.content.sort)
         self._frames = [
-            Frame(faces, self.lattice, self.content, width=config.neighbourhood, correction=config.correction)
+            Frame(
+                faces,
+                self.lattice,
+                self.content,
+                width=config.neighbourhood,
+                correction=config.correction,
+            )
             for faces in self.frames
         ]
         self._union = union_of([face.plane for face in self.frames[0]], config.neighbourhood)
         joints = {face.learner: face.source.joint for faces in self.frames for face in faces}
-        self.steering = Steering([joints[n] for n in sorted(joints)], len(self.frames[0]), rate=self._feedback)
+        self.steering = Steering(
+            [joints[n] for n in sorted(joints)], len(self.frames[0]), rate=self._feedback
+        )
         self.shifts = Shifts(self.content.groups, self.wanted)
 
-    def run(self, before: Sequence[dict[str, Any]] = (), state: State | None = None) -> list[dict[str, Any]]:
+    def run(
+        self, before: Sequence[dict[str, Any]] = (), state: Checkpoint | None = None
+    ) -> list[dict[str, Any]]:
         """All sweeps of this scale, from `state` where there is one.
 
         Returns
         -------
         list of dict
-            What there is to tell of the coarser scales (`before`) and of this one: voxels changed in each sweep, for icm how far
-            the global temperature had fallen, and how far couplings leave the autocorrelation off.
+            What there is to tell of the coarser scales (`before`) and of this one: voxels changed
+            in each sweep, for icm how far the global temperature had fallen, and how far couplings
+            leave the autocorrelation off.
         """
         before, begin = list(before), 0
         told: dict[str, Any] = {"scale": self.scale, "changed": []}
@@ -142,13 +163,28 @@ class Relaxation:
         if config.shares and len(found.score):
             cold = step.rule == "icm" or step.heat == 0
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
-            shift = self.shifts.settle(members, found.score, choose.COLDEST if cold else choose.coldness(heat))
-        return members.sum_over(lambda first, last: self._changed(members, found, shift, frame, step, first, last))
+            shift = self.shifts.settle(
+                members,
+                found.score,
+                decision_rules.COLDEST if cold else decision_rules.coldness(heat),
+            )
+        return members.sum_over(
+            lambda first, last: self._changed(members, found, shift, frame, step, first, last)
+        )
 
     def _changed(
-        self, members: Members, found: Scored, shift: np.ndarray, frame: Frame, step: Step, first: int, last: int
+        self,
+        members: Members,
+        found: Scored,
+        shift: np.ndarray,
+        frame: Frame,
+        step: Step,
+        first: int,
+        last: int,
     ) -> Tally:
-        """New levels for those in the planes first .. last; nobody reads meanwhile what this writes."""
+        """New levels for those in the planes first .. last; nobody reads meanwhile what this
+        writes.
+        """
         sites, start = members.sites(first, last), int(members.starts[0][first])
         levels, tables, changed = self.lattice.levels.reshape(-1), self.steering.empty_tables(), 0
         for part in parts_of(len(sites)):
@@ -157,7 +193,9 @@ class Relaxation:
             if len(found.chosen):
                 chosen = found.chosen[rows]
             else:
-                chosen = levels_for(found.score[rows] + shift, asked, present, step, self.config.proposals)
+                chosen = levels_for(
+                    found.score[rows] + shift, asked, present, step, self.config.proposals
+                )
             changed += int(np.count_nonzero(present != chosen))
             levels[asked] = chosen
             if self.temperature.size:
@@ -177,7 +215,10 @@ class Relaxation:
         if config.relaxation == "annealing":
             heats = [1 - n / count for n in range(count)]
         else:
-            first, last = _of_scale(config.heat, self.scale), _of_scale(config.final_heat, self.scale)
+            first, last = (
+                _of_scale(config.heat, self.scale),
+                _of_scale(config.final_heat, self.scale),
+            )
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
         polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
         # A material that is alike in all directions is so for its mirror image.
@@ -187,7 +228,10 @@ class Relaxation:
             for n, heat in enumerate(heats)
         ]
         # The last sweeps go by the planes along the axes, in which the result will be looked at.
-        return [*steps, *(Step("icm", 0.0, stage, count + n, 0, ways > 1 and n % 2 > 0) for n in range(polish))]
+        return [
+            *steps,
+            *(Step("icm", 0.0, stage, count + n, 0, ways > 1 and n % 2 > 0) for n in range(polish)),
+        ]
 
     def _fallen(self) -> float:
         """By what share the global temperature has fallen since the scale began (section V.B)."""
@@ -198,7 +242,11 @@ class Relaxation:
             for z in range(first, last):
                 sums[z] = temperature[z].sum(dtype=np.float64)
             warm = ~held[first:last]
-            return int(np.count_nonzero(warm if self.lattice.free is None else self.lattice.free[first:last] & warm))
+            return int(
+                np.count_nonzero(
+                    warm if self.lattice.free is None else self.lattice.free[first:last] & warm
+                )
+            )
 
         start = sum_slabs(work, len(temperature))
         return 1 - math.fsum(sums) / max(start, 1)

@@ -1,4 +1,6 @@
-"""From one scale to the next: what is free, known and there at each, and what a finer scale starts from."""
+"""From one scale to the next: what is free, known and there at each, and what a finer scale starts
+from.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +11,24 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.content import Content
 from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.frame import Face
 from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
 from trabecula.synth.mrf.relax import Relaxation
+from trabecula.synth.mrf.slice_planes import Face
 
 
-def padded_shape(shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int) -> tuple[int, ...]:
+def padded_shape(
+    shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int
+) -> tuple[int, ...]:
     """The torus that a result is cut from, for `count` scales.
 
-    Along an open axis a neighbourhood does not reach from one end of the result to the other. Were the lattice to end there, its
-    rim, known from one side alone, would look different; and a coarse scale needs room for a neighbourhood.
+    Along an open axis a neighbourhood does not reach from one end of the result to the other. Were
+    the lattice to end there, its rim, known from one side alone, would look different; and a coarse
+    scale needs room for a neighbourhood.
     """
     grain = 2 ** (count - 1)
     return tuple(
@@ -45,7 +50,7 @@ def lattices_of(request: Request, content: Content, count: int, width: int) -> l
     count = count_of(request.shape, request.periodic, count=count, width=width)
     shape = padded_shape(request.shape, request.periodic, count=count, width=width)
     box, form, known = request.shape, request.mask, None
-    levels, there = scratch.zeros(shape, np.uint8), None
+    levels, there = memmap.zeros(shape, np.uint8), None
     if form is not None:
         # A little more than the form, so that its rim as well is known from all sides.
         there = grown(form, shape, width // 2)
@@ -54,7 +59,7 @@ def lattices_of(request: Request, content: Content, count: int, width: int) -> l
     lattices = [Lattice(levels, _without(there, known), there, box, form)]
     while len(lattices) < count:
         if known is None:
-            levels = scratch.zeros(halved(levels.shape), np.uint8)
+            levels = memmap.zeros(halved(levels.shape), np.uint8)
         else:
             levels, known = known_halved(levels, known)
         there = None if there is None else any_of_eight(there)
@@ -63,10 +68,12 @@ def lattices_of(request: Request, content: Content, count: int, width: int) -> l
     return lattices
 
 
-def _measured(request: Request, content: Content, levels: np.ndarray, there: np.ndarray | None) -> np.ndarray:
+def _measured(
+    request: Request, content: Content, levels: np.ndarray, there: np.ndarray | None
+) -> np.ndarray:
     """Where voxels are known, (Z, Y, X) bool; their levels are written, and they are there."""
     assert request.fixed is not None and request.known is not None
-    marks, values, known = request.known, request.fixed.values, scratch.zeros(levels.shape, bool)
+    marks, values, known = request.known, request.fixed.values, memmap.zeros(levels.shape, bool)
     _, height, width = marks.shape
 
     def work(first: int, last: int) -> None:
@@ -85,7 +92,7 @@ def _without(there: np.ndarray | None, known: np.ndarray | None) -> np.ndarray |
     """What is there and not known."""
     if known is None:
         return there
-    free = scratch.empty(known.shape, bool)
+    free = memmap.empty(known.shape, bool)
 
     def work(first: int, last: int) -> None:
         np.logical_not(known[first:last], out=free[first:last])
@@ -108,26 +115,33 @@ def started(
     wanted: np.ndarray,
     couplings: Couplings | None,
 ) -> Relaxation:
-    """The relaxation of a scale at its start: white noise with the picture's histogram, and what a coarser one hands on.
+    """The relaxation of a scale at its start: white noise with the picture's histogram, and what a
+    coarser one hands on.
 
     `wanted` are the shares (L,) of the levels in the result, known voxels among them.
 
-    `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the first of its eight ("one",
-    1/8), or to all ("all", 8/8); either way only the first inherits its temperature of 0.
+    `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the
+    first of its eight ("one", 1/8), or to all ("all", 8/8); either way only the first inherits its
+    temperature of 0.
     """
     marginal = np.sum([face.source.marginal for face in frames[0]], axis=0)
-    if coarse is None or config.upsampling == "one":  # else there is nothing that it would not overwrite
+    # else there is nothing that it would not overwrite
+    if coarse is None or config.upsampling == "one":
         _fill_with_noise(lattice, marginal, seed, scale)
     if coarse is not None:
         _hand_on(lattice, coarse, config.upsampling)
-    relaxation = Relaxation(lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings)
+    relaxation = Relaxation(
+        lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings
+    )
     if config.relaxation == "icm":
         relaxation.temperature, relaxation.held = _warm(lattice, inherits=coarse is not None)
     return relaxation
 
 
 def _of_free(lattice: Lattice, wanted: np.ndarray) -> np.ndarray:
-    """The shares that voxels still to be made need, so that they and the known ones have the wanted shares together."""
+    """The shares that voxels still to be made need, so that they and the known ones have the wanted
+    shares together.
+    """
     left, held = lattice.known(len(wanted))
     missing = np.maximum(wanted * (left + int(held.sum())) - held, 0)
     return missing / missing.sum() if left and missing.sum() > 0 else wanted
@@ -139,16 +153,22 @@ def _fill_with_noise(lattice: Lattice, marginal: np.ndarray, seed: int, scale: i
 
     def work(first: int, last: int) -> None:
         for z in range(first, last):
-            raw = generator(seed, f"mrf/{scale}/noise", z).bit_generator.random_raw(lattice.levels[z].size)
+            raw = generator(seed, f"mrf/{scale}/noise", z).bit_generator.random_raw(
+                lattice.levels[z].size
+            )
             raw %= np.uint64(ends[-1])
-            drawn = np.searchsorted(ends, raw, side="right").astype(np.uint8).reshape(lattice.shape[1:])
+            drawn = (
+                np.searchsorted(ends, raw, side="right").astype(np.uint8).reshape(lattice.shape[1:])
+            )
             _put(lattice, slice(z, z + 1), drawn[None])
 
     for_slabs(work, lattice.shape[0])
 
 
 def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
-    """What a coarser scale found goes to the first of each eight voxels, or to all; what is not free stays."""
+    """What a coarser scale found goes to the first of each eight voxels, or to all; what is not
+    free stays.
+    """
 
     def work(first: int, last: int) -> None:
         for z in range(first, last):
@@ -156,19 +176,27 @@ def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
                 found = coarse[z // 2].repeat(2, axis=0).repeat(2, axis=1)
                 _put(lattice, slice(z, z + 1), found[None, : lattice.shape[1], : lattice.shape[2]])
             elif z % 2 == 0:
-                _put(lattice, (slice(z, z + 1), slice(None, None, 2), slice(None, None, 2)), coarse[None, z // 2])
+                _put(
+                    lattice,
+                    (slice(z, z + 1), slice(None, None, 2), slice(None, None, 2)),
+                    coarse[None, z // 2],
+                )
 
     for_slabs(work, lattice.shape[0])
 
 
 def _put(lattice: Lattice, part: Any, found: np.ndarray) -> None:
     """Levels for the free voxels of a part."""
-    np.copyto(lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part])
+    np.copyto(
+        lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part]
+    )
 
 
 def _warm(lattice: Lattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first of every eight."""
-    temperature, held = scratch.zeros(lattice.shape, np.float32), scratch.zeros(lattice.shape, bool)
+    """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first
+    of every eight.
+    """
+    temperature, held = memmap.zeros(lattice.shape, np.float32), memmap.zeros(lattice.shape, bool)
 
     def work(first: int, last: int) -> None:
         for z in range(first, last):

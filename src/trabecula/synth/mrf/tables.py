@@ -1,6 +1,7 @@
 """Logarithms and exponentials as tables of whole numbers, so that every machine decides alike.
 
-A logarithm is in units of 2^-16 to the base 2, read off the bits of a float64; a weight 2^(-s) is a whole number of at most 2^31.
+A logarithm is in units of 2^-16 to the base 2, read off the bits of a float64; a weight 2^(-s) is a
+whole number of at most 2^31.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ NEAREST_WEIGHT = 1 << 22
 
 
 def kernel_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
-    """exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded, for i = 0, 1, ... while it is at least 1, then a 0 (int32).
+    """exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded, for i = 0, 1, ... while it is at
+    least 1, then a 0 (int32).
 
     The middle of a step counts where it is wider than 1.
     """
@@ -29,11 +31,15 @@ def kernel_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
     count = int(np.log(NEAREST_WEIGHT * 2.0) * twice_variance / step) + 2
     differences = np.arange(count) * float(step) + (step - 1) / 2
     table = np.rint(NEAREST_WEIGHT * np.exp(-differences / twice_variance)).astype(np.int32)
-    return np.ascontiguousarray(np.append(table[: max(1, int(np.count_nonzero(table)))], np.int32(0)))
+    return np.ascontiguousarray(
+        np.append(table[: max(1, int(np.count_nonzero(table)))], np.int32(0))
+    )
 
 
 def shift_for(twice_variance: float) -> int:
-    """The width of a step, as a power of two, such that the table has about 8000 entries at most and stays in the cache."""
+    """The width of a step, as a power of two, such that the table has about 8000 entries at most
+    and stays in the cache.
+    """
     shift = 0
     while np.log(NEAREST_WEIGHT * 2.0) * twice_variance > 8000 << shift:
         shift += 1

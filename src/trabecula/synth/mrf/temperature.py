@@ -10,7 +10,8 @@ from trabecula.synth.mrf.gather import gather_places
 
 @kernel
 def cool(sites, offsets, there, held, xi, temperature):
-    """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held` sites keep theirs.
+    """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held`
+    sites keep theirs.
 
     What is not `there` is no neighbour; without entries all are.
     """

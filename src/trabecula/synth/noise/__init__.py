@@ -1,8 +1,10 @@
-"""Procedural baselines: the thresholded Gaussian random field, and noises on a lattice. See README.md in this folder."""
+"""Procedural baselines: the thresholded Gaussian random field, and noises on a lattice. See
+README.md in this folder.
+"""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="noise",
     summary="procedural noise: a Gaussian field with the scan's two-point function (the baseline that others must beat), "
     "Perlin, Worley, Voronoi, white",

@@ -21,32 +21,36 @@ class NoiseConfig:
     """Settings of `noise`."""
 
     kind: str = "gaussian"
-    """What is cut at a level: "gaussian", a Gaussian random field; "white", every voxel by chance; "perlin", blended slopes
-    at the corners of a lattice; "worley", the distance to the nearest of scattered points, solid where it is short (balls
-    that run into each other); of the cells around such points "voronoi" the walls, "voronoi_edges" the struts where walls
-    meet, "voronoi_cells" whole cells, solid or void by chance."""
+    """What is cut at a level: "gaussian", a Gaussian random field; "white", every voxel by chance;
+    "perlin", blended slopes at the corners of a lattice; "worley", the distance to the nearest of
+    scattered points, solid where it is short (balls that run into each other); of the cells around
+    such points "voronoi" the walls, "voronoi_edges" the struts where walls meet, "voronoi_cells"
+    whole cells, solid or void by chance."""
 
     porosity: float | None = None
-    """Share of void, above 0 and below 1. None: the exemplar's; without one 0.5, or what `thickness` leaves."""
+    """Share of void, above 0 and below 1. None: the exemplar's; without one 0.5, or what
+    `thickness` leaves.
+    """
 
     length: float | tuple[float, ...] | None = None
-    """Size of the pattern in the image's unit, one number or three (z, y, x): the edge of a cell of the lattice, the length
-    of the covariance, the edge of the cubes of white noise. At least 2 voxels, of white noise 1. None: 10 voxels, of white
-    noise 1, of a Gaussian field that of the exemplar's covariance."""
+    """Size of the pattern in the image's unit, one number or three (z, y, x): the edge of a cell of
+    the lattice, the length of the covariance, the edge of the cubes of white noise. At least 2
+    voxels, of white noise 1. None: 10 voxels, of white noise 1, of a Gaussian field that of the
+    exemplar's covariance."""
 
     covariance: str = "auto"
-    """Of a Gaussian field at distance r, with the length L: "exponential", exp(-r/L); "matern32", (1 + s) exp(-s) with s =
-    sqrt(3) r/L; "matern52", (1 + s + s^2/3) exp(-s) with s = sqrt(5) r/L; "gaussian", exp(-(r/L)^2); "wave", sin(q)/q times
-    exp(-(r/L)^2 / 2) with q = 2 pi r/L, even waves such as spinodal structures have. "auto": the exemplar's; without one
-    "gaussian"."""
+    """Of a Gaussian field at distance r, with the length L: "exponential", exp(-r/L); "matern32",
+    (1 + s) exp(-s) with s = sqrt(3) r/L; "matern52", (1 + s + s^2/3) exp(-s) with s = sqrt(5) r/L;
+    "gaussian", exp(-(r/L)^2); "wave", sin(q)/q times exp(-(r/L)^2 / 2) with q = 2 pi r/L, even
+    waves such as spinodal structures have. "auto": the exemplar's; without one "gaussian"."""
 
     thickness: float | None = None
-    """Of the walls of "voronoi" and the struts of "voronoi_edges", in the image's unit, above 0. The porosity is then what
-    it leaves. None: as thick as the porosity asks for."""
+    """Of the walls of "voronoi" and the struts of "voronoi_edges", in the image's unit, above 0.
+    The porosity is then what it leaves. None: as thick as the porosity asks for."""
 
     jitter: float = 1.0
-    """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells, 0 (a regular lattice) .. 1
-    (anywhere in the cell)."""
+    """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells, 0
+    (a regular lattice) .. 1 (anywhere in the cell)."""
 
     octaves: int = 1
     """Perlin noises that are summed, 1 .. 8, each of half the length of the one before."""
@@ -55,22 +59,25 @@ class NoiseConfig:
     """Weight of each octave against the one before, 0 .. 1."""
 
     invert: bool = False
-    """Whether void and solid change places at the same porosity: of "worley" round pores, of "voronoi" cracks."""
+    """Whether void and solid change places at the same porosity: of "worley" round pores, of
+    "voronoi" cracks.
+    """
 
     reach: int = 40
-    """Offset up to which the exemplar's two-point function is followed, voxels, 4 .. 200, and at most half of the exemplar;
-    from half of it on it fades to that of independent points. Farther costs memory and adds the chance of few pairs."""
+    """Offset up to which the exemplar's two-point function is followed, voxels, 4 .. 200, and at
+    most half of the exemplar; from half of it on it fades to that of independent points. Farther
+    costs memory and adds the chance of few pairs."""
 
     corrections: int = 20
     """Rounds of fitting the exemplar's spectrum once its negative part is cut off, 0 .. 200."""
 
     isotropic: bool = False
-    """Whether all directions of the exemplar are alike: the two-point function is averaged over them. A picture as a flat
-    exemplar (1, Y, X) then gives a volume. Voxel edges count as equal."""
+    """Whether all directions of the exemplar are alike: the two-point function is averaged over
+    them. A picture as a flat exemplar (1, Y, X) then gives a volume. Voxel edges count as equal."""
 
     exact: bool = False
-    """Whether the shares of the phases come out to the voxel instead of scattering as those of any window do. Then all
-    voxels are ranked at once, and no box can be made alone."""
+    """Whether the shares of the phases come out to the voxel instead of scattering as those of any
+    window do. Then all voxels are ranked at once, and no box can be made alone."""
 
     def __post_init__(self) -> None:
         check_name(self.kind, KINDS, name="kind of noise")
@@ -85,7 +92,11 @@ class NoiseConfig:
             ("jitter", 0, 1, False),
             ("persistence", 0, 1, False),
         ):
-            object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
+            object.__setattr__(
+                self,
+                name,
+                as_number(getattr(self, name), name=name, low=low, high=high, whole=whole),
+            )
         object.__setattr__(self, "porosity", _as_porosity(self.porosity))
         object.__setattr__(self, "length", _as_length(self.length))
         if self.thickness is not None:
@@ -95,7 +106,9 @@ class NoiseConfig:
     def _check_together(self) -> None:
         """Settings that say nothing of this kind, or contradict each other."""
         if self.thickness is not None and self.kind not in WALLED:
-            raise InputError(f"thickness is that of {' and '.join(WALLED)}: leave it out of kind={self.kind!r}")
+            raise InputError(
+                f"thickness is that of {' and '.join(WALLED)}: leave it out of kind={self.kind!r}"
+            )
         if self.thickness is not None and (self.porosity is not None or self.exact):
             other = "exact" if self.exact else "porosity"
             raise InputError(f"thickness and {other} both say how much is solid: give one of them")
@@ -104,7 +117,9 @@ class NoiseConfig:
                 f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, set porosity instead"
             )
         if self.covariance != "auto" and self.kind != "gaussian":
-            raise InputError(f"covariance is that of a Gaussian field: leave it out of kind={self.kind!r}")
+            raise InputError(
+                f"covariance is that of a Gaussian field: leave it out of kind={self.kind!r}"
+            )
 
 
 def _as_porosity(value: Any) -> float | None:
@@ -112,7 +127,9 @@ def _as_porosity(value: Any) -> float | None:
         return None
     found = float(as_number(value, name="porosity", low=0, high=1))
     if found in (0.0, 1.0):
-        raise InputError(f"porosity={value} leaves one phase alone: give a number above 0 and below 1")
+        raise InputError(
+            f"porosity={value} leaves one phase alone: give a number above 0 and below 1"
+        )
     return found
 
 
@@ -120,7 +137,9 @@ def _as_length(value: Any) -> float | tuple[float, ...] | None:
     if value is None or not isinstance(value, Sequence) or isinstance(value, str):
         return None if value is None else _as_positive(value, name="length")
     if len(value) not in (2, 3):
-        raise InputError(f"length={value!r} has {len(value)} numbers: give one, or one an axis (z, y, x)")
+        raise InputError(
+            f"length={value!r} has {len(value)} numbers: give one, or one an axis (z, y, x)"
+        )
     return tuple(_as_positive(one, name="length") for one in value)
 
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trabecula.engine.normals import quantiles
-from trabecula.engine.tiles import for_slabs
-from trabecula.synth.noise.domain import Domain
+from trabecula.engine.gaussian_random import quantiles
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.noise.kernels import white_plane
+from trabecula.synth.noise.periodic_domain import Domain
 
 WHITE = 256
 """What stands for one standard deviation of the white noise, as a whole number."""
@@ -25,26 +25,38 @@ def white(
     around: tuple[int, ...], corner: Sequence[int], domain: Domain, stage: np.uint64
 ) -> Callable[[int], np.ndarray]:
     """What makes a plane of white noise of the box that starts at `corner`."""
-    periods = [side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)]
+    periods = [
+        side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
+    ]
     inside, across = np.array(corner[1:], np.int64), np.array(periods[1:], np.int64)
 
     def plane_at(z: int) -> np.ndarray:
         plane = np.empty(around[1:])
         place = corner[0] + z
-        white_plane(plane, stage, place % periods[0] if periods[0] else place, inside, across, quantiles(WHITE))
+        white_plane(
+            plane,
+            stage,
+            place % periods[0] if periods[0] else place,
+            inside,
+            across,
+            quantiles(WHITE),
+        )
         return plane
 
     return plane_at
 
 
 def folded(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | None:
-    """Plane z of the filter in the box, offset 0 at its origin, wrapped around where the box is the smaller."""
+    """Plane z of the filter in the box, offset 0 at its origin, wrapped around where the box is the
+    smaller.
+    """
     middle = [side // 2 for side in values.shape]
     offsets = np.flatnonzero((np.arange(len(values)) - middle[0]) % box[0] == z)
     if not len(offsets):
         return None
     rows, columns = (
-        (np.arange(side) - mid) % width for side, mid, width in zip(values.shape[1:], middle[1:], box[1:], strict=True)
+        (np.arange(side) - mid) % width
+        for side, mid, width in zip(values.shape[1:], middle[1:], box[1:], strict=True)
     )
     plane = np.zeros(box[1:])
     np.add.at(plane, (rows[:, None], columns), values[offsets].sum(0))
@@ -52,7 +64,9 @@ def folded(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | Non
 
 
 def transformed(plane_at: Callable[[int], np.ndarray | None], box: tuple[int, ...]) -> np.ndarray:
-    """The Fourier transform, (Z, Y, X // 2 + 1) complex128, of planes that are made one at a time; None is a plane of 0."""
+    """The Fourier transform, (Z, Y, X // 2 + 1) complex128, of planes that are made one at a time;
+    None is a plane of 0.
+    """
     spectrum = np.zeros((box[0], box[1], box[2] // 2 + 1), np.complex128)
 
     def planes(start: int, stop: int) -> None:
@@ -76,7 +90,11 @@ def _along_z(spectrum: np.ndarray, transform: Callable[..., np.ndarray]) -> None
 
 
 def back(
-    spectrum: np.ndarray, box: tuple[int, ...], first: tuple[int, ...], piece: tuple[slice, ...], use: Use
+    spectrum: np.ndarray,
+    box: tuple[int, ...],
+    first: tuple[int, ...],
+    piece: tuple[slice, ...],
+    use: Use,
 ) -> None:
     """The way back, of what starts at `first` in the box and is a piece of the result."""
     _along_z(spectrum, np.fft.ifft)

@@ -1,7 +1,9 @@
-"""Gaussian random fields: white noise convolved with a filter a phase, of an exemplar's covariance or of a named one.
+"""Gaussian random fields: white noise convolved with a filter a phase, of an exemplar's covariance
+or of a named one.
 
-White noise and filters are whole numbers, so that their convolution is one as well. The Fourier transform finds it with an
-error far below one half: any cut of the volume, and any machine, gives the same voxels.
+White noise and filters are whole numbers, so that their convolution is one as well. The Fourier
+transform finds it with an error far below one half: any cut of the volume, and any machine, gives
+the same voxels.
 """
 
 from __future__ import annotations
@@ -15,15 +17,17 @@ import numpy as np
 
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
-from trabecula.engine.normals import quantiles
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.gaussian_random import quantiles
+from trabecula.engine.parallel import thread_count
 from trabecula.measure.fft import fast_side
 from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transformed, white
 from trabecula.synth.noise.covariance import Filter
-from trabecula.synth.noise.domain import Domain
+from trabecula.synth.noise.periodic_domain import Domain
 
 PIECE = 256
-"""Voxels along an axis that are made at once, at most: 12 bytes a voxel of it and of the reach around it."""
+"""Voxels along an axis that are made at once, at most: 12 bytes a voxel of it and of the reach
+around it.
+"""
 
 _GAIN = 1 << 18  # and of a filter whose squares sum up to one: products stay far below 2**53
 
@@ -48,14 +52,21 @@ class GaussianField:
         """Offsets on either side of the middle."""
         return tuple(side // 2 for side in self.filters[0].values.shape)
 
-    def each(self, number: int, domain: Domain, box: Box, use: Use, *, most: float = math.inf) -> None:
-        """A field in a box, in pieces: `use(piece, z, plane)` gets its planes as whole numbers, almost (see `Field`)."""
+    def each(
+        self, number: int, domain: Domain, box: Box, use: Use, *, most: float = math.inf
+    ) -> None:
+        """A field in a box, in pieces: `use(piece, z, plane)` gets its planes as whole numbers,
+        almost (see `Field`).
+        """
         shape = [stop - start for start, stop in box]
         around, reach = self._around(shape), self.reach
         stage = key(domain.seed, f"noise/{number}")
         response = self._response_of(number, around)
         for piece in product(*(_pieces(side) for side in shape)):
-            corner = [start + cut.start - far for (start, _), cut, far in zip(box, piece, reach, strict=True)]
+            corner = [
+                start + cut.start - far
+                for (start, _), cut, far in zip(box, piece, reach, strict=True)
+            ]
             spectrum = transformed(white(around, corner, domain, stage), around)
             spectrum *= response
             back(spectrum, around, reach, piece, use)
@@ -64,7 +75,9 @@ class GaussianField:
     def level(self, number: int, share: float) -> float:
         """Between the two whole numbers above which the field has the share."""
         table = quantiles(WHITE).astype(np.float64)
-        spread = math.sqrt(float((whole(self.filters[number]) ** 2).sum()) * float(np.mean(table**2)))
+        spread = math.sqrt(
+            float((whole(self.filters[number]) ** 2).sum()) * float(np.mean(table**2))
+        )
         return math.floor(NormalDist().inv_cdf(1 - share) * spread) + 0.5
 
     def scratch(self, shape: Sequence[int]) -> int:
@@ -75,8 +88,11 @@ class GaussianField:
         return 24 * half + planes + 2 * 8 * self.filters[0].values.size
 
     def _response_of(self, number: int, around: tuple[int, ...]) -> np.ndarray:
-        """The transform of a filter, a real one since filters are even; the latest is kept for the next box of its size."""
-        kept, self._kept = self._kept, None  # taken out while it is in use: another thread makes its own
+        """The transform of a filter, a real one since filters are even; the latest is kept for the
+        next box of its size.
+        """
+        # taken out while it is in use: another thread makes its own
+        kept, self._kept = self._kept, None
         if kept is None or kept[0] != (number, around):
             kept = None  # freed before the next one is made
             weights = whole(self.filters[number])
@@ -86,7 +102,9 @@ class GaussianField:
         return kept[1]
 
     def _around(self, shape: Sequence[int]) -> tuple[int, ...]:
-        """The box of the transforms: a piece and the reach of the filters on both sides, so that its faces do not meet."""
+        """The box of the transforms: a piece and the reach of the filters on both sides, so that
+        its faces do not meet.
+        """
         return tuple(
             fast_side(max(cut.stop - cut.start for cut in _pieces(side)) + 2 * far)
             for side, far in zip(shape, self.reach, strict=True)

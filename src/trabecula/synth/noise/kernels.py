@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.normals import normal_line
+from trabecula.engine.gaussian_random import normal_line
 from trabecula.engine.random import philox
 
 
 @kernel
 def white_plane(plane, key, z, corner, periods, table):
-    """Independent normal numbers in the table's units, of the voxels from (z, *corner) on, (Y, X) float64; periods 0: endless."""
+    """Independent normal numbers in the table's units, of the voxels from (z, *corner) on, (Y, X)
+    float64; periods 0: endless.
+    """
     for y in range(plane.shape[0]):
         row = corner[0] + y
         if periods[0] > 0:
@@ -21,7 +23,9 @@ def white_plane(plane, key, z, corner, periods, table):
 
 @kernel
 def cube_words(values, key, cz, cy, cx):
-    """Random whole numbers 0 .. 2**31 - 1 of the cubes that the voxels are in, four a draw: (Z, Y, X) int32."""
+    """Random whole numbers 0 .. 2**31 - 1 of the cubes that the voxels are in, four a draw: (Z, Y,
+    X) int32.
+    """
     for z in range(values.shape[0]):
         for y in range(values.shape[1]):
             group = np.int64(-1) << np.int64(40)

@@ -1,7 +1,7 @@
 """Cells of a lattice under the voxels: positions in whole numbers, and a point in every cell.
 
-An edge of a cell is `CELL` steps. Positions, points and what is counted from them are whole numbers of steps, so that every
-box, every cut of it and every processor finds the same.
+An edge of a cell is `CELL` steps. Positions, points and what is counted from them are whole numbers
+of steps, so that every box, every cut of it and every processor finds the same.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.synth.noise.domain import Domain
 from trabecula.synth.noise.lattice_kernels import place_points
+from trabecula.synth.noise.periodic_domain import Domain
 
 CELL = 4096
 """Steps along an edge of a cell."""
 
 APART = 2**0.5 - 1
-"""Cells between the voxels of a trial: no simple part of a cell, so that they fall everywhere in cells."""
+"""Cells between the voxels of a trial: no simple part of a cell, so that they fall everywhere in
+cells.
+"""
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,9 @@ class Grid:
 
     def part(self, cuts: Sequence[slice]) -> Grid:
         """Some of the voxels."""
-        return replace(self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True)))
+        return replace(
+            self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True))
+        )
 
     def axes(self, finer: int = 1) -> list[Axis]:
         """The voxels on the lattice, of which every cell is divided into `finer` along every axis.
@@ -108,14 +112,28 @@ def shortest(edges: Sequence[float], *, flat: bool) -> float:
     return min(edges[1:] if flat else edges)
 
 
-def grid_of(domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]) -> Grid:
+def grid_of(
+    domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]
+) -> Grid:
     """The voxels of a box."""
-    periods = tuple(side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True))
-    return Grid(tuple(np.arange(start, stop) for start, stop in box), tuple(step), tuple(edges), periods, domain.flat)
+    periods = tuple(
+        side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
+    )
+    return Grid(
+        tuple(np.arange(start, stop) for start, stop in box),
+        tuple(step),
+        tuple(edges),
+        periods,
+        domain.flat,
+    )
 
 
-def scattered(step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool) -> Grid:
-    """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other): many cells for few voxels."""
+def scattered(
+    step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool
+) -> Grid:
+    """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other):
+    many cells for few voxels.
+    """
     places = tuple(
         np.floor(np.arange(count) * max(1.0, APART / width)).astype(np.int64)
         for count, width in zip(counts, step, strict=True)
@@ -162,6 +180,10 @@ def points_of(axes: Sequence[Axis], key: np.uint64, *, jitter: float, margin: in
     counts = np.array([axis.cells for axis in axes], np.int64) + 2 * around
     total = int(counts.prod())
     place, word = np.empty((total, 3)), np.empty(total, np.int64)
-    first, periods = (np.array([getattr(axis, name) for axis in axes], np.int64) for name in ("first", "period"))
-    place_points(place, word, key, first, counts, periods, around, axes[0].flat, round(jitter * CELL))
+    first, periods = (
+        np.array([getattr(axis, name) for axis in axes], np.int64) for name in ("first", "period")
+    )
+    place_points(
+        place, word, key, first, counts, periods, around, axes[0].flat, round(jitter * CELL)
+    )
     return Points(place, word, counts, around)

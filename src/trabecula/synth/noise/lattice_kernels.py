@@ -1,6 +1,8 @@
-"""Points in cells, and the nearest of them, in whole numbers held as float64: no sum or product is rounded.
+"""Points in cells, and the nearest of them, in whole numbers held as float64: no sum or product is
+rounded.
 
-Symbols: s a point, D the square of its distance from a voxel's middle, in steps, of which a cell's edge has 4096.
+Symbols: s a point, D the square of its distance from a voxel's middle, in steps, of which a cell's
+edge has 4096.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ def wrapped(cell, period):
 
 @kernel
 def place_points(place, word, key, first, counts, periods, around, flat, jitter):
-    """A point in every cell, `jitter` / 2 steps from its middle at most, and its random word; in the order of the cells."""
+    """A point in every cell, `jitter` / 2 steps from its middle at most, and its random word; in
+    the order of the cells.
+    """
     at = 0
     for z in range(counts[0]):
         for y in range(counts[1]):
@@ -28,7 +32,11 @@ def place_points(place, word, key, first, counts, periods, around, flat, jitter)
                 cy = wrapped(first[1] + y - around[1], periods[1])
                 cx = wrapped(first[2] + x - around[2], periods[2])
                 w = philox(key, cz, cy, cx, 0)
-                place[at, 0] = 0 if flat else (z - around[0]) * 4096 + _inside(w[0] & np.uint64(0xFFFF), jitter)
+                place[at, 0] = (
+                    0
+                    if flat
+                    else (z - around[0]) * 4096 + _inside(w[0] & np.uint64(0xFFFF), jitter)
+                )
                 place[at, 1] = (y - around[1]) * 4096 + _inside(w[0] >> np.uint64(16), jitter)
                 place[at, 2] = (x - around[2]) * 4096 + _inside(w[1] & np.uint64(0xFFFF), jitter)
                 word[at] = np.int64(w[2] >> np.uint64(8))
@@ -56,10 +64,12 @@ def _first_from(at, value):
 
 @kernel
 def nearest(keys, az, ay, ax, place, counts, around, reach):
-    """D * 2**24 + n of every voxel's nearest point n, the first of equally near ones: (Z, Y, X) float64.
+    """D * 2**24 + n of every voxel's nearest point n, the first of equally near ones: (Z, Y, X)
+    float64.
 
-    Every point is shown to the voxels within `reach`, which is quick; a voxel that none has reached looks for its own, which
-    is no farther than two cells away: that of its own cell is nearer than any beyond. Points are fewer than 2**24.
+    Every point is shown to the voxels within `reach`, which is quick; a voxel that none has reached
+    looks for its own, which is no farther than two cells away: that of its own cell is nearer than
+    any beyond. Points are fewer than 2**24.
     """
     keys[:] = np.inf
     square = reach * reach
@@ -78,7 +88,8 @@ def nearest(keys, az, ay, ax, place, counts, around, reach):
                     row = keys[z, y, x0:x1]
                     for i in range(len(row)):
                         key = (across + (at[i] - sx) * (at[i] - sx)) * 16777216.0 + n
-                        row[i] = key if key < row[i] else row[i]  # min() would look for NaN, one by one
+                        # min() would look for NaN, one by one
+                        row[i] = key if key < row[i] else row[i]
     for z in range(len(az)):
         for y in range(len(ay)):
             for x in range(len(ax)):
@@ -90,7 +101,11 @@ def nearest(keys, az, ay, ax, place, counts, around, reach):
 def _searched(pz, py, px, place, counts, around):
     """The key of the nearest point among those of the cells up to two away."""
     best = np.inf
-    z, y, x = np.int64(pz // 4096) + around[0], np.int64(py // 4096) + around[1], np.int64(px // 4096) + around[2]
+    z, y, x = (
+        np.int64(pz // 4096) + around[0],
+        np.int64(py // 4096) + around[1],
+        np.int64(px // 4096) + around[2],
+    )
     for cz in range(max(z - 2, 0), min(z + 3, counts[0])):
         for cy in range(max(y - 2, 0), min(y + 3, counts[1])):
             for cx in range(max(x - 2, 0), min(x + 3, counts[2])):

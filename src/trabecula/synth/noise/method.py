@@ -1,7 +1,9 @@
-"""`noise`: fit chooses a field, generate makes it and cuts it at a level. What fields there are: gaussian.py, pattern.py.
+"""`noise`: fit chooses a field, generate makes it and cuts it at a level. What fields there are:
+gaussian.py, pattern.py.
 
-Of several phases one comes after another, each within what the ones before left: the field of a phase is independent of the
-others', so that the conditional S2 (pairs in the phase over pairs in what was left) is that of a cut Gaussian field.
+Of several phases one comes after another, each within what the ones before left: the field of a
+phase is independent of the others', so that the conditional S2 (pairs in the phase over pairs in
+what was left) is that of a cut Gaussian field.
 """
 
 from __future__ import annotations
@@ -18,16 +20,16 @@ from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
 from trabecula.engine.plan import Plan
 from trabecula.measure.fft import fast_side
-from trabecula.synth.base import Method
-from trabecula.synth.facts import Facts
-from trabecula.synth.noise import SPEC
+from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.method import Method
+from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.noise import CAPABILITIES
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.domain import domain_of, lifted
+from trabecula.synth.noise.covariance_fit import matched_filters, reach_of
+from trabecula.synth.noise.exact_fractions import ranked
+from trabecula.synth.noise.fields import Field, Phases, chosen, phases_of
 from trabecula.synth.noise.gaussian import PIECE
-from trabecula.synth.noise.learned import matched_filters, reach_of
-from trabecula.synth.noise.ranked import ranked
-from trabecula.synth.noise.settled import Field, Phases, chosen, phases_of
-from trabecula.synth.windows import WindowModel
+from trabecula.synth.noise.periodic_domain import domain_of, lifted
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it
@@ -37,10 +39,10 @@ _LEAST = 8  # voxels along an axis of the exemplar, unless it is 1 thick
 class Noise(Method):
     """Noise, cut at a level."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = NoiseConfig
 
-    def _fit(self, exemplars: Sequence[Image]) -> NoiseModel:
+    def learn(self, exemplars: Sequence[Image]) -> NoiseModel:
         exemplar = exemplars[0]
         if any(1 < side < _LEAST for side in exemplar.shape):
             raise InputError(
@@ -49,7 +51,7 @@ class Noise(Method):
             )
         return NoiseModel(self.config, exemplars)
 
-    def _blank(self, facts: Facts) -> NoiseModel:
+    def _blank(self, facts: ExemplarInfo) -> NoiseModel:
         return NoiseModel(self.config, [facts])
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
@@ -59,7 +61,10 @@ class Noise(Method):
         if not _follows(self.config):
             return Plan(present)
         reach = reach_of(values.shape, self.config, flat=exemplars[0].ndim == 2)
-        padded = np.prod([fast_side(side + far) for side, far in zip(values.shape, reach, strict=True)], dtype=np.int64)
+        padded = np.prod(
+            [fast_side(side + far) for side, far in zip(values.shape, reach, strict=True)],
+            dtype=np.int64,
+        )
         offsets = int(np.prod([2 * far + 1 for far in reach], dtype=np.int64))
         transforms = max(21 * int(padded) + 8 * offsets, 72 * offsets)
         filters = 4 * offsets * (len(np.unique(values)) - 1)
@@ -72,15 +77,15 @@ class NoiseModel(WindowModel):
     Attributes
     ----------
     filters : list of Filter
-        Of the exemplar's covariance: one per phase but the last, each with the share of its spectrum that had to be clipped.
-        Empty where something else is made.
+        Of the exemplar's covariance: one per phase but the last, each with the share of its
+        spectrum that had to be clipped. Empty where something else is made.
     """
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: NoiseConfig
     block = PIECE
 
-    def __init__(self, config: NoiseConfig, exemplars: Sequence[Image | Facts]) -> None:
+    def __init__(self, config: NoiseConfig, exemplars: Sequence[Image | ExemplarInfo]) -> None:
         super().__init__(config, exemplars)
         self.phases: Phases = phases_of(config, self.facts[0], self.exemplars)
         values = [_volume(exemplar.values) for exemplar in self.exemplars]
@@ -91,7 +96,8 @@ class NoiseModel(WindowModel):
         )
         self._fields: dict[bool, Field] = {}
         two = isinstance(config.length, tuple) and len(config.length) == 2
-        self._field(two or self.facts[0].ndim == 2)  # so that what cannot be is told before anything is asked for
+        # so that what cannot be is told before anything is asked for
+        self._field(two or self.facts[0].ndim == 2)
 
     def _field(self, flat: bool) -> Field:
         """Of volumes, or of pictures."""
@@ -99,13 +105,14 @@ class NoiseModel(WindowModel):
             self._fields[flat] = chosen(self.config, self.facts[0], self.filters, flat=flat)
         return self._fields[flat]
 
-    def _box(self, request: Request, box: Box) -> np.ndarray:
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
         domain, field, last = domain_of(request), self._field(len(box) == 2), self.phases.labels[-1]
         box = lifted(box)
         result = np.full([stop - start for start, stop in box], last, np.uint8)
         for i, label in enumerate(self.phases.labels[:-1]):
             level = field.level(i, self.phases.share(i))
-            choice = np.array([last, label], np.uint8)  # looking up is many times faster than picking voxels
+            # looking up is many times faster than picking voxels
+            choice = np.array([last, label], np.uint8)
 
             def cut(
                 piece: tuple[slice, ...],
@@ -121,9 +128,9 @@ class NoiseModel(WindowModel):
             field.each(i, domain, box, cut, most=level)
         return result[0] if domain.flat else result
 
-    def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         if not self.config.exact:
-            return super()._generate(request)
+            return super().make(request)
         void = self.facts[0].phases.index("void") if "void" in self.facts[0].phases else 0
         return ranked(request, self._field(len(request.shape) == 2), self.phases, outside=void), {}
 
@@ -140,7 +147,9 @@ class NoiseModel(WindowModel):
             )
 
     def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        held = sum(part.values.nbytes for part in self.filters) + sum(image.values.size for image in self.exemplars)
+        held = sum(part.values.nbytes for part in self.filters) + sum(
+            image.values.size for image in self.exemplars
+        )
         field = self._field(len(shape) == 2)
         return {
             "interpreter and kernels": _PROCESS,

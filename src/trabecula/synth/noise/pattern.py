@@ -1,4 +1,6 @@
-"""Patterns on a lattice: made brick by brick in threads, cut at a level that a trial finds or a thickness gives."""
+"""Patterns on a lattice: made brick by brick in threads, cut at a level that a trial finds or a
+thickness gives.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,18 @@ from itertools import product
 import numpy as np
 
 from trabecula.engine.blocks import Box
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.noise.config import WALLED, NoiseConfig
 from trabecula.synth.noise.convolve import Use
-from trabecula.synth.noise.domain import Domain
 from trabecula.synth.noise.lattice import APART, CELL, Grid, grid_of, scattered, shortest
+from trabecula.synth.noise.periodic_domain import Domain
 from trabecula.synth.noise.perlin import perlin
 from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_edges, worley
 from trabecula.synth.noise.white import white
 
 Fill = Callable[[np.ndarray, Grid, int, NoiseConfig, float], None]
-"""Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a seed.
+"""Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a
+seed.
 
 Above the last argument any number above it will do.
 """
@@ -32,7 +35,9 @@ PATTERNS: dict[str, tuple[Fill, int]] = {
     "white": (white, 1 << 31),
     "worley": (worley, 0),
 }
-"""What fills a pattern, and how many numbers it chooses from, each as often; 0 where a trial has to tell."""
+"""What fills a pattern, and how many numbers it chooses from, each as often; 0 where a trial has to
+tell.
+"""
 
 _BRICK = (32, 64, 256)
 _CELLS = (4, 8, 32)  # in a brick, at most, where the neighbours of every point are held
@@ -60,14 +65,18 @@ class Lattice:
         Whether pictures are made.
     """
 
-    def __init__(self, config: NoiseConfig, edges: Sequence[float], spacing: Sequence[float], *, flat: bool) -> None:
+    def __init__(
+        self, config: NoiseConfig, edges: Sequence[float], spacing: Sequence[float], *, flat: bool
+    ) -> None:
         self.config = config
         self.edges = tuple(edges)
         self.step = tuple(voxel / edge for voxel, edge in zip(spacing, edges, strict=True))
         self.flat = flat
         self._choices = PATTERNS[config.kind][1]
 
-    def each(self, number: int, domain: Domain, box: Box, use: Use, *, most: float = np.inf) -> None:
+    def each(
+        self, number: int, domain: Domain, box: Box, use: Use, *, most: float = np.inf
+    ) -> None:
         """The pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
         whole, sides = grid_of(domain, box, self.step, self.edges), _sides(self.config, self.step)
 
@@ -81,9 +90,15 @@ class Lattice:
         for_slabs(slab, whole.shape[0])
 
     def level(self, number: int, share: float) -> float:
-        """The level above which the pattern has the share, or which leaves walls of the thickness that was asked for."""
+        """The level above which the pattern has the share, or which leaves walls of the thickness
+        that was asked for.
+        """
         if self.config.thickness is not None:
-            return float(np.floor(0.5 * self.config.thickness / shortest(self.edges, flat=self.flat) * CELL * WALL))
+            return float(
+                np.floor(
+                    0.5 * self.config.thickness / shortest(self.edges, flat=self.flat) * CELL * WALL
+                )
+            )
         if self._choices:
             return round((1 - share) * self._choices) - 0.5
         return tried_level(self.config, self.step, self.edges, share, flat=self.flat)
@@ -95,13 +110,20 @@ class Lattice:
         if self._choices or self.config.thickness is not None:
             return own
         step = [max(width, APART) for width in self.step]
-        trial = _brick_bytes(self.config, _sides(self.config, step), step) + 12 * int(np.prod(_TRIAL[self.flat]))
+        trial = _brick_bytes(self.config, _sides(self.config, step), step) + 12 * int(
+            np.prod(_TRIAL[self.flat])
+        )
         return max(own, trial)
 
 
 @lru_cache(maxsize=64)
 def tried_level(
-    config: NoiseConfig, step: tuple[float, ...], edges: tuple[float, ...], share: float, *, flat: bool
+    config: NoiseConfig,
+    step: tuple[float, ...],
+    edges: tuple[float, ...],
+    share: float,
+    *,
+    flat: bool,
 ) -> float:
     """The level above which a pattern has the share: from many cells, always the same ones."""
     grid, values = scattered(step, edges, _TRIAL[flat], flat=flat), []
@@ -122,7 +144,10 @@ def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
     """Of a brick, voxels."""
     if config.kind not in WALLED:
         return _BRICK
-    return tuple(max(1, min(side, int(most / width))) for side, most, width in zip(_BRICK, _CELLS, step, strict=True))
+    return tuple(
+        max(1, min(side, int(most / width)))
+        for side, most, width in zip(_BRICK, _CELLS, step, strict=True)
+    )
 
 
 def _brick_bytes(config: NoiseConfig, sides: Sequence[int], step: Sequence[float]) -> int:

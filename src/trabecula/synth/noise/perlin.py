@@ -1,7 +1,8 @@
-"""Perlin noise: slopes at the corners of a lattice, blended between them; octaves of half the length and less weight.
+"""Perlin noise: slopes at the corners of a lattice, blended between them; octaves of half the
+length and less weight.
 
-Perlin (2002), *Improving noise*, doi:10.1145/566654.566636: the blend 6 t^5 - 15 t^4 + 10 t^3. The slopes are drawn anew at
-every corner, of all directions, where the paper takes one of twelve.
+Perlin (2002), *Improving noise*, doi:10.1145/566654.566636: the blend 6 t^5 - 15 t^4 + 10 t^3. The
+slopes are drawn anew at every corner, of all directions, where the paper takes one of twelve.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ def perlin(values: np.ndarray, grid: Grid, seed: int, config: NoiseConfig, most:
         axes = grid.axes(finer=1 << number)
         # A corner more than cells, but along an axis that is not there.
         gradients = np.empty((*(axis.cells + (not axis.flat) for axis in axes), 3))
-        first, periods = (np.array([getattr(axis, name) for axis in axes], np.int64) for name in ("first", "period"))
+        first, periods = (
+            np.array([getattr(axis, name) for axis in axes], np.int64)
+            for name in ("first", "period")
+        )
         corner_gradients(gradients, key(seed, f"noise/perlin/{number}"), first, periods)
         cz, cy, cx = (axis.cell for axis in axes)
         tz, ty, tx = (axis.inside for axis in axes)

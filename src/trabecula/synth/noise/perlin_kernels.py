@@ -1,4 +1,5 @@
-"""Gradients and their blend. Gradients have 5 bits, positions 12 and weights 10: float64 rounds no product or sum of them.
+"""Gradients and their blend. Gradients have 5 bits, positions 12 and weights 10: float64 rounds no
+product or sum of them.
 
 Symbols: g a gradient, t the position in a cell (0 .. 1), w the weight of a cell's upper corner.
 """
@@ -14,7 +15,9 @@ from trabecula.synth.noise.lattice_kernels import wrapped
 
 @kernel
 def corner_gradients(gradients, key, first, periods):
-    """Whole numbers -16 .. 16 over 16, of vectors between 0.7 and 1 long: (Z, Y, X, 3) float64; one layer has no slope in z."""
+    """Whole numbers -16 .. 16 over 16, of vectors between 0.7 and 1 long: (Z, Y, X, 3) float64; one
+    layer has no slope in z.
+    """
     flat = gradients.shape[0] == 1
     for z in range(gradients.shape[0]):
         for y in range(gradients.shape[1]):
@@ -53,7 +56,14 @@ def add_octave(values, gradients, cz, cy, cx, tz, ty, tx, wz, wy, wx, weight):
         upper = min(cz[z] + 1, gradients.shape[0] - 1)
         for y in range(values.shape[1]):
             _line(low, gradients[cz[z], cy[y]], gradients[cz[z], cy[y] + 1], tz[z], ty[y], wy[y])
-            _line(high, gradients[upper, cy[y]], gradients[upper, cy[y] + 1], tz[z] - 1.0, ty[y], wy[y])
+            _line(
+                high,
+                gradients[upper, cy[y]],
+                gradients[upper, cy[y] + 1],
+                tz[z] - 1.0,
+                ty[y],
+                wy[y],
+            )
             for x in range(len(low)):
                 low[x, 0] += wz[z] * (high[x, 0] - low[x, 0])
                 low[x, 1] += wz[z] * (high[x, 1] - low[x, 1])

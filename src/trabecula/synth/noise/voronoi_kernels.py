@@ -1,9 +1,11 @@
-"""Distances to the walls of Voronoi cells: the planes half way between a cell's point and its neighbours.
+"""Distances to the walls of Voronoi cells: the planes half way between a cell's point and its
+neighbours.
 
-With d from the point to a neighbour and p from it to the voxel, D_neighbour - D_own = d.d - 2 p.d is a whole number, and its
-product with 1 / (2 |d|) the distance to the plane, at least |d| / 2 - |p|: neighbours come in the order of |d|, and the first
-that is too far ends the search. Along a row the distance to a plane changes evenly, so that the planes that matter in a row's
-part within one cell are told by its ends.
+With d from the point to a neighbour and p from it to the voxel, D_neighbour - D_own = d.d - 2 p.d
+is a whole number, and its product with 1 / (2 |d|) the distance to the plane, at least |d| / 2 -
+|p|: neighbours come in the order of |d|, and the first that is too far ends the search. Along a row
+the distance to a plane changes evenly, so that the planes that matter in a row's part within one
+cell are told by its ends.
 """
 
 from __future__ import annotations
@@ -21,19 +23,28 @@ _SHELVES = 64
 @inline
 def _between(n, m, place, d):
     """The vector d from one point to another; returns the square of its length."""
-    d[0], d[1], d[2] = place[m, 0] - place[n, 0], place[m, 1] - place[n, 1], place[m, 2] - place[n, 2]
+    d[0], d[1], d[2] = (
+        place[m, 0] - place[n, 0],
+        place[m, 1] - place[n, 1],
+        place[m, 2] - place[n, 2],
+    )
     return d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
 
 
 @kernel
 def neighbours(near, n, place, counts, scale):
-    """Points of the cells up to two away, nearer ones first, and how many: rows d, |d| / 2 and 1 / (2 |d|) of `near`.
+    """Points of the cells up to two away, nearer ones first, and how many: rows d, |d| / 2 and 1 /
+    (2 |d|) of `near`.
 
-    They are sorted onto shelves by |d|^2, and |d| / 2 is that of the shelf's front. 1 / (2 |d|) is in steps of the shortest
-    edge, along which `scale` is 1. near: (124, 5) float64.
+    They are sorted onto shelves by |d|^2, and |d| / 2 is that of the shelf's front. 1 / (2 |d|) is
+    in steps of the shortest edge, along which `scale` is 1. near: (124, 5) float64.
     """
     z, y, x = n // (counts[1] * counts[2]), n // counts[2] % counts[1], n % counts[2]
-    other, shelf, ends = np.empty(124, np.int32), np.empty(124, np.int32), np.zeros(_SHELVES + 1, np.int32)
+    other, shelf, ends = (
+        np.empty(124, np.int32),
+        np.empty(124, np.int32),
+        np.zeros(_SHELVES + 1, np.int32),
+    )
     found, d = 0, np.empty(3)
     for cz in range(max(z - 2, 0), min(z + 3, counts[0])):
         for cy in range(max(y - 2, 0), min(y + 3, counts[1])):
@@ -51,17 +62,21 @@ def neighbours(near, n, place, counts, scale):
         ends[shelf[i]] += 1
         _between(n, other[i], place, row)
         row[3] = 0.5 * np.sqrt(shelf[i] * (_FARTHEST / _SHELVES))
-        row[4] = 0.5 / np.sqrt(scale[0] * row[0] * row[0] + scale[1] * row[1] * row[1] + scale[2] * row[2] * row[2])
+        row[4] = 0.5 / np.sqrt(
+            scale[0] * row[0] * row[0] + scale[1] * row[1] * row[1] + scale[2] * row[2] * row[2]
+        )
     return found
 
 
 @inline
 def _planes(lines, near, count, pz, py, first, last, edges, most):
-    """Planes that may be nearest (second nearest) somewhere from `first` to `last` along x, and nearer than `most`.
+    """Planes that may be nearest (second nearest) somewhere from `first` to `last` along x, and
+    nearer than `most`.
 
     Returns how many.
 
-    Rows of `lines`: the distance at 0 and its slope, both times 2 |d|; 1 / (2 |d|); the distance at the nearer end.
+    Rows of `lines`: the distance at 0 and its slope, both times 2 |d|; 1 / (2 |d|); the distance at
+    the nearer end.
     """
     best, second, limit, found = most, most, most + 1.0, 0
     far = np.sqrt(pz * pz + py * py + max(first * first, last * last)) + 1.0
@@ -72,7 +87,12 @@ def _planes(lines, near, count, pz, py, first, last, edges, most):
         base = dz * (dz - 2.0 * pz) + dy * (dy - 2.0 * py) + dx * dx
         left, right = (base - 2.0 * dx * first) * factor, (base - 2.0 * dx * last) * factor
         lower, upper = left if left < right else right, right if left < right else left
-        lines[found, 0], lines[found, 1], lines[found, 2], lines[found, 3] = base, 2.0 * dx, factor, lower
+        lines[found, 0], lines[found, 1], lines[found, 2], lines[found, 3] = (
+            base,
+            2.0 * dx,
+            factor,
+            lower,
+        )
         found += lower <= limit
         middle = upper if upper > best else best
         best = upper if upper < best else best
@@ -100,12 +120,14 @@ def _run(row, ax, start, stop, sx, lines, count, edges, parts, most):
 
 @kernel
 def plane_distance(values, keys, az, ay, ax, place, counts, scale, edges, parts, most):
-    """Distance to the nearest plane, or the second where `edges`, `most` at most, times `parts`, rounded down: (Z, Y, X) int32.
+    """Distance to the nearest plane, or the second where `edges`, `most` at most, times `parts`,
+    rounded down: (Z, Y, X) int32.
 
-    keys: (Z, Y, X) float64, the voxels' nearest points as `nearest` tells them; scale: squares of the shortest edge over the
-    edges.
+    keys: (Z, Y, X) float64, the voxels' nearest points as `nearest` tells them; scale: squares of
+    the shortest edge over the edges.
     """
-    known, near = np.zeros(len(place), np.int32), np.empty((len(place), 124, 5))  # of which few pages are ever touched
+    # of which few pages are ever touched
+    known, near = np.zeros(len(place), np.int32), np.empty((len(place), 124, 5))
     lines, own = np.empty((125, 4)), np.empty(len(ax), np.int32)
     for z in range(values.shape[0]):
         for y in range(values.shape[1]):
@@ -121,5 +143,7 @@ def plane_distance(values, keys, az, ay, ax, place, counts, scale, edges, parts,
                     known[n] = neighbours(near[n], n, place, counts, scale)
                 sx = place[n, 2]
                 pz, py = az[z] - place[n, 0], ay[y] - place[n, 1]
-                count = _planes(lines, near[n], known[n], pz, py, ax[start] - sx, ax[x - 1] - sx, edges, most)
+                count = _planes(
+                    lines, near[n], known[n], pz, py, ax[start] - sx, ax[x - 1] - sx, edges, most
+                )
                 _run(values[z, y], ax, start, x, sx, lines, count, edges, parts, most)

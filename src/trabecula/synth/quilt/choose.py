@@ -1,7 +1,9 @@
-"""The choice at a place: the best candidates are cut in, and judged by the least seam first, until one may stay.
+"""The choice at a place: the best candidates are cut in, and judged by the least seam first, until
+one may stay.
 
-A candidate's mismatch counts all voxels of the overlap that differ; what is to be seen is what the seam goes through. So of the
-few with the least distance the one with the cheapest cut is taken. What no candidate keeps struts have to.
+A candidate's mismatch counts all voxels of the overlap that differ; what is to be seen is what the
+seam goes through. So of the few with the least distance the one with the cheapest cut is taken.
+What no candidate keeps struts have to.
 """
 
 from __future__ import annotations
@@ -13,15 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trabecula.synth.quilt.bodies import FINE, SOLID, Bodies, Judge, classes_for
+from trabecula.synth.quilt.bit_packing import Query
+from trabecula.synth.quilt.candidate_pools import Pool
 from trabecula.synth.quilt.config import QuiltConfig
+from trabecula.synth.quilt.connectivity import FINE, SOLID, Bodies, Judge, classes_for
 from trabecula.synth.quilt.cut import ALL, LEAST, MOST, seamed
-from trabecula.synth.quilt.learnt import Learnt, void_of
-from trabecula.synth.quilt.pools import Pool
+from trabecula.synth.quilt.feature_size import thin_voxels
+from trabecula.synth.quilt.patch_library import Learnt, void_of
 from trabecula.synth.quilt.ranking import Ranked, Ranker
-from trabecula.synth.quilt.strut import Struts
-from trabecula.synth.quilt.thin import thin_voxels
-from trabecula.synth.quilt.words import Query
+from trabecula.synth.quilt.struts import Struts
 
 _WIDER, _WIDEST = 4, 2  # times as many candidates where those looked at do not fit; so often
 _FEWEST = 8  # candidates
@@ -74,7 +76,9 @@ class Place:
 
 @dataclass
 class _Tried:
-    """How many candidates of a place were judged, the best of those with something against them, and how many had solid where."""
+    """How many candidates of a place were judged, the best of those with something against them,
+    and how many had solid where.
+    """
 
     solid: np.ndarray
     count: int = 0
@@ -94,9 +98,20 @@ class Chooser:
     """
 
     def __init__(
-        self, learnt: Learnt, config: QuiltConfig, ranker: Ranker, bodies: Bodies | None, margin: tuple[int, ...]
+        self,
+        learnt: Learnt,
+        config: QuiltConfig,
+        ranker: Ranker,
+        bodies: Bodies | None,
+        margin: tuple[int, ...],
     ) -> None:
-        self.learnt, self.config, self.ranker, self.bodies, self.margin = learnt, config, ranker, bodies, margin
+        self.learnt, self.config, self.ranker, self.bodies, self.margin = (
+            learnt,
+            config,
+            ranker,
+            bodies,
+            margin,
+        )
         self.seams = config.seams or (_OF_A_LATTICE if any(learnt.periods) else _OF_OTHERS)
         phases = learnt.images[0].phases
         self.solid = classes_for("solid", void_of(phases), len(phases)) == SOLID
@@ -109,8 +124,8 @@ class Chooser:
         return Struts.of(self.learnt, self.config.feature)
 
     def chosen(self, place: Place, *, last_way: bool) -> tuple[Piece, int]:
-        """The best candidate that may stay, or else the best with what speaks against it; and how many were judged. `last_way`:
-        with struts, rather than against what is to hang together.
+        """The best candidate that may stay, or else the best with what speaks against it; and how
+        many were judged. `last_way`: with struts, rather than against what is to hang together.
         """
         config = self.config
         count = min(config.candidates, max(_FEWEST, round(config.share * len(place.pool.at))))
@@ -136,9 +151,13 @@ class Chooser:
         if tried.fallback is None:  # all that there are were taken back before
             place.refused = ()
             return self.chosen(place, last_way=last_way)
-        return (self._with_struts(place, tried) if last_way else None) or tried.fallback, tried.count
+        return (
+            self._with_struts(place, tried) if last_way else None
+        ) or tried.fallback, tried.count
 
-    def _first_that_may_stay(self, place: Place, found: Ranked, tried: _Tried, failed: set[int]) -> Piece | None:
+    def _first_that_may_stay(
+        self, place: Place, found: Ranked, tried: _Tried, failed: set[int]
+    ) -> Piece | None:
         """A candidate with nothing against it; if there is one soon, one that begins no new body."""
         good: Piece | None = None
         for n, cut in self._by_seam(place, found):
@@ -159,14 +178,18 @@ class Chooser:
         return good
 
     def _by_seam(self, place: Place, found: Ranked) -> Iterator[tuple[int, np.ndarray]]:
-        """The nearest candidates, so many at a time, of these the one with the least seam first; and the windows they make."""
+        """The nearest candidates, so many at a time, of these the one with the least seam first;
+        and the windows they make.
+        """
         left = self.config.tries
         while left > 0:
             batch = found.taken_off(min(left, self.seams))
             if not len(batch):
                 return
             left -= len(batch)
-            windows, costs = zip(*(self._cut_in(place, int(found.at[n]), LEAST) for n in batch), strict=True)
+            windows, costs = zip(
+                *(self._cut_in(place, int(found.at[n]), LEAST) for n in batch), strict=True
+            )
             for k in np.argsort(costs, kind="stable"):
                 yield int(batch[k]), windows[k]
 
@@ -183,7 +206,9 @@ class Chooser:
             growth = self.judge.growth
         if not why and self._thins(place, window):
             why = "feature size"
-        return Piece(int(found.at[n]), int(found.mismatch[n]), int(found.difference[n]), window, why, growth)
+        return Piece(
+            int(found.at[n]), int(found.mismatch[n]), int(found.difference[n]), window, why, growth
+        )
 
     def _thins(self, place: Place, window: np.ndarray) -> bool:
         """Whether a window has more that is too thin than it had."""
@@ -191,10 +216,14 @@ class Chooser:
         if size == 1:
             return False
         rim = tuple(min(size - 1, m) for m in self.margin)  # where the window cannot tell
-        return thin_voxels(window, rim, size, self.solid) > thin_voxels(place.old, rim, size, self.solid)
+        return thin_voxels(window, rim, size, self.solid) > thin_voxels(
+            place.old, rim, size, self.solid
+        )
 
     def _with_struts(self, place: Place, tried: _Tried) -> Piece | None:
-        """The best candidate with struts, so that it may stay; cut in as it is best, or else laid only where nothing was."""
+        """The best candidate with struts, so that it may stay; cut in as it is best, or else laid
+        only where nothing was.
+        """
         best = tried.fallback
         if self.bodies is None or best is None or best.why != "connectivity":
             return None

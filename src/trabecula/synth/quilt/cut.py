@@ -1,9 +1,10 @@
 """The seam: a minimum cut through what is made and what is laid over it (section 3.3, step 3).
 
-Voxels of the overlap are the nodes. With m(p) = 1 where old and new differ at p, parting neighbours p and q costs m(p) + m(q)
-(Kwatra et al. 2003, doi:10.1145/882262.882264, equation 1, for labels); a neighbour that only the old or only the new has
-differs as p does. The cut is exact: Dinic's algorithm (blocking flows along shortest ways) on whole numbers. Of all
-minimum cuts the one is taken that keeps least of the old, so that the new piece comes out as it is, unless that tears what
+Voxels of the overlap are the nodes. With m(p) = 1 where old and new differ at p, parting neighbours
+p and q costs m(p) + m(q) (Kwatra et al. 2003, doi:10.1145/882262.882264, equation 1, for labels); a
+neighbour that only the old or only the new has differs as p does. The cut is exact: Dinic's
+algorithm (blocking flows along shortest ways) on whole numbers. Of all minimum cuts the one is
+taken that keeps least of the old, so that the new piece comes out as it is, unless that tears what
 hangs together.
 """
 
@@ -12,13 +13,15 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.quilt.marks import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
 
 _HELD = 1 << 28  # more than any cut
 
 
 LEAST, MOST, ALL = 0, 1, 2
-"""How much of the old a seam keeps: of all minimum cuts the least, or the most; or all of it, without a cut."""
+"""How much of the old a seam keeps: of all minimum cuts the least, or the most; or all of it,
+without a cut.
+"""
 
 
 def seamed(
@@ -66,8 +69,8 @@ def _differs(old, new):
 
 @kernel
 def _network(window, margin, piece, ways, from_source, to_sink):
-    """Capacities to the neighbours after and before along z, y, x, and to the terminals; returns what flows from one terminal
-    to the other through one node alone, which is taken off at once."""
+    """Capacities to the neighbours after and before along z, y, x, and to the terminals; returns
+    what flows from one terminal to the other through one node alone, which is taken off at once."""
     depth, height, width = piece.shape
     steps = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     flow = 0
@@ -88,14 +91,20 @@ def _network(window, margin, piece, ways, from_source, to_sink):
                         sign = 1 - 2 * side
                         nz, ny, nx = z + sign * dz, y + sign * dy, x + sign * dx
                         kz, ky, kx = wz + sign * dz, wy + sign * dy, wx + sign * dx
-                        if not (0 <= kz < window.shape[0] and 0 <= ky < window.shape[1] and 0 <= kx < window.shape[2]):
+                        if not (
+                            0 <= kz < window.shape[0]
+                            and 0 <= ky < window.shape[1]
+                            and 0 <= kx < window.shape[2]
+                        ):
                             continue
                         other = window[kz, ky, kx]
                         if 0 <= nz < depth and 0 <= ny < height and 0 <= nx < width:
                             if other == EMPTY:
                                 sink += 2 * mine
                             elif other < OUT:
-                                ways[node, 2 * axis + side] = mine + _differs(other, piece[nz, ny, nx])
+                                ways[node, 2 * axis + side] = mine + _differs(
+                                    other, piece[nz, ny, nx]
+                                )
                         elif other < OUT:
                             source += 2 * mine
                 both = min(source, sink)
@@ -107,8 +116,8 @@ def _network(window, margin, piece, ways, from_source, to_sink):
 
 @kernel
 def max_flow(ways, from_source, to_sink, shape):
-    """The greatest flow through a grid; all capacities become what is left of them. Afterwards `from_source` is -1 where a
-    way with room leads from the source.
+    """The greatest flow through a grid; all capacities become what is left of them. Afterwards
+    `from_source` is -1 where a way with room leads from the source.
 
     ways[p, 2 a + s]: capacity from p to its neighbour after (s = 0) or before (1) along axis a.
     """
@@ -142,8 +151,8 @@ def max_flow(ways, from_source, to_sink, shape):
 
 @inline
 def _levels(ways, from_source, to_sink, jumps, level, queue):
-    """Steps from the source to every node, -1 where none lead: how many to the nearest with room to the sink (all nodes for
-    none), and how many nodes were found, in their order in `queue`."""
+    """Steps from the source to every node, -1 where none lead: how many to the nearest with room to
+    the sink (all nodes for none), and how many nodes were found, in their order in `queue`."""
     count = len(ways)
     level[:] = -1
     head = tail = 0
@@ -170,8 +179,8 @@ def _levels(ways, from_source, to_sink, jumps, level, queue):
 
 @inline
 def _shortest(ways, to_sink, jumps, level, reached, tried, path):
-    """The nodes of a shortest way from path[0] to the sink, written into `path`: how many, or 0 for no way. What was tried
-    without success is not tried again."""
+    """The nodes of a shortest way from path[0] to the sink, written into `path`: how many, or 0 for
+    no way. What was tried without success is not tried again."""
     length = 1
     while length > 0:
         p = path[length - 1]
@@ -240,6 +249,9 @@ def _lay(window, margin, piece, from_source, made):
         for y in range(height):
             for x in range(width):
                 old = window[z + margin[0], y + margin[1], x + margin[2]]
-                if old == OUT or (old != EMPTY and (old >= FIXED or from_source[(z * height + y) * width + x] == -1)):
+                if old == OUT or (
+                    old != EMPTY
+                    and (old >= FIXED or from_source[(z * height + y) * width + x] == -1)
+                ):
                     continue
                 made[z + margin[0], y + margin[1], x + margin[2]] = piece[z, y, x]

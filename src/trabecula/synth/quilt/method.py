@@ -9,21 +9,21 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.progress import say
+from trabecula.core.progress import notify
 from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.measure.runs import INSIDE
-from trabecula.synth.base import Method, Model
-from trabecula.synth.quilt import SPEC
-from trabecula.synth.quilt.begin import frame_for
+from trabecula.synth.api.method import Method, Model
+from trabecula.synth.quilt import CAPABILITIES
+from trabecula.synth.quilt.bit_packing import planes_for
+from trabecula.synth.quilt.canvas import frame_for
+from trabecula.synth.quilt.compatibility import Forecast, check_held, forecast_of
+from trabecula.synth.quilt.components import parts_of
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.forecast import Forecast, check_held, forecast_of
-from trabecula.synth.quilt.learnt import Learnt
-from trabecula.synth.quilt.needs import needs_of
-from trabecula.synth.quilt.parts import parts_of
+from trabecula.synth.quilt.memory import needs_of
+from trabecula.synth.quilt.patch_library import Learnt
 from trabecula.synth.quilt.run import Run
 from trabecula.synth.quilt.trace import Trace
-from trabecula.synth.quilt.words import planes_for
 from trabecula.synth.shared.orient import symmetries
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -32,16 +32,20 @@ _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kerne
 class Quilt(Method):
     """Graph-cut quilting."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = QuiltConfig
     config: QuiltConfig
 
-    def _fit(self, exemplars: Sequence[Image]) -> QuiltModel:
+    def learn(self, exemplars: Sequence[Image]) -> QuiltModel:
         return QuiltModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         """Words and a copy of every orientation, and what cleaning takes."""
-        turns = len(symmetries(self.config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing))
+        turns = len(
+            symmetries(
+                self.config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing
+            )
+        )
         planes = planes_for(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
         return Plan(
@@ -56,7 +60,7 @@ class Quilt(Method):
 class QuiltModel(Model):
     """Exemplars as words."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config: QuiltConfig
     spills = True
 
@@ -81,12 +85,16 @@ class QuiltModel(Model):
         return self.learnt.periods[-self.facts[0].ndim :]
 
     def forecast(self, request: Request) -> Forecast:
-        """What the exemplars can give of a request's target, place by place, before anything is made (section 3.4)."""
+        """What the exemplars can give of a request's target, place by place, before anything is
+        made (section 3.4).
+        """
         self._check_request(request)
         return forecast_of(self.learnt, self.config, frame_for(self.learnt, request), request)
 
     def traced(self, request: Request) -> tuple[np.ndarray, Trace]:
-        """The voxels of a request, and what happened at every place (the recipe of `generate` has its sums)."""
+        """The voxels of a request, and what happened at every place (the recipe of `generate` has
+        its sums).
+        """
         self._check_request(request)
         run = Run(self.learnt, self.config, request)
         values = run.made()
@@ -108,22 +116,29 @@ class QuiltModel(Model):
 
     def _plan(self, request: Request) -> Plan:
         kept = needs_of(self.learnt, self.config, request)
-        return Plan({"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels)
+        return Plan(
+            {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels
+        )
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
         kept = needs_of(self.learnt, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 
-    def _generate(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         values, trace = self.traced(request)
         told = trace.told()
         if told["gave_way"]:
             at = told["gave_way_at"][0]
-            say(
+            notify(
                 f"{told['gave_way']} of {told['places']} places gave way in {at['in']}, the first at voxel {at['voxel']}: "
                 "look at more candidates, or finish the part (finish.connect)"
             )
-        return values, {"patch": self.patch, "overlap": self.overlap, "periods": list(self.periods), **told}
+        return values, {
+            "patch": self.patch,
+            "overlap": self.overlap,
+            "periods": list(self.periods),
+            **told,
+        }
 
 
 def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:

@@ -1,4 +1,5 @@
-"""Lattices: the period of an exemplar along every axis, and how far each exemplar is out of step with the first.
+"""Lattices: the period of an exemplar along every axis, and how far each exemplar is out of step
+with the first.
 
 From how often voxels agree at a distance, in whole numbers, so that every machine finds the same.
 """
@@ -13,7 +14,8 @@ _LEAST = 4
 """Voxels of the shortest period."""
 
 _PEAK, _RISE = 0.4, 0.2
-"""Agreement beyond chance at the period (1: all voxels), and how far it lies above the dip before."""
+"""Agreement beyond chance at the period (1: all voxels), and how far it lies above the dip before.
+"""
 
 _CLEAR = 0.1
 """Agreement by which a multiple of the period lies elsewhere than at whole periods."""
@@ -23,7 +25,9 @@ _SHARP = 4
 
 
 def agreement(labels: np.ndarray, axis: int, reach: int) -> np.ndarray:
-    """(reach + 1,) share of voxels that agree with the one at a distance along an axis, beyond chance: 1 at 0, 0 by chance."""
+    """(reach + 1,) share of voxels that agree with the one at a distance along an axis, beyond
+    chance: 1 at 0, 0 by chance.
+    """
     lines = np.moveaxis(labels, axis, 0)
     shares = np.bincount(labels.ravel()) / labels.size
     chance = float((shares**2).sum())
@@ -51,7 +55,8 @@ def period_along(labels: np.ndarray, axis: int) -> float | None:
     peaks = [
         lag
         for lag in range(max(dip + 1, _LEAST), len(curve) - 1)
-        if curve[lag] >= max(curve[lag - 1], curve[lag + 1], _PEAK) and curve[lag] - curve[dip:lag].min() >= _RISE
+        if curve[lag] >= max(curve[lag - 1], curve[lag + 1], _PEAK)
+        and curve[lag] - curve[dip:lag].min() >= _RISE
     ]
     if not peaks or 2 * peaks[0] > side:
         return None
@@ -62,8 +67,12 @@ def period_along(labels: np.ndarray, axis: int) -> float | None:
         best = int(lags[np.argmax(curve[lags])])
         if curve[best] < _PEAK:
             break
-        # A gradient draws every peak to the near side by less than a voxel: only a clear one is believed.
-        if best != times * peaks[0] and curve[best] - curve[min(times * peaks[0], len(curve) - 1)] < _CLEAR:
+        # A gradient draws every peak to the near side by less than a voxel: only a clear one is
+        # believed.
+        if (
+            best != times * peaks[0]
+            and curve[best] - curve[min(times * peaks[0], len(curve) - 1)] < _CLEAR
+        ):
             continue
         found = best / times
     return found
@@ -75,13 +84,17 @@ def periods_of(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
     for axis in range(3):
         each = [period_along(labels, axis) for labels in stack]
         first = each[0]
-        same = first is not None and all(one is not None and abs(one - first) <= 0.25 for one in each)
+        same = first is not None and all(
+            one is not None and abs(one - first) <= 0.25 for one in each
+        )
         found.append(first if same else None)
     return tuple(found)
 
 
 def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> np.ndarray:
-    """(S, 3) voxels by which each exemplar's cells lie further along every axis than the first one's."""
+    """(S, 3) voxels by which each exemplar's cells lie further along every axis than the first
+    one's.
+    """
     cells = [_cell(labels, periods) for labels in stack]
     first = np.conj(np.fft.rfftn(cells[0]))
     shifts = np.zeros((len(stack), 3), np.int64)
@@ -93,12 +106,16 @@ def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> n
 
 
 def _cell(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
-    """How many voxels of label 0 fall on every voxel of a cell; one voxel along axes without a period."""
+    """How many voxels of label 0 fall on every voxel of a cell; one voxel along axes without a
+    period.
+    """
     places, sides = [], []
     for side, period in zip(labels.shape, periods, strict=True):
         size = 1 if period is None else round(period)
         places.append(
-            np.zeros(side, np.int64) if period is None else np.floor(np.arange(side) % period).astype(int) % size
+            np.zeros(side, np.int64)
+            if period is None
+            else np.floor(np.arange(side) % period).astype(int) % size
         )
         sides.append(size)
     at = np.ravel_multi_index(np.ix_(*places), sides)
@@ -109,12 +126,15 @@ def _cell(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
 def phase_key(corner: Sequence[int], periods: Sequence[float | None]) -> tuple[int, ...]:
     """The phase of a place of the output, in parts of a voxel; 0 along axes without a period."""
     return tuple(
-        0 if period is None else round(at % period * _SHARP) for at, period in zip(corner, periods, strict=True)
+        0 if period is None else round(at % period * _SHARP)
+        for at, period in zip(corner, periods, strict=True)
     )
 
 
 def in_phase(count: int, key: int, shift: int, period: float | None) -> np.ndarray:
-    """Positions 0 .. count - 1 along an axis that have a phase, of an exemplar that lies `shift` further."""
+    """Positions 0 .. count - 1 along an axis that have a phase, of an exemplar that lies `shift`
+    further.
+    """
     at = np.arange(count)
     if period is None:
         return at

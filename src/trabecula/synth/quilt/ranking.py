@@ -1,4 +1,6 @@
-"""The candidates of a place by their distance d = alpha d_N + (1 - alpha) d_D (equations 4 to 6), in whole numbers."""
+"""The candidates of a place by their distance d = alpha d_N + (1 - alpha) d_D (equations 4 to 6),
+in whole numbers.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,8 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.random import philox
-from trabecula.synth.quilt.pools import SCALE, WEIGHT, Descriptors, Pool, Pools
-from trabecula.synth.quilt.words import Query, Words, mismatches
+from trabecula.synth.quilt.bit_packing import Query, Words, mismatches
+from trabecula.synth.quilt.candidate_pools import SCALE, WEIGHT, Descriptors, Pool, Pools
 
 _PARTS = 1 << 44  # a distance of 1
 _GOOD = 16  # candidates around which others are looked at
@@ -49,7 +51,9 @@ class Ranked:
         return int(self.mismatch.min()) if len(self.mismatch) else 0
 
     def taken_off(self, count: int) -> np.ndarray:
-        """The nearest `count` candidates that are left (of equals the first), which are left out from now on."""
+        """The nearest `count` candidates that are left (of equals the first), which are left out
+        from now on.
+        """
         count = min(count, len(self.score))
         near = _smallest(self.score, count) if count else np.empty(0, np.int64)
         near = near[self.score[near] < _REFUSED]
@@ -81,9 +85,10 @@ class Ranker:
         before: tuple[np.ndarray, np.ndarray],
         without: Collection[int],
     ) -> Ranked:
-        """The `count` candidates of a pool that are nearest in descriptors (of many, those that pass the sieve), those that go on
-        with pieces laid `before` (first voxels and offsets), and what lies around the best of all these; where fields are asked
-        for, only those that differ from them no more than the first do.
+        """The `count` candidates of a pool that are nearest in descriptors (of many, those that
+        pass the sieve), those that go on with pieces laid `before` (first voxels and offsets), and
+        what lies around the best of all these; where fields are asked for, only those that differ
+        from them no more than the first do.
         """
         at, difference = pool.nearest(asked, self.descriptors.weights, count)
         complete = len(at) == len(pool.at)
@@ -107,9 +112,12 @@ class Ranker:
             score[np.isin(at, np.fromiter(without, np.int64))] = _REFUSED
         return Ranked(at, mismatch, difference, score, complete)
 
-    def _sifted(self, query: Query, at: np.ndarray, difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _sifted(
+        self, query: Query, at: np.ndarray, difference: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Those candidates, and their differences, that are nearest by a part of the overlap."""
-        order = np.argsort(at)  # so that words of one candidate are near those of the next in memory
+        # so that words of one candidate are near those of the next in memory
+        order = np.argsort(at)
         at, difference = at[order], difference[order]
         part = query.every(self.sieve)
         score = self._scored(part, mismatches(self.words, part, at), difference)

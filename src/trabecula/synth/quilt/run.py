@@ -1,6 +1,8 @@
-"""A run: places in raster order; at each the best candidates are laid down and judged until one may stay.
+"""A run: places in raster order; at each the best candidates are laid down and judged until one may
+stay.
 
-What a place is made of: the window of what is there, the words of its overlap, its targets. `choose` finds the piece for it.
+What a place is made of: the window of what is there, the words of its overlap, its targets.
+`choose` finds the piece for it.
 """
 
 from __future__ import annotations
@@ -13,21 +15,21 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine import checkpoint, scratch
-from trabecula.synth.quilt.begin import canvas_for, frame_for
-from trabecula.synth.quilt.bodies import Bodies, classes_for
+from trabecula.engine import checkpoint, memmap
+from trabecula.synth.quilt.bit_packing import query_of
+from trabecula.synth.quilt.candidate_pools import SCALE, WEIGHT, Descriptors, Pools
+from trabecula.synth.quilt.canvas import canvas_for, frame_for
 from trabecula.synth.quilt.choose import Chooser, Piece, Place
+from trabecula.synth.quilt.cleanup import painted_over, unmark
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.end import painted_over, unmark
-from trabecula.synth.quilt.learnt import Learnt, void_of
-from trabecula.synth.quilt.marks import EMPTY, OUT
+from trabecula.synth.quilt.connectivity import Bodies, classes_for
+from trabecula.synth.quilt.local_targets import Own, targets_at
+from trabecula.synth.quilt.patch_library import Learnt, void_of
 from trabecula.synth.quilt.period import phase_key
-from trabecula.synth.quilt.places import Own, targets_at
-from trabecula.synth.quilt.pools import SCALE, WEIGHT, Descriptors, Pools
 from trabecula.synth.quilt.ranking import Ranker
 from trabecula.synth.quilt.trace import Trace
+from trabecula.synth.quilt.voxel_codes import EMPTY, OUT
 from trabecula.synth.quilt.windows import box_of, near_empty
-from trabecula.synth.quilt.words import query_of
 
 _STAGE = "quilt laid"
 
@@ -64,7 +66,10 @@ class Run:
         self.void = void_of(phases)
         followed = classes_for(config.connected, self.void, len(phases))
         self.bodies = Bodies(self.canvas, self.frame.wraps, followed) if followed.any() else None
-        self.target = {name: np.reshape(t, self.frame.shape) if np.ndim(t) else t for name, t in request.target.items()}
+        self.target = {
+            name: np.reshape(t, self.frame.shape) if np.ndim(t) else t
+            for name, t in request.target.items()
+        }
         self.mask = None if request.mask is None else request.mask.reshape(self.frame.shape)
         self.own = None if self.target else Own.of(learnt, request.seed)
         names = list(request.target) if self.own is None else list(self.own.fields)
@@ -83,7 +88,7 @@ class Run:
         )
         self.chooser = Chooser(learnt, config, ranker, self.bodies, self.frame.margin)
         self.trace = Trace(self.frame)
-        self.placed = scratch.zeros(int(np.prod(self.frame.counts)), np.int32)
+        self.placed = memmap.zeros(int(np.prod(self.frame.counts)), np.int32)
         self.log: deque[_Step] = deque(maxlen=max(1, config.backtrack))
         self.refused: dict[int, set[int]] = {}
         self.backs: dict[int, int] = {}
@@ -95,7 +100,12 @@ class Run:
             self._lay_layer(done)
             if checkpoint.due():
                 checkpoint.offer(
-                    _STAGE, done + 1, canvas=self.canvas, placed=self.placed, **self._book(), **self.trace.arrays()
+                    _STAGE,
+                    done + 1,
+                    canvas=self.canvas,
+                    placed=self.placed,
+                    **self._book(),
+                    **self.trace.arrays(),
                 )
         if self.bodies is not None:
             island = self.chooser.judge.island
@@ -110,7 +120,7 @@ class Run:
         while number < end:
             number = self._step(number)
             if number % places == 0:
-                scratch.let_go()
+                memmap.release_pages()
                 self.pools.forget()
         for memory in (self.log, self.refused, self.backs):
             memory.clear()
@@ -146,7 +156,11 @@ class Run:
         if self.bodies is not None:
             frame.cut_out(self.bodies.of, corner, of, 0)
         near = near_empty(box, learnt.overlap) if self.request.fixed is not None else box < OUT
-        targets = self.own.at(corner) if self.own else targets_at(self.target, frame, corner, learnt.middle, self.mask)
+        targets = (
+            self.own.at(corner)
+            if self.own
+            else targets_at(self.target, frame, corner, learnt.middle, self.mask)
+        )
         return Place(
             number,
             old,
@@ -159,7 +173,9 @@ class Run:
         )
 
     def _pieces_before(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where the pieces before a place along z, y and x begin in the stack, and how far the place lies from them."""
+        """Where the pieces before a place along z, y and x begin in the stack, and how far the
+        place lies from them.
+        """
         at, away = [], []
         place = np.unravel_index(number, self.frame.counts)
         by = int(np.prod(self.frame.counts))

@@ -1,4 +1,6 @@
-"""What happened at every place, and its sum for the recipe: (N, D)-compatibility as it came out (section 3.4)."""
+"""What happened at every place, and its sum for the recipe: (N, D)-compatibility as it came out
+(section 3.4).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.synth.quilt.windows import Frame
 
 _WORST = 5
@@ -25,10 +27,11 @@ class Trace:
     frame : Frame
         Where places are: entry (k, j, i) is the k-th along z, and so on.
     mismatch : float array, one entry per place along z, y, x
-        Share of the overlap's voxels that differ from the piece chosen: d_N, 0 .. 1; NaN without an overlap.
+        Share of the overlap's voxels that differ from the piece chosen: d_N, 0 .. 1; NaN without an
+        overlap.
     difference : float array, the same
-        Weighted difference of the piece's descriptors from the target, each over its range in the exemplars: d_D; NaN where
-        nothing is asked for.
+        Weighted difference of the piece's descriptors from the target, each over its range in the
+        exemplars: d_D; NaN where nothing is asked for.
     tried : int32 array, the same
         Pieces that were laid down and judged; 0 where nothing was to be made.
     strut : int32 array, the same
@@ -43,17 +46,19 @@ class Trace:
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
-        self.mismatch = scratch.empty(frame.counts, np.float64)
-        self.difference = scratch.empty(frame.counts, np.float64)
-        self.tried = scratch.zeros(frame.counts, np.int32)
-        self.strut = scratch.zeros(frame.counts, np.int32)
-        self.gave_way = scratch.zeros(frame.counts, np.uint8)
+        self.mismatch = memmap.empty(frame.counts, np.float64)
+        self.difference = memmap.empty(frame.counts, np.float64)
+        self.tried = memmap.zeros(frame.counts, np.int32)
+        self.strut = memmap.zeros(frame.counts, np.int32)
+        self.gave_way = memmap.zeros(frame.counts, np.uint8)
         for values in (self.mismatch, self.difference):
             for layer in _layers(values):
                 layer[...] = np.nan
         self.taken_back = self.painted = 0
 
-    def add(self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str) -> None:
+    def add(
+        self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str
+    ) -> None:
         """What happened at a place."""
         at = np.unravel_index(number, self.frame.counts)
         self.mismatch[at], self.difference[at] = mismatch, difference
@@ -95,7 +100,10 @@ class Trace:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it, for a checkpoint."""
-        held = {name: getattr(self, name) for name in ("mismatch", "difference", "tried", "strut", "gave_way")}
+        held = {
+            name: getattr(self, name)
+            for name in ("mismatch", "difference", "tried", "strut", "gave_way")
+        }
         return {**held, "taken_back": np.array(self.taken_back)}
 
     def take_over(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -109,7 +117,7 @@ def _layers(values: np.ndarray) -> Iterator[np.ndarray]:
     """Layer by layer, so that not all is in memory at once."""
     for layer in values:
         yield layer
-        scratch.let_go()
+        memmap.release_pages()
 
 
 def _count(values: np.ndarray) -> int:

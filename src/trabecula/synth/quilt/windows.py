@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.synth.quilt.marks import EMPTY, OUT
+from trabecula.synth.quilt.voxel_codes import EMPTY, OUT
 
 _MARGIN = 4
 """Voxels around a box in which ways around it are seen."""
@@ -17,7 +17,9 @@ _MARGIN = 4
 
 @dataclass(frozen=True)
 class Frame:
-    """Where boxes lie in an output of `shape`: `patch` voxels a side, every `step`, the first at `start` (0 or before)."""
+    """Where boxes lie in an output of `shape`: `patch` voxels a side, every `step`, the first at
+    `start` (0 or before).
+    """
 
     shape: tuple[int, ...]
     wraps: tuple[bool, ...]
@@ -47,7 +49,9 @@ class Frame:
     def corner(self, number: int) -> tuple[int, ...]:
         """First voxel of a box; boxes are numbered in raster order."""
         at = np.unravel_index(number, self.counts)
-        return tuple(int(a) * step + start for a, step, start in zip(at, self.step, self.start, strict=True))
+        return tuple(
+            int(a) * step + start for a, step, start in zip(at, self.step, self.start, strict=True)
+        )
 
     def indices(self, corner: tuple[int, ...]) -> tuple[np.ndarray, ...]:
         """Coordinates of a box's voxels along every axis, those outside left out."""
@@ -57,7 +61,9 @@ class Frame:
             axes.append(at % side if wrap else at[(at >= 0) & (at < side)])
         return tuple(axes)
 
-    def cut_out(self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray, beyond: int) -> None:
+    def cut_out(
+        self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray, beyond: int
+    ) -> None:
         """Copy a box with its margin into `window`; `beyond` is what lies outside the volume."""
         first = tuple(at - margin for at, margin in zip(corner, self.margin, strict=True))
         _cut_out(canvas, first, self.wraps, window, beyond)
@@ -70,7 +76,9 @@ class Frame:
 def anchored(
     shape: tuple[int, ...], to_make: Sequence[np.ndarray], step: tuple[int, ...], lead: int
 ) -> tuple[int, ...]:
-    """Starts (0 or before) of boxes that begin `lead` voxels before the first layer with voxels `to_make`, along every axis."""
+    """Starts (0 or before) of boxes that begin `lead` voxels before the first layer with voxels
+    `to_make`, along every axis.
+    """
     starts = []
     for side, by, made in zip(shape, step, to_make, strict=True):
         used = int(np.argmax(made))

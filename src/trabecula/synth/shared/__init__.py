@@ -1,1 +1,3 @@
-"""What methods share: fields of labels, pyramids, neighbourhoods, histogram matching. Knows no method."""
+"""What methods share: fields of labels, pyramids, neighbourhoods, histogram matching. Knows no
+method.
+"""

@@ -1,27 +1,30 @@
 """Which of several fields a voxel belongs to, where each is to win a given number of them.
 
-Each field is shifted until it is the largest in as many voxels as it should, one after the other until no count is off by more
-than ties: the auction for a transport problem with few goods. What a phase would have to bid for a voxel is a whole number,
-so the lowest winning bid comes from counts of the bids and nothing is sorted.
+Each field is shifted until it is the largest in as many voxels as it should, one after the other
+until no count is off by more than ties: the auction for a transport problem with few goods. What a
+phase would have to bid for a voxel is a whole number, so the lowest winning bid comes from counts
+of the bids and nothing is sorted.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import mixed_with_neighbours
 
 _ROUNDS = 20  # at most; a handful settle it
 _BIDS = 2 * (1 << 16) - 1  # that there are between ranks
 
 
-def shared_out(fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None = None) -> np.ndarray:
-    """The largest of the fields (C, Z, Y, X) int16 at every voxel, (Z, Y, X) uint8, each shifted so that it wins `counts` (C,)
-    of the voxels `inside`."""
-    ranks = scratch.empty(fields.shape, np.uint16)
+def shared_out(
+    fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None = None
+) -> np.ndarray:
+    """The largest of the fields (C, Z, Y, X) int16 at every voxel, (Z, Y, X) uint8, each shifted so
+    that it wins `counts` (C,) of the voxels `inside`."""
+    ranks = memmap.empty(fields.shape, np.uint16)
     for field, to in zip(fields, ranks, strict=True):
         mixed_with_neighbours(field, out=to)
     where = np.empty((0, 0, 0), bool) if inside is None else inside
@@ -34,12 +37,14 @@ def shared_out(fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None
         if excess >= least:
             break
         kept, least = shifts.copy(), excess
-    winners = scratch.empty(fields.shape[1:], np.uint8)
+    winners = memmap.empty(fields.shape[1:], np.uint8)
     for_slabs(lambda start, stop: _settle(ranks, kept, winners, start, stop), len(winners))
     return winners
 
 
-def _lowest_bid(ranks: np.ndarray, shifts: np.ndarray, phase: int, inside: np.ndarray, count: int) -> int:
+def _lowest_bid(
+    ranks: np.ndarray, shifts: np.ndarray, phase: int, inside: np.ndarray, count: int
+) -> int:
     """The shift that wins a phase `count` voxels, and one at least; 0 where there are none."""
     highest = int(np.delete(shifts, phase).max())  # so that bids lie within 65535 of it
 
@@ -66,7 +71,9 @@ def _wins(ranks: np.ndarray, shifts: np.ndarray, inside: np.ndarray) -> np.ndarr
 
 @kernel
 def _count_bids(ranks, shifts, phase, inside, first, bids, start, stop):
-    """What the phase has to be lifted by to be as large as its rivals, counted from `first`; empty `inside` means everywhere."""
+    """What the phase has to be lifted by to be as large as its rivals, counted from `first`; empty
+    `inside` means everywhere.
+    """
     C, _, Y, X = ranks.shape
     for z in range(start, stop):
         for y in range(Y):

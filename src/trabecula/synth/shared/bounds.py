@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs
 
@@ -17,12 +17,18 @@ _ANY = 1e4  # farther than any distance
 
 
 def distance_bounds(
-    values: np.ndarray, known: np.ndarray, labels: Sequence[int], spacing: tuple[float, ...], *, thin: bool
+    values: np.ndarray,
+    known: np.ndarray,
+    labels: Sequence[int],
+    spacing: tuple[float, ...],
+    *,
+    thin: bool,
 ) -> Bounds:
     """Of the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
 
-    A known voxel lies no farther from an interface than from the nearest known voxel of the other side, and no nearer than
-    from that or from the unknown; with `thin`, where slices are known, no nearer than half as far.
+    A known voxel lies no farther from an interface than from the nearest known voxel of the other
+    side, and no nearer than from that or from the unknown; with `thin`, where slices are known, no
+    nearer than half as far.
     """
     unknown = None if thin else distance_transform(known, spacing=spacing)
     low, high = _unfilled(len(labels), known)
@@ -31,7 +37,10 @@ def distance_bounds(
         within, without = _depth(inside, known, spacing), _depth(inverse(inside), known, spacing)
 
         def held(
-            start: int, stop: int, inside: np.ndarray = inside, own: tuple[np.ndarray, ...] = (within, without)
+            start: int,
+            stop: int,
+            inside: np.ndarray = inside,
+            own: tuple[np.ndarray, ...] = (within, without),
         ) -> Bounds:
             there = unknown if unknown is None else unknown[start:stop]
             return _between(inside[start:stop], own[0][start:stop], own[1][start:stop], there)
@@ -42,8 +51,8 @@ def distance_bounds(
 
 
 def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) -> Bounds:
-    """Of blurred indicators: how far the blur of a known voxel is known depends on its neighbours; its side of the middle does
-    not."""
+    """Of blurred indicators: how far the blur of a known voxel is known depends on its neighbours;
+    its side of the middle does not."""
     low, high = _unfilled(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
 
@@ -55,7 +64,9 @@ def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) ->
     return low, high
 
 
-def value_bounds(fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray) -> Bounds:
+def value_bounds(
+    fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray
+) -> Bounds:
     """Of fields that are the values themselves, stretched: `fields` says how."""
     low, high = _unfilled(len(fields(values[:1])), known)
 
@@ -70,10 +81,12 @@ def value_bounds(fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray,
 
 def _unfilled(channels: int, known: np.ndarray) -> Bounds:
     shape = (channels, *known.shape)
-    return scratch.empty(shape, np.float32), scratch.empty(shape, np.float32)
+    return memmap.empty(shape, np.float32), memmap.empty(shape, np.float32)
 
 
-def _fill(low: np.ndarray, high: np.ndarray, known: np.ndarray, held: Callable[[int, int], Bounds]) -> None:
+def _fill(
+    low: np.ndarray, high: np.ndarray, known: np.ndarray, held: Callable[[int, int], Bounds]
+) -> None:
     """The bounds of one channel: those that are held where voxels are known, anything elsewhere."""
 
     def work(start: int, stop: int) -> None:
@@ -84,7 +97,9 @@ def _fill(low: np.ndarray, high: np.ndarray, known: np.ndarray, held: Callable[[
     by_pieces(work, known.shape)
 
 
-def _between(inside: np.ndarray, within: np.ndarray, without: np.ndarray, unknown: np.ndarray | None) -> Bounds:
+def _between(
+    inside: np.ndarray, within: np.ndarray, without: np.ndarray, unknown: np.ndarray | None
+) -> Bounds:
     own = np.where(inside, within, without)
     far = np.maximum(own - 0.5, 0.1)
     near = np.maximum(0.5 * far if unknown is None else np.minimum(own, unknown) - 0.5, 0.1)

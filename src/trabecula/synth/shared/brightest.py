@@ -1,7 +1,9 @@
-"""The brightest voxels of a field, to the voxel: which ones they are among equals does not depend on how work is cut.
+"""The brightest voxels of a field, to the voxel: which ones they are among equals does not depend
+on how work is cut.
 
-Three passes: counts of the ranks (`histogram`) say in which rank the last of them lies, and what lies above is taken; the sums
-over 3 x 3 x 3 voxels of those in that rank are counted; the largest of these sums are taken, the last ones in raster order.
+Three passes: counts of the ranks (`histogram`) say in which rank the last of them lies, and what
+lies above is taken; the sums over 3 x 3 x 3 voxels of those in that rank are counted; the largest
+of these sums are taken, the last ones in raster order.
 """
 
 from __future__ import annotations
@@ -11,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import in_order, sum_slabs
+from trabecula.engine.parallel import in_order, sum_slabs
 from trabecula.synth.shared.histogram import rank_counts, row_of_ranks
 
 _TIED = 2  # beside 0 and 1, until it is settled
@@ -22,20 +24,24 @@ _TIED = 2  # beside 0 and 1, until it is settled
 def brightest(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
     """The `count` brightest voxels of (Z, Y, X) int16 (of those `inside`) as a mask, to the voxel.
 
-    Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by raster order.
+    Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by
+    raster order.
     """
     total = rank_counts(field, inside)
     above = np.cumsum(total[::-1])[::-1]  # voxels of this rank and all brighter ones
-    level = int(np.searchsorted(-above, -count, side="right")) - 1  # the rank of the last; -1 where there are too few
+    # the rank of the last; -1 where there are too few
+    level = int(np.searchsorted(-above, -count, side="right")) - 1
     missing = count - int(above[level + 1]) if 0 <= level < len(above) - 1 else count
-    chosen = scratch.empty(field.shape, np.uint8)
+    chosen = memmap.empty(field.shape, np.uint8)
     tied = np.zeros(len(field), np.int64)  # in every plane
     where = np.empty((0, 0, 0), bool) if inside is None else inside
 
     def split(start: int, stop: int) -> _Sums:
         _split(field, where, level, chosen, tied, start, stop)
         planes = start + np.flatnonzero(tied[start:stop])
-        return sum((_Sums.of(_sums_of_tied(field, chosen, z, int(tied[z]))) for z in planes), _Sums.of([]))
+        return sum(
+            (_Sums.of(_sums_of_tied(field, chosen, z, int(tied[z]))) for z in planes), _Sums.of([])
+        )
 
     sums = sum_slabs(split, len(field))
     if len(sums.values):
@@ -62,8 +68,12 @@ class _Sums:
         return _Sums(values, counts)
 
 
-def _settle(field: np.ndarray, chosen: np.ndarray, tied: np.ndarray, sums: _Sums, missing: int) -> None:
-    """Of the voxels marked as tied take as many as are missing: the largest sums, and of equal ones the first."""
+def _settle(
+    field: np.ndarray, chosen: np.ndarray, tied: np.ndarray, sums: _Sums, missing: int
+) -> None:
+    """Of the voxels marked as tied take as many as are missing: the largest sums, and of equal ones
+    the first.
+    """
     above = np.cumsum(sums.counts[::-1])[::-1]  # voxels of this sum and all larger ones
     place = int(np.searchsorted(-above, -missing, side="right")) - 1
     last = int(sums.values[place])
@@ -90,7 +100,9 @@ def _sums_of_tied(field: np.ndarray, chosen: np.ndarray, z: int, count: int) -> 
 
 @kernel
 def _split(field, inside, level, chosen, tied, start, stop):
-    """1 above a rank, `_TIED` in it, else 0 (an empty `inside` means everywhere); and how many of each plane are tied."""
+    """1 above a rank, `_TIED` in it, else 0 (an empty `inside` means everywhere); and how many of
+    each plane are tied.
+    """
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
         count = 0
@@ -127,5 +139,9 @@ def _around(field, z, y, x):
     for dz in range(-1, 2):
         for dy in range(-1, 2):
             for dx in range(-1, 2):
-                total += field[min(max(z + dz, 0), Z - 1), min(max(y + dy, 0), Y - 1), min(max(x + dx, 0), X - 1)]
+                total += field[
+                    min(max(z + dz, 0), Z - 1),
+                    min(max(y + dy, 0), Y - 1),
+                    min(max(x + dx, 0), X - 1),
+                ]
     return total

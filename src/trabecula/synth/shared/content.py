@@ -32,7 +32,11 @@ _BESIDE = 8  # voxels around what is made that say how dense it should be
 
 
 def content_of(
-    exemplars: Sequence[Image], *, field: str = "distance", histogram: bool = True, unit: float | None = None
+    exemplars: Sequence[Image],
+    *,
+    field: str = "distance",
+    histogram: bool = True,
+    unit: float | None = None,
 ) -> Content:
     """How to read and write the exemplars' kind.
 
@@ -45,12 +49,14 @@ def content_of(
     histogram : bool
         Whether results hold the exemplars' histogram, or volume fractions.
     unit : float, optional
-        Length that counts as one voxel in distances: of pictures the mean edge of the volume's voxels. Default: the mean edge
-        of each image's own.
+        Length that counts as one voxel in distances: of pictures the mean edge of the volume's
+        voxels. Default: the mean edge of each image's own.
     """
     if exemplars[0].kind != "labels":
         return Values(exemplars, histogram=histogram)
-    return (Labels if field == "distance" else Indicators)(exemplars, histogram=histogram, unit=unit)
+    return (Labels if field == "distance" else Indicators)(
+        exemplars, histogram=histogram, unit=unit
+    )
 
 
 class Content(ABC):
@@ -65,10 +71,14 @@ class Content(ABC):
 
     @abstractmethod
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """What a request's known voxels say of the field; `thin` says that the field is one of planes, as known slices are."""
+        """What a request's known voxels say of the field; `thin` says that the field is one of
+        planes, as known slices are.
+        """
 
     def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
-        """The histograms of a field's channels that a request asks for: the exemplar's, or such as meet its target."""
+        """The histograms of a field's channels that a request asks for: the exemplar's, or such as
+        meet its target.
+        """
         return tuple(histograms)
 
     @abstractmethod
@@ -81,12 +91,17 @@ class Labels(Content):
 
     distances = True
 
-    def __init__(self, exemplars: Sequence[Image], *, histogram: bool, unit: float | None = None) -> None:
+    def __init__(
+        self, exemplars: Sequence[Image], *, histogram: bool, unit: float | None = None
+    ) -> None:
         self.histogram = histogram
         self.unit = unit
         self.present = phases_present(exemplars)
         self.names = exemplars[0].phases
-        counts = np.sum([np.bincount(image.values.ravel(), minlength=len(self.names)) for image in exemplars], axis=0)
+        counts = np.sum(
+            [np.bincount(image.values.ravel(), minlength=len(self.names)) for image in exemplars],
+            axis=0,
+        )
         self.fractions = counts[list(self.present)] / counts.sum()
         # Outside a form there is nothing: the void where it has a name, else the first phase.
         self.empty = self.names.index("void") if "void" in self.names else 0
@@ -95,13 +110,15 @@ class Labels(Content):
         return _deep(phase_fields(image, self.present, unit=self.unit)[0])
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """Known voxels lie as far from an interface as they lie from the unknown, at least, or from one that is known; in the
-        plane of a slice that is where they lie."""
+        """Known voxels lie as far from an interface as they lie from the unknown, at least, or from
+        one that is known; in the plane of a slice that is where they lie."""
         if request.fixed is None or request.known is None:
             return None
         unit = mean_edge(request.fixed.spacing) if self.unit is None else self.unit
         spacing = tuple(edge / unit for edge in request.fixed.spacing)
-        return distance_bounds(request.fixed.values, request.known, self._channels(), spacing, thin=thin)
+        return distance_bounds(
+            request.fixed.values, request.known, self._channels(), spacing, thin=thin
+        )
 
     def _channels(self) -> tuple[int, ...]:
         """The labels that the field's channels stand for."""
@@ -113,7 +130,9 @@ class Labels(Content):
         if asked is None:
             return tuple(histograms)
         aims = []
-        for phase, histogram in zip(range(len(self.present))[-len(histograms) :], histograms, strict=True):
+        for phase, histogram in zip(
+            range(len(self.present))[-len(histograms) :], histograms, strict=True
+        ):
             own, wanted = float(self.fractions[phase]), float(asked[phase])
             aims.append(Histogram.leaning(histogram, wanted / own, (1 - wanted) / (1 - own)))
         return tuple(aims)
@@ -125,8 +144,8 @@ class Labels(Content):
         return completed(values, request, empty=self.empty)
 
     def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
-        """The fractions of what is made: the exemplar's, or where something is known beside it, of both together; or what a
-        target leaves to it."""
+        """The fractions of what is made: the exemplar's, or where something is known beside it, of
+        both together; or what a target leaves to it."""
         asked = self._asked(request)
         if asked is not None:
             return self._left(asked, request, free)
@@ -144,28 +163,41 @@ class Labels(Content):
             return None
         porosity = np.asarray(asked)
         if porosity.ndim:
-            raise RequestError("this method honours one number as target porosity, not a field: give a number")
+            raise RequestError(
+                "this method honours one number as target porosity, not a field: give a number"
+            )
         void = np.array([label == self.empty for label in self.present])
         rest = float(self.fractions[~void].sum())
-        shares = np.where(void, float(porosity), self.fractions * ((1 - float(porosity)) / max(rest, 1e-30)))
+        shares = np.where(
+            void, float(porosity), self.fractions * ((1 - float(porosity)) / max(rest, 1e-30))
+        )
         return np.asarray(shares / shares.sum())
 
     def _left(self, asked: np.ndarray, request: Request, free: np.ndarray | None) -> np.ndarray:
-        """The fractions of what is made, so that with what is known they are those asked for, as far as they can be."""
+        """The fractions of what is made, so that with what is known they are those asked for, as
+        far as they can be.
+        """
         if free is None or request.fixed is None or request.known is None:
             return asked
         counts = _counts(request.fixed.values, request.known, request.mask)
-        left = np.maximum(asked * (int(counts.sum()) + counted(free)) - counts[list(self.present)], 0)
+        left = np.maximum(
+            asked * (int(counts.sum()) + counted(free)) - counts[list(self.present)], 0
+        )
         return np.asarray(left / max(left.sum(), 1e-30))
 
 
 class Indicators(Labels):
-    """The phases' 0 and 1, blurred by a voxel and stretched over the bytes: what a scan's grey levels would be."""
+    """The phases' 0 and 1, blurred by a voxel and stretched over the bytes: what a scan's grey
+    levels would be.
+    """
 
     distances = False
 
     def fields(self, image: Image) -> np.ndarray:
-        sharp = [np.where(image.values == label, np.float32(FULL), np.float32(-FULL)) for label in self._channels()]
+        sharp = [
+            np.where(image.values == label, np.float32(FULL), np.float32(-FULL))
+            for label in self._channels()
+        ]
         return _deep(np.stack([gaussian(channel, _BLUR) for channel in sharp]))
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
@@ -185,7 +217,8 @@ class Values(Content):
         self.high = max(float(image.values.max()) for image in exemplars)
         channels = 3 if self.kind == "colour" else 1
         pooled = [
-            np.concatenate([image.values.reshape(-1, channels)[:, c] for image in exemplars]) for c in range(channels)
+            np.concatenate([image.values.reshape(-1, channels)[:, c] for image in exemplars])
+            for c in range(channels)
         ]
         self.histograms = [Histogram.of(channel) for channel in pooled] if histogram else None
         self.dtype = exemplars[0].values.dtype

@@ -1,9 +1,9 @@
 """The leading eigenvectors of a covariance, the same bits on every machine.
 
-LAPACK chooses its instructions by the processor, so its last bits differ between machines, and a search that hangs on them
-takes another path. Here every sum runs in a fixed order: subspace iteration (Halko, Martinsson, Tropp 2011,
-doi:10.1137/090771806, section 4.5) and a small Jacobi rotation scheme. It is also faster than a full decomposition where
-few vectors of many are wanted.
+LAPACK chooses its instructions by the processor, so its last bits differ between machines, and a
+search that hangs on them takes another path. Here every sum runs in a fixed order: subspace
+iteration (Halko, Martinsson, Tropp 2011, doi:10.1137/090771806, section 4.5) and a small Jacobi
+rotation scheme. It is also faster than a full decomposition where few vectors of many are wanted.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ _SPARE = 8  # vectors carried along beyond those wanted: they speed up the last 
 
 
 def leading_vectors(covariance: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` largest eigenvalues, falling, and their orthonormal vectors (n, count), of a symmetric float64 matrix."""
+    """The `count` largest eigenvalues, falling, and their orthonormal vectors (n, count), of a
+    symmetric float64 matrix.
+    """
     n = len(covariance)
     block = min(n, count + _SPARE)
     matrix = np.ascontiguousarray(covariance, np.float64)
-    # A start that is no eigenvector's orthogonal complement: columns of the matrix itself, spread evenly.
+    # A start that is no eigenvector's orthogonal complement: columns of the matrix itself, spread
+    # evenly.
     basis = np.ascontiguousarray(matrix[:, np.arange(block) * n // block])
     for _ in range(_ITERATIONS):
         _orthonormalise(basis)
@@ -96,5 +99,8 @@ def _jacobi(matrix):
                 for k in range(n):
                     a[p, k], a[q, k] = c * a[p, k] - s * a[q, k], s * a[p, k] + c * a[q, k]
                 for k in range(n):
-                    turn[k, p], turn[k, q] = c * turn[k, p] - s * turn[k, q], s * turn[k, p] + c * turn[k, q]
+                    turn[k, p], turn[k, q] = (
+                        c * turn[k, p] - s * turn[k, q],
+                        s * turn[k, p] + c * turn[k, q],
+                    )
     return turn

@@ -1,7 +1,9 @@
-"""Images as fields that can be averaged, in int8, and back: labels as clipped signed distances, grey and colour as they are.
+"""Images as fields that can be averaged, in int8, and back: labels as clipped signed distances,
+grey and colour as they are.
 
-A mean of labels blurs; a mean of signed distances moves the interface. Two phases need one channel (positive inside the
-second), more need one each, and the largest wins. Grey values and the three of a colour are stretched over the bytes.
+A mean of labels blurs; a mean of signed distances moves the interface. Two phases need one channel
+(positive inside the second), more need one each, and the largest wins. Grey values and the three of
+a colour are stretched over the bytes.
 """
 
 from __future__ import annotations
@@ -11,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import signed_distance
 from trabecula.synth.shared.auction import shared_out
 from trabecula.synth.shared.brightest import brightest
@@ -25,20 +27,28 @@ FULL = 127
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
     """The labels that occur in any of the images, rising."""
-    return tuple(int(label) for label in np.unique(np.concatenate([np.unique(image.values) for image in images])))
+    return tuple(
+        int(label)
+        for label in np.unique(np.concatenate([np.unique(image.values) for image in images]))
+    )
 
 
 def phase_fields(
     image: Image, present: tuple[int, ...] | None = None, *, unit: float | None = None
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that they stand for.
+    """Signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that they stand
+    for.
 
-    With two labels present the one channel stands for the second. Distances follow the image's spacing; `unit` is the length
-    that counts as one, by default the geometric mean of a voxel's edges. A label of `present` that does not occur lies
-    infinitely far.
+    With two labels present the one channel stands for the second. Distances follow the image's
+    spacing; `unit` is the length that counts as one, by default the geometric mean of a voxel's
+    edges. A label of `present` that does not occur lies infinitely far.
     """
     present = phases_present([image]) if present is None else present
-    spacing = isotropic_scale(image.spacing) if unit is None else tuple(edge / unit for edge in image.spacing)
+    spacing = (
+        isotropic_scale(image.spacing)
+        if unit is None
+        else tuple(edge / unit for edge in image.spacing)
+    )
     channels = present[1:] if len(present) == 2 else present
     fields = [_distance_of(image.values == label, spacing) for label in channels]
     return np.stack(fields).astype(np.float32, copy=False), present
@@ -65,7 +75,9 @@ def quantise(field: np.ndarray, *, clip: float, unit: float = 1.0) -> np.ndarray
     """A field (..., Z, Y, X) in int8, where +-127 means `clip` of these units and beyond."""
     if field.ndim < 3:
         return _bytes(field, clip, unit)
-    return made_by_slabs(lambda a, b: _bytes(field[..., a:b, :, :], clip, unit), field.shape, np.int8)
+    return made_by_slabs(
+        lambda a, b: _bytes(field[..., a:b, :, :], clip, unit), field.shape, np.int8
+    )
 
 
 def _bytes(field: np.ndarray, clip: float, unit: float) -> np.ndarray:
@@ -76,22 +88,31 @@ def _bytes(field: np.ndarray, clip: float, unit: float) -> np.ndarray:
 def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -> np.ndarray:
     """Grey values, or colours (..., 3), as (C, ...) float32, -127 at `low` and 127 at `high`."""
     channels = np.moveaxis(values, -1, 0) if colour else values[None]
-    return (channels.astype(np.float32) - np.float32(low)) * np.float32(2 * FULL / (high - low)) - np.float32(FULL)
+    return (channels.astype(np.float32) - np.float32(low)) * np.float32(
+        2 * FULL / (high - low)
+    ) - np.float32(FULL)
 
 
 def labels_of(
-    fields: np.ndarray, present: tuple[int, ...], fractions: np.ndarray | None, inside: np.ndarray | None = None
+    fields: np.ndarray,
+    present: tuple[int, ...],
+    fractions: np.ndarray | None,
+    inside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume `fractions`.
+    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume
+    `fractions`.
 
     Without fractions two phases are split at zero, and more go to the largest field.
-    Two phases are split where the fraction is met to the voxel. More go to the largest field, each shifted by a constant so
-    that the fractions come out, but for ties: zeros alone need not agree where three phases meet.
-    Where `inside` (Z, Y, X) bool is given, fractions are those of the voxels inside.
+    Two phases are split where the fraction is met to the voxel. More go to the largest field, each
+    shifted by a constant so that the fractions come out, but for ties: zeros alone need not agree
+    where three phases meet. Where `inside` (Z, Y, X) bool is given, fractions are those of the
+    voxels inside.
     """
     labels = np.asarray(present, np.uint8)
     if fractions is None:
-        return made_by_slabs(lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8)
+        return made_by_slabs(
+            lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8
+        )
     size = fields[0].size if inside is None else counted(inside)
     if len(present) == 2:
         upper = brightest(fields[0], round(size * float(fractions[1])), inside)
@@ -115,12 +136,18 @@ def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
     return phases
 
 
-def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms of the channels."""
+def values_of(
+    fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None
+) -> np.ndarray:
+    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms
+    of the channels.
+    """
     if len(fields) == 1:
         return match_histogram(fields[0], targets[0], inside)
-    tables = [matching_table(field, target, inside) for field, target in zip(fields, targets, strict=True)]
-    values = scratch.empty((*fields.shape[1:], len(fields)), tables[0].dtype)
+    tables = [
+        matching_table(field, target, inside) for field, target in zip(fields, targets, strict=True)
+    ]
+    values = memmap.empty((*fields.shape[1:], len(fields)), tables[0].dtype)
 
     def work(start: int, stop: int) -> None:
         plane = np.empty((1, *values.shape[1:3]), values.dtype)
@@ -134,13 +161,17 @@ def values_of(fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarr
 
 
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields` backwards."""
+    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields`
+    backwards.
+    """
     shape = fields.shape[1:] if len(fields) == 1 else (*fields.shape[1:], len(fields))
-    values = scratch.empty(shape, dtype)
+    values = memmap.empty(shape, dtype)
 
     def work(start: int, stop: int) -> None:
         part = fields[:, start:stop]
-        grey = (part.astype(np.float32) / 256 + FULL) * np.float32((high - low) / (2 * FULL)) + np.float32(low)
+        grey = (part.astype(np.float32) / 256 + FULL) * np.float32(
+            (high - low) / (2 * FULL)
+        ) + np.float32(low)
         np.clip(grey, low, high, out=grey)
         found = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
         values[start:stop] = found[0] if len(found) == 1 else np.moveaxis(found, 0, -1)

@@ -1,8 +1,9 @@
 """Histogram matching of a field to an exemplar's, in integers and with few ties.
 
-Votes agree so often that many voxels hold exactly the same value; a rank within such a tie would be chance, and mapping the
-whole tie to one value moves the volume fraction by percents. So voxels are ranked by their value with a small share of
-their six neighbours' mixed in. Those ranks are not kept: taking them again costs less than memory for them.
+Votes agree so often that many voxels hold exactly the same value; a rank within such a tie would be
+chance, and mapping the whole tie to one value moves the volume fraction by percents. So voxels are
+ranked by their value with a small share of their six neighbours' mixed in. Those ranks are not
+kept: taking them again costs less than memory for them.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine.parallel import for_slabs, sum_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
 _BINS = 1 << 16
@@ -23,7 +24,9 @@ _PARTS = 1 << 20  # resolution of a histogram that leans
 
 @dataclass(frozen=True)
 class Histogram:
-    """The values that occur, rising, and how many of all occurrences lie at or below each (the last is all of them)."""
+    """The values that occur, rising, and how many of all occurrences lie at or below each (the last
+    is all of them).
+    """
 
     values: np.ndarray
     up_to: np.ndarray
@@ -42,14 +45,20 @@ class Histogram:
         for histogram in histograms:
             counts = np.diff(histogram.up_to, prepend=0)
             size = int(counts.sum())
-            parts[np.searchsorted(present, histogram.values)] += (counts * _PARTS + size // 2) // size
+            parts[np.searchsorted(present, histogram.values)] += (
+                counts * _PARTS + size // 2
+            ) // size
         return cls(present, np.cumsum(parts))
 
     @classmethod
     def leaning(cls, target: Histogram, positive: float, negative: float) -> Histogram:
-        """A target of numbers whose values above zero weigh `positive` times as much, and those below `negative` times."""
+        """A target of numbers whose values above zero weigh `positive` times as much, and those
+        below `negative` times.
+        """
         counts = np.diff(target.up_to, prepend=0) / target.up_to[-1]
-        counts = counts * np.where(target.values > 0, positive, np.where(target.values < 0, negative, 1.0))
+        counts = counts * np.where(
+            target.values > 0, positive, np.where(target.values < 0, negative, 1.0)
+        )
         parts = np.rint(counts / counts.sum() * _PARTS).astype(np.int64)
         present = parts > 0
         return cls(target.values[present], np.cumsum(parts[present]))
@@ -57,11 +66,17 @@ class Histogram:
     def ranked(self, middle: np.ndarray, size: int) -> np.ndarray:
         """The values at these places of a ranking of `size`."""
         place = middle * int(self.up_to[-1]) // max(1, size)
-        return self.values[np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)]
+        return self.values[
+            np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)
+        ]
 
 
 def match_histogram(
-    field: np.ndarray, target: Histogram, inside: np.ndarray | None = None, *, out: np.ndarray | None = None
+    field: np.ndarray,
+    target: Histogram,
+    inside: np.ndarray | None = None,
+    *,
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Map (Z, Y, X) int16 so that its histogram is the target's; order is kept up to ties.
 
@@ -79,7 +94,7 @@ def match_histogram(
     (Z, Y, X) of the target's type
     """
     table = matching_table(field, target, inside)
-    matched = scratch.empty(field.shape, table.dtype) if out is None else out
+    matched = memmap.empty(field.shape, table.dtype) if out is None else out
 
     def work(start: int, stop: int) -> None:
         look_up(field, table, matched, 0, start, stop)
@@ -88,7 +103,9 @@ def match_histogram(
     return matched
 
 
-def matching_table(field: np.ndarray, target: Histogram, inside: np.ndarray | None = None) -> np.ndarray:
+def matching_table(
+    field: np.ndarray, target: Histogram, inside: np.ndarray | None = None
+) -> np.ndarray:
     """What every rank of a field is mapped to (`look_up`), so that its histogram is the target's."""
     total = rank_counts(field, inside)
     return target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
@@ -107,8 +124,10 @@ def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
 
 
 def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
-    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours': nearly free of ties."""
-    ranks = scratch.empty(field.shape, np.uint16) if out is None else out
+    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours':
+    nearly free of ties.
+    """
+    ranks = memmap.empty(field.shape, np.uint16) if out is None else out
     same = np.arange(_BINS, dtype=np.uint16)
 
     def work(start: int, stop: int) -> None:
@@ -120,7 +139,9 @@ def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -
 
 @inline
 def row_of_ranks(field, z, y, row):
-    """The ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768, where beyond a face its voxel lies again."""
+    """The ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768, where beyond a face
+    its voxel lies again.
+    """
     Z, Y, X = field.shape
     own, above, below = field[z, y], field[max(z - 1, 0), y], field[min(z + 1, Z - 1), y]
     before, after = field[z, max(y - 1, 0)], field[z, min(y + 1, Y - 1)]
@@ -139,7 +160,9 @@ def row_of_ranks(field, z, y, row):
 
 @kernel
 def look_up(field, table, matched, first, start, stop):
-    """The table's entry for the rank of every voxel of planes start..stop; `matched` begins with plane `first`."""
+    """The table's entry for the rank of every voxel of planes start..stop; `matched` begins with
+    plane `first`.
+    """
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
         for y in range(field.shape[1]):

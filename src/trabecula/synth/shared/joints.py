@@ -1,9 +1,11 @@
-"""Where what is made meets what is known: no step across the joint, and the surroundings' share of every value.
+"""Where what is made meets what is known: no step across the joint, and the surroundings' share of
+every value.
 
-The votes disagree with known voxels beside the joint by some offset. That offset is spread into what is made as a membrane
-(the boundary condition of Perez, Gangnet, Blake 2003, doi:10.1145/882262.882269), so that interfaces meet; the next search
-then finds neighbourhoods that fit both sides. And a hole in a dense corner is filled as densely: the known voxels near by
-and the exemplar count as one sample, each by how many voxels it stands for.
+The votes disagree with known voxels beside the joint by some offset. That offset is spread into
+what is made as a membrane (the boundary condition of Perez, Gangnet, Blake 2003,
+doi:10.1145/882262.882269), so that interfaces meet; the next search then finds neighbourhoods that
+fit both sides. And a hole in a dense corner is filled as densely: the known voxels near by and the
+exemplar count as one sample, each by how many voxels it stands for.
 """
 
 from __future__ import annotations
@@ -13,9 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs, tallied
@@ -26,39 +28,49 @@ _PARTS = 1 << 20  # resolution of a mixed histogram
 
 def known_of(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The voxels whose value is given, at least its sign."""
-    return made_by_slabs(lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool)
+    return made_by_slabs(
+        lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool
+    )
 
 
 def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
     """The known voxels no farther than `width` voxels from one that is to be made."""
     if not counted(free):
-        return scratch.zeros(known.shape, bool)
+        return memmap.zeros(known.shape, bool)
     distance = distance_transform(inverse(free))
     return made_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
 
 
 def mixed_share(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
-    """Shares of the exemplar and of `near` known voxels, as of one sample; `made` voxels are to follow it."""
+    """Shares of the exemplar and of `near` known voxels, as of one sample; `made` voxels are to
+    follow it.
+    """
     return np.asarray((near * own + made * exemplar) / max(1, near + made))
 
 
 def mixed_histograms(
     targets: Sequence[Histogram], low: np.ndarray, high: np.ndarray, near: np.ndarray, made: int
 ) -> tuple[Histogram, ...]:
-    """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C, Z, Y, X) int8."""
+    """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C,
+    Z, Y, X) int8.
+    """
     mixed = []
     for target, least, most in zip(targets, low, high, strict=True):
         held = tallied(partial(_middles, least, most, near), near.shape)
         size = int(held.sum())
         exemplar, own = np.zeros(256), held / max(1, size)
-        exemplar[target.values.astype(np.int64) + 128] = np.diff(target.up_to, prepend=0) / target.up_to[-1]
+        exemplar[target.values.astype(np.int64) + 128] = (
+            np.diff(target.up_to, prepend=0) / target.up_to[-1]
+        )
         parts = np.rint(mixed_share(size, made, own, exemplar) * _PARTS).astype(np.int64)
         present = np.flatnonzero(parts)
         mixed.append(Histogram((present - 128).astype(np.int8), np.cumsum(parts[present])))
     return tuple(mixed)
 
 
-def _middles(low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, stop: int) -> np.ndarray:
+def _middles(
+    low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, stop: int
+) -> np.ndarray:
     """How often each value occurs among the middles of what voxels `near` may be, from -128 on."""
     at = near[start:stop]
     middle = (low[start:stop][at].astype(np.int64) + high[start:stop][at]) // 2
@@ -66,10 +78,12 @@ def _middles(low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, st
 
 
 def joined(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into what is free."""
-    result = scratch.empty(votes.shape, np.int16)
+    """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into
+    what is free.
+    """
+    result = memmap.empty(votes.shape, np.int16)
     known = known_of(free, low, high)
-    offset, other = scratch.empty(free.shape, np.float32), scratch.empty(free.shape, np.float32)
+    offset, other = memmap.empty(free.shape, np.float32), memmap.empty(free.shape, np.float32)
     for channel, least, most, to in zip(votes, low, high, result, strict=True):
         by_pieces(partial(_miss, channel, least, most, known, offset), free.shape)
         for _ in range(_STEPS):
@@ -90,12 +104,23 @@ def _miss(
 ) -> None:
     """How far known voxels are from what they may be."""
     part = votes[start:stop]
-    given = np.clip(part, low[start:stop].astype(np.int16) * 256, high[start:stop].astype(np.int16) * 256)
+    given = np.clip(
+        part, low[start:stop].astype(np.int16) * 256, high[start:stop].astype(np.int16) * 256
+    )
     offset[start:stop] = np.where(known[start:stop], given.astype(np.float32) - part, np.float32(0))
 
 
-def _move(votes: np.ndarray, free: np.ndarray, offset: np.ndarray, result: np.ndarray, start: int, stop: int) -> None:
-    moved = votes[start:stop] + np.where(free[start:stop], np.rint(offset[start:stop]), np.float32(0))
+def _move(
+    votes: np.ndarray,
+    free: np.ndarray,
+    offset: np.ndarray,
+    result: np.ndarray,
+    start: int,
+    stop: int,
+) -> None:
+    moved = votes[start:stop] + np.where(
+        free[start:stop], np.rint(offset[start:stop]), np.float32(0)
+    )
     result[start:stop] = np.clip(moved, -32512, 32512)
 
 

@@ -1,6 +1,7 @@
 """Opening the leaves of `nearest` that may hold a nearest neighbour.
 
-float32 only excludes: every comparison leaves room for its rounding, and what passes is compared in integers.
+float32 only excludes: every comparison leaves room for its rounding, and what passes is compared in
+integers.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ _ROUNDING = 2.0**-24
 
 @inline
 def _scan(leaf, query, smooth, tiles, index, near, passed, eights, best, distance):
-    """Open one leaf: `best` and `distance` (k,) stay sorted by distance, then place; `near`, `passed`, `eights` are scratch."""
-    tile, lanes = tiles[leaf], len(near)  # lanes are not a constant here: an unrolled loop would not be vectorised
-    # What float32 sums up may be wrong by one rounding per term: no candidate that could be nearer is left out.
+    """Open one leaf: `best` and `distance` (k,) stay sorted by distance, then place; `near`,
+    `passed`, `eights` are scratch.
+    """
+    # lanes are not a constant here: an unrolled loop would not be vectorised
+    tile, lanes = tiles[leaf], len(near)
+    # What float32 sums up may be wrong by one rounding per term: no candidate that could be nearer
+    # is left out.
     farthest = np.float32(np.float64(distance[-1]) * (1 + 4 * (len(tile) + 4) * _ROUNDING))
     near[:] = 0
     for d in range(0, len(tile), 4):
@@ -28,7 +33,8 @@ def _scan(leaf, query, smooth, tiles, index, near, passed, eights, best, distanc
             a, b = q0 - np.float32(tile[d, j]), q1 - np.float32(tile[d + 1, j])
             c, e = q2 - np.float32(tile[d + 2, j]), q3 - np.float32(tile[d + 3, j])
             near[j] += (a * a + b * b) + (c * c + e * e)
-        if d % 8 == 4 or d + 4 == len(tile):  # the first components are the longest: most leaves are shut early
+        # the first components are the longest: most leaves are shut early
+        if d % 8 == 4 or d + 4 == len(tile):
             for j in range(lanes):
                 passed[j] = near[j] <= farthest
             if eights[0] == 0 and eights[1] == 0:
@@ -48,7 +54,9 @@ def _insert(exact, place, best, distance):
     at = len(best) - 1
     if exact > distance[at] or (exact == distance[at] and place > best[at]):
         return
-    while at > 0 and (exact < distance[at - 1] or (exact == distance[at - 1] and place < best[at - 1])):
+    while at > 0 and (
+        exact < distance[at - 1] or (exact == distance[at - 1] and place < best[at - 1])
+    ):
         distance[at], best[at] = distance[at - 1], best[at - 1]
         at -= 1
     distance[at], best[at] = exact, place
@@ -68,11 +76,13 @@ def _highest(score, highest, where):
 
 @kernel
 def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
-    """Nearest candidates of a few queries. scores (Q, L) float32: q c - |c|^2 / 2 for every centre c; spoiled.
+    """Nearest candidates of a few queries. scores (Q, L) float32: q c - |c|^2 / 2 for every centre
+    c; spoiled.
 
-    |q - c| <= reach + radius, with reach the k-th best so far, is tested as 2 score + (reach + radius)^2 >= |q|^2, less what
-    rounding may take. First every query opens sixteen near leaves, so that its reach is nearly final. Then leaf after leaf is
-    opened for all queries that need it, while it is in the cache.
+    |q - c| <= reach + radius, with reach the k-th best so far, is tested as 2 score + (reach +
+    radius)^2 >= |q|^2, less what rounding may take. First every query opens sixteen near leaves, so
+    that its reach is nearly final. Then leaf after leaf is opened for all queries that need it,
+    while it is in the cache.
     """
     near, passed = np.empty(LEAF, np.float32), np.empty(LEAF, np.bool_)
     highest, where = np.empty(LEAF, np.float32), np.empty(LEAF, np.int32)
@@ -91,7 +101,18 @@ def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
         _highest(score, highest, where)
         for j in range(LEAF):
             if score[where[j]] > -np.inf:
-                _scan(where[j], queries[q], smooth[q], tiles, index, near, passed, eights, best[q], distance[q])
+                _scan(
+                    where[j],
+                    queries[q],
+                    smooth[q],
+                    tiles,
+                    index,
+                    near,
+                    passed,
+                    eights,
+                    best[q],
+                    distance[q],
+                )
                 score[where[j]] = -np.inf
         reach = np.sqrt(np.float64(distance[q, -1]))
         slack = 8 * (moved.shape[1] + 8) * _ROUNDING * (square + (reach + widest) ** 2)
@@ -104,7 +125,18 @@ def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
             for leaf in range(8 * eight, min(8 * eight + 8, count)):
                 far = np.float32(np.sqrt(np.float64(distance[q, -1]))) + radius[leaf]
                 if opened[q, leaf] and np.float32(2) * scores[q, leaf] + far * far >= lowest[q]:
-                    _scan(leaf, queries[q], smooth[q], tiles, index, near, passed, eights, best[q], distance[q])
+                    _scan(
+                        leaf,
+                        queries[q],
+                        smooth[q],
+                        tiles,
+                        index,
+                        near,
+                        passed,
+                        eights,
+                        best[q],
+                        distance[q],
+                    )
 
 
 @inline

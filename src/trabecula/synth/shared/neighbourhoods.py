@@ -1,8 +1,9 @@
-"""Neighbourhood vectors: cubes of w^3 voxels, or squares of w^2 across the first axis, on their principal components, exactly.
+"""Neighbourhood vectors: cubes of w^3 voxels, or squares of w^2 across the first axis, on their
+principal components, exactly.
 
-The fields are int8 and the basis is rounded to integers small enough that every partial sum of a projection stays below
-2^24, so float32 matrix products are exact: whatever the BLAS, its threads and the size of the batch, the bits agree.
-Distances between int16 features then are exact int32.
+The fields are int8 and the basis is rounded to integers small enough that every partial sum of a
+projection stays below 2^24, so float32 matrix products are exact: whatever the BLAS, its threads
+and the size of the batch, the bits agree. Distances between int16 features then are exact int32.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs, one_blas_thread
+from trabecula.engine.parallel import for_slabs, one_blas_thread
 from trabecula.synth.shared.eigen import leading_vectors
 
 SCALE = 8
-"""A feature is SCALE times the projection, so a squared distance is SCALE**2 times the neighbourhood's (at most 2^31)."""
+"""A feature is SCALE times the projection, so a squared distance is SCALE**2 times the
+neighbourhood's (at most 2^31).
+"""
 
 _EXACT = 2**24 / 127 * 0.98  # over the largest value and the norm of its row
 _SAMPLES = 8192
@@ -34,10 +37,11 @@ Triple = tuple[int, int, int]
 class Basis:
     """Principal components of the neighbourhoods of an exemplar.
 
-    `vectors` is (C * n, D) float32 holding integers, with n = (w / grain)^3, or its square where neighbourhoods are `flat`;
-    `scale` is what an orthonormal vector was multiplied by; `explained` the share of variance kept, 0..1. With a `grain` of
-    2 a neighbourhood is described by the sums over its blocks of 2 voxels a side, at an eighth (a quarter) of the work:
-    enough where the field is smooth.
+    `vectors` is (C * n, D) float32 holding integers, with n = (w / grain)^3, or its square where
+    neighbourhoods are `flat`; `scale` is what an orthonormal vector was multiplied by; `explained`
+    the share of variance kept, 0..1. With a `grain` of 2 a neighbourhood is described by the sums
+    over its blocks of 2 voxels a side, at an eighth (a quarter) of the work: enough where the field
+    is smooth.
     """
 
     vectors: np.ndarray
@@ -73,11 +77,12 @@ def principal_basis(
     grain: int = 1,
     flat: bool = False,
 ) -> Basis:
-    """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain `variance`, up to `most`.
+    """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain
+    `variance`, up to `most`.
 
-    The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed` ((gz, gy, gx) bool, by
-    their first corner; default all), summed exactly. `grain` 2 needs an even width. `flat` neighbourhoods are squares of one
-    plane z.
+    The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed`
+    ((gz, gy, gx) bool, by their first corner; default all), summed exactly. `grain` 2 needs an even
+    width. `flat` neighbourhoods are squares of one plane z.
     """
     box, grains = box_of(width, flat=flat), box_of(grain, flat=flat)
     grid = tuple(side - reach + 1 for side, reach in zip(field.shape[1:], box, strict=True))
@@ -100,11 +105,15 @@ def principal_basis(
     # An eigenvector's sign is arbitrary: the entry of largest size is made positive.
     kept = kept * np.where(kept[np.abs(kept).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
     scale = _EXACT / np.sqrt(len(kept)) / int(np.prod(grains))
-    return Basis(np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain, flat)
+    return Basis(
+        np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain, flat
+    )
 
 
 def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
-    """Sums over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y, X) int8, in int16."""
+    """Sums over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y,
+    X) int8, in int16.
+    """
     if max(grains) == 1:
         return field
     sums = field.astype(np.int16)
@@ -116,7 +125,9 @@ def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
 
 
 def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, np.ndarray, slice]]:
-    """For every plane of a grid that holds some of the chosen sites (rising): it, their numbers in it, their places."""
+    """For every plane of a grid that holds some of the chosen sites (rising): it, their numbers in
+    it, their places.
+    """
     planes, sites = np.divmod(chosen, grid[1] * grid[2])
     bounds = np.flatnonzero(np.diff(planes, prepend=-1, append=grid[0]))
     for first, stop in pairwise(bounds):
@@ -124,7 +135,9 @@ def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, 
 
 
 def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
-    """sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at a time stay below 2^24."""
+    """sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at a time
+    stay below 2^24.
+    """
     if not exact:  # sums of blocks are too large for that
         wide = sample.astype(np.float64)
         return wide.T @ wide
@@ -135,15 +148,20 @@ def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
     return total
 
 
-def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None) -> np.ndarray:
-    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8, flat ones in every
-    plane.
+def project(
+    field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None
+) -> np.ndarray:
+    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y,
+    X) int8, flat ones in every plane.
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
     steps = steps_of(step, flat=basis.flat)
-    grid = tuple((side - reach) // t + 1 for side, reach, t in zip(field.shape[1:], basis.box, steps, strict=True))
-    features = scratch.empty((*grid, basis.vectors.shape[1]), np.int16)
+    grid = tuple(
+        (side - reach) // t + 1
+        for side, reach, t in zip(field.shape[1:], basis.box, steps, strict=True)
+    )
+    features = memmap.empty((*grid, basis.vectors.shape[1]), np.int16)
 
     def work(start: int, stop: int) -> None:
         thick = planes_together(features.shape[-1], grid)
@@ -158,17 +176,31 @@ def project(field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | 
 
 
 def planes_together(depth: int, grid: Sequence[int]) -> int:
-    """So many planes of a grid of neighbourhoods with `depth` components have features that stay in the cache."""
+    """So many planes of a grid of neighbourhoods with `depth` components have features that stay in
+    the cache.
+    """
     return max(1, _AT_ONCE // (2 * depth * grid[1] * grid[2]))
 
 
 def project_planes(
-    field: np.ndarray, basis: Basis, features: np.ndarray, *, step: int, active: np.ndarray | None = None
+    field: np.ndarray,
+    basis: Basis,
+    features: np.ndarray,
+    *,
+    step: int,
+    active: np.ndarray | None = None,
 ) -> None:
-    """`project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins with their first plane."""
+    """`project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins
+    with their first plane.
+    """
     length, count = basis.vectors.shape
-    box, grains, steps = basis.box, box_of(basis.grain, flat=basis.flat), steps_of(step, flat=basis.flat)
-    # The sum over a block of n equal values has n times their value, but only sqrt(n) times their norm.
+    box, grains, steps = (
+        basis.box,
+        box_of(basis.grain, flat=basis.flat),
+        steps_of(step, flat=basis.flat),
+    )
+    # The sum over a block of n equal values has n times their value, but only sqrt(n) times their
+    # norm.
     factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
     blocks = np.ascontiguousarray(block_sums(field, grains))
     if basis.grain > 1 and step % basis.grain == 0:
@@ -179,7 +211,9 @@ def project_planes(
     across = features.shape[2]
     rows = np.empty((min(_ROWS, features.shape[1] * across), length), np.float32)
     for z in range(len(features)):
-        sites = np.arange(features.shape[1] * across) if active is None else np.flatnonzero(active[z])
+        sites = (
+            np.arange(features.shape[1] * across) if active is None else np.flatnonzero(active[z])
+        )
         plane = features[z].reshape(-1, count)
         for first in range(0, len(sites), _ROWS):
             chosen = sites[first : first + _ROWS]
@@ -195,7 +229,9 @@ def divided(sides: Triple, by: Triple) -> Triple:
 
 @kernel
 def store(products, factor, sites, plane):
-    """Products times `factor`, rounded to int16, to the sites' rows; in a kernel, so that other threads can work meanwhile."""
+    """Products times `factor`, rounded to int16, to the sites' rows; in a kernel, so that other
+    threads can work meanwhile.
+    """
     for n in range(len(sites)):
         to = plane[sites[n]]
         for d in range(products.shape[1]):
@@ -206,7 +242,8 @@ def store(products, factor, sites, plane):
 def gather(field, sites, across, z0, step, box, grains, rows):
     """Rows of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0.
 
-    box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two agree.
+    box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two
+    agree.
     """
     width, grain = box[2], grains[2]
     length = width // grain
@@ -231,7 +268,9 @@ def gather(field, sites, across, z0, step, box, grains, rows):
 
 
 def basis_bytes(length: int, count: int) -> int:
-    """Memory that `principal_basis` takes for `count` vectors of `length`: the sample in float32, and covariances."""
+    """Memory that `principal_basis` takes for `count` vectors of `length`: the sample in float32,
+    and covariances.
+    """
     return 4 * min(_SAMPLES, count) * length + 28 * length**2
 
 
@@ -243,7 +282,9 @@ def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
 
 def grid_shape(shape: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
     """How many neighbourhoods, `steps` apart, cover `shape`; the last may reach past its end."""
-    z, y, x = (-(-(max(side, w) - w) // t) + 1 for side, w, t in zip(shape, box, steps, strict=True))
+    z, y, x = (
+        -(-(max(side, w) - w) // t) + 1 for side, w, t in zip(shape, box, steps, strict=True)
+    )
     return z, y, x
 
 

@@ -1,7 +1,7 @@
 """Rotations and mirrors of the exemplar (section 5.1): more neighbourhoods to choose from.
 
-A symmetry of the voxel grid permutes its axes and reverses some of them. With voxels of unequal edges only those are used that
-map every edge onto one of the same length.
+A symmetry of the voxel grid permutes its axes and reverses some of them. With voxels of unequal
+edges only those are used that map every edge onto one of the same length.
 """
 
 from __future__ import annotations
@@ -30,14 +30,16 @@ class Symmetry:
         return (order + sum(self.reversed)) % 2 == 1
 
 
-def symmetries(which: str, *, ndim: int = 3, spacing: float | tuple[float, ...] | None = None) -> tuple[Symmetry, ...]:
+def symmetries(
+    which: str, *, ndim: int = 3, spacing: float | tuple[float, ...] | None = None
+) -> tuple[Symmetry, ...]:
     """The symmetries of a set, the identity first.
 
     Parameters
     ----------
     which : {"none", "mirrors", "upright", "all"}
-        The identity; the 8 that reverse axes; the 16 that keep the first axis, reversed or not; all 48 (3-D: fewer in 2-D).
-        "upright" suits materials that grew or settled along z.
+        The identity; the 8 that reverse axes; the 16 that keep the first axis, reversed or not; all
+        48 (3-D: fewer in 2-D). "upright" suits materials that grew or settled along z.
     ndim : int
         2 or 3.
     spacing : float or sequence of float, optional
@@ -66,7 +68,9 @@ def symmetries(which: str, *, ndim: int = 3, spacing: float | tuple[float, ...] 
         "upright": [(0, *rest) for rest in permutations(identity[1:])],
         "all": list(permutations(identity)),
     }[which]
-    fitting = [axes for axes in orders if all(_same(edges[a], edges[i]) for i, a in enumerate(axes))]
+    fitting = [
+        axes for axes in orders if all(_same(edges[a], edges[i]) for i, a in enumerate(axes))
+    ]
     flips = [(False,) * ndim] if which == "none" else list(product((False, True), repeat=ndim))
     return tuple(Symmetry(axes, flip) for axes in fitting for flip in flips)
 
@@ -74,7 +78,8 @@ def symmetries(which: str, *, ndim: int = 3, spacing: float | tuple[float, ...] 
 def oriented(field: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """The field (C, z, y, x) or (C, y, x) under a symmetry, as a new contiguous array.
 
-    Its values stay as they are: they must not have a direction, as a distance or a grey value has none.
+    Its values stay as they are: they must not have a direction, as a distance or a grey value has
+    none.
     """
     turned = field.transpose(0, *(1 + axis for axis in symmetry.axes))
     steps = tuple(slice(None, None, -1 if back else 1) for back in symmetry.reversed)

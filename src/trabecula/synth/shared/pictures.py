@@ -1,4 +1,6 @@
-"""What every method from pictures has in common: views of one, two or three pictures, and what they have to hold."""
+"""What every method from pictures has in common: views of one, two or three pictures, and what they
+have to hold.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.exemplar.views import View, spacing_of, views_of
-from trabecula.synth.base import Method, Model
+from trabecula.synth.api.method import Method, Model
 
 ROOM = 4
 """Positions that a neighbourhood needs along an axis of a picture, at least."""
@@ -54,7 +56,7 @@ class PictureMethod(Method):
         if image.kind != "labels" and (image.values == image.values[0, 0]).all():
             raise InputError("the exemplar holds one value only: give one with structure")
 
-    def _fit(self, exemplars: Sequence[Image]) -> PictureModel:
+    def learn(self, exemplars: Sequence[Image]) -> PictureModel:
         return self._learn(exemplars, views_of(exemplars, self.config.views))
 
     @abstractmethod
@@ -66,7 +68,9 @@ class PictureMethod(Method):
 
 
 def as_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """A volume (Z, Y, X, ...) with the axis that the view is seen across first: its slices are (rows, columns)."""
+    """A volume (Z, Y, X, ...) with the axis that the view is seen across first: its slices are
+    (rows, columns).
+    """
     return np.ascontiguousarray(np.moveaxis(values, view.axis, 0))
 
 

@@ -1,4 +1,6 @@
-"""Coarser and finer grids by a factor of two, with cells aligned: coarse cell i covers fine cells 2i and 2i + 1."""
+"""Coarser and finer grids by a factor of two, with cells aligned: coarse cell i covers fine cells
+2i and 2i + 1.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.slabs import by_pieces, made_by_slabs
 
@@ -39,13 +41,15 @@ def double(
     shape: Sequence[int] | None = None,
     factor: int = 1,
 ) -> np.ndarray:
-    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along every axis.
+    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along
+    every axis.
 
-    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end. With a `shape` the result is
-    cropped, or continued by its last cells, to that; with a `factor` it is multiplied by it, and clipped to -127 .. 127.
+    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
+    With a `shape` the result is cropped, or continued by its last cells, to that; with a `factor`
+    it is multiplied by it, and clipped to -127 .. 127.
     """
     sides = tuple(2 * side for side in field.shape[1:]) if shape is None else tuple(shape)
-    fine = scratch.empty((len(field), *sides), np.int8)
+    fine = memmap.empty((len(field), *sides), np.int8)
     around = (bool(wraps[0]), bool(wraps[1]), bool(wraps[2]))
 
     def work(start: int, stop: int) -> None:
@@ -56,12 +60,14 @@ def double(
 
 
 def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`; itself where there is nothing to do."""
+    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`; itself where
+    there is nothing to do.
+    """
     if field.shape[1:] == tuple(shape):
         return np.ascontiguousarray(field)
     _, Z, Y, X = field.shape
     y, x = min(Y, shape[1]), min(X, shape[2])
-    fitted = scratch.empty((len(field), *shape), field.dtype)
+    fitted = memmap.empty((len(field), *shape), field.dtype)
 
     def work(start: int, stop: int) -> None:
         part = fitted[:, start:stop]
@@ -100,7 +106,11 @@ def _double(field, wraps, factor, fine, start, stop):
                 y0, y1 = _pair(y, Y, wraps[1])
                 a, b, d, e = field[c, z0, y0], field[c, z0, y1], field[c, z1, y0], field[c, z1, y1]
                 for x in range(X):
-                    line[x] = 3 * (3 * np.int32(a[x]) + np.int32(b[x])) + 3 * np.int32(d[x]) + np.int32(e[x])
+                    line[x] = (
+                        3 * (3 * np.int32(a[x]) + np.int32(b[x]))
+                        + 3 * np.int32(d[x])
+                        + np.int32(e[x])
+                    )
                 to = fine[c, z, y]
                 for x in range(min(X, (len(to) + 1) // 2)):
                     before = line[x - 1] if x > 0 else line[X - 1 if wraps[2] else 0]

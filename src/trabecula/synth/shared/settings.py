@@ -14,7 +14,11 @@ def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None
     """Numbers within their ranges (name -> least, most); whole where the field's default is."""
     for name, (low, high) in ranges.items():
         whole = isinstance(getattr(type(config), name), int)
-        object.__setattr__(config, name, as_number(getattr(config, name), name=name, low=low, high=high, whole=whole))
+        object.__setattr__(
+            config,
+            name,
+            as_number(getattr(config, name), name=name, low=low, high=high, whole=whole),
+        )
 
 
 def keep_rounds(config: Any, name: str, *, low: int = 1, high: int = 200) -> None:
@@ -22,7 +26,9 @@ def keep_rounds(config: Any, name: str, *, low: int = 1, high: int = 200) -> Non
     given = getattr(config, name)
     counts = given if isinstance(given, (list, tuple)) else (given,)
     if not counts:
-        raise InputError(f"{name} is empty: give the {name} of the finest level first, such as [4, 6, 8]")
+        raise InputError(
+            f"{name} is empty: give the {name} of the finest level first, such as [4, 6, 8]"
+        )
     checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
     object.__setattr__(config, name, checked)
 

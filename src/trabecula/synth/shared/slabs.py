@@ -1,4 +1,6 @@
-"""Arrays made and counted slab by slab, so that no whole one is in between, and large ones may lie in files."""
+"""Arrays made and counted slab by slab, so that no whole one is in between, and large ones may lie
+in files.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
 
 AT_ONCE = 1 << 18
 """Voxels: what NumPy makes of so many in between is small, and still in the cache."""
 
 
 def by_pieces(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
-    """`for_slabs` over the planes of (..., Z, Y, X), with `work` called for as few at a time as hold `AT_ONCE` voxels."""
+    """`for_slabs` over the planes of (..., Z, Y, X), with `work` called for as few at a time as
+    hold `AT_ONCE` voxels.
+    """
     thick = _thickness(shape)
 
     def pieces(start: int, stop: int) -> None:
@@ -27,7 +31,7 @@ def by_pieces(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
 
 def made_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: Any) -> np.ndarray:
     """(..., Z, Y, X) of which `make(start, stop)` gives planes of z (or one value for all of them)."""
-    made = scratch.empty(shape, dtype)
+    made = memmap.empty(shape, dtype)
 
     def work(start: int, stop: int) -> None:
         made[..., start:stop, :, :] = make(start, stop)
@@ -38,11 +42,15 @@ def made_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: 
 
 def counted(inside: np.ndarray) -> int:
     """How many voxels of (Z, Y, X) bool are True."""
-    return int(sum_slabs(lambda start, stop: int(np.count_nonzero(inside[start:stop])), len(inside)))
+    return int(
+        sum_slabs(lambda start, stop: int(np.count_nonzero(inside[start:stop])), len(inside))
+    )
 
 
 def tallied(tally: Callable[[int, int], np.ndarray], shape: Sequence[int]) -> np.ndarray:
-    """Counts of whole numbers in (..., Z, Y, X), where `tally(start, stop)` gives those in planes of z."""
+    """Counts of whole numbers in (..., Z, Y, X), where `tally(start, stop)` gives those in planes
+    of z.
+    """
     thick = _thickness(shape)
 
     def pieces(start: int, stop: int) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Fitting the methods that search and vote on planes: how far the pictures reach, and what learning from them takes."""
+"""Fitting the methods that search and vote on planes: how far the pictures reach, and what learning
+from them takes.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +30,16 @@ class Solid(PictureMethod):
         return int(self.config.neighbourhood)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Fields and neighbourhoods of the levels learnt so far, and what learning the next one takes beside them."""
+        """Fields and neighbourhoods of the levels learnt so far, and what learning the next one
+        takes beside them.
+        """
         channels, width = channels_of(exemplars), self._width()
         turns = len(symmetries(self.config.orientations, ndim=2))
         size = channels * sum(int(np.prod(image.shape)) for image in exemplars)
         kept, peak = 0, 16 * size
-        for index in range(levels_that_fit(min(min(image.shape) for image in exemplars), self.config)):
+        for index in range(
+            levels_that_fit(min(min(image.shape) for image in exemplars), self.config)
+        ):
             smooth = grain_of(width, smooth=exemplars[0].kind == "labels" and index == 0) == 2
             length = channels * width**2 // (4 if smooth else 1)
             places = [[side // 2**index - width + 1 for side in image.shape] for image in exemplars]
@@ -45,7 +51,9 @@ class Solid(PictureMethod):
             rows = features + 8 * count + min(4096, count) * (4 * length + 16 * most)
             peak = max(peak, kept + max(basis, rows))
             kept += features + turns * size // 4**index
-        return Plan({"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak})
+        return Plan(
+            {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}
+        )
 
 
 def channels_of(exemplars: Sequence[Image]) -> int:

@@ -1,7 +1,8 @@
-"""What search and vote on planes take, from the arrays that are held together at the moments that compete for the peak.
+"""What search and vote on planes take, from the arrays that are held together at the moments that
+compete for the peak.
 
-Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods, view by view; coarser levels hold
-an eighth.
+Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods, view
+by view; coarser levels hold an eighth.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from math import prod
 
 from trabecula.core.request import Request
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.matching.grid import planes_together
 from trabecula.synth.shared.matching.planes import planes_at_once
 from trabecula.synth.shared.matching.region import Region
@@ -62,26 +63,39 @@ class Run:
     def shape(self) -> tuple[int, ...]:
         """What is covered in every view."""
         _, candidates = self.views[0]
-        return self.region.covered(box=(candidates.basis.width,) * 3, steps=(candidates.step,) * 3).shape
+        return self.region.covered(
+            box=(candidates.basis.width,) * 3, steps=(candidates.step,) * 3
+        ).shape
 
     @property
     def output(self) -> int:
-        """Bytes of arrays that grow with the volume and of what is worked on beside them, at their peak."""
+        """Bytes of arrays that grow with the volume and of what is worked on beside them, at their
+        peak.
+        """
         return max(self._moments()) + _RANKS
 
     @property
     def scratch(self) -> int:
         """Bytes of how often each candidate was chosen."""
-        return (40 if self.exact else 24) * max(len(candidates.features) for _, candidates in self.views)
+        return (40 if self.exact else 24) * max(
+            len(candidates.features) for _, candidates in self.views
+        )
 
     @property
     def slab(self) -> int:
-        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and the pages of a few planes."""
+        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
+        the pages of a few planes.
+        """
         each = max(self._searched(), self._summed(), self._between()) + self._pages() + _RANKS
         return self.scratch + thread_count() * each + _RANKS
 
     def _moments(self) -> list[int]:
-        channels, voxels, asked, threads = self._channels, prod(self.shape), prod(self.request.shape), thread_count()
+        channels, voxels, asked, threads = (
+            self._channels,
+            prod(self.shape),
+            prod(self.request.shape),
+            thread_count(),
+        )
         sites = [prod(grid) for grid in self._grids()]
         most, every = max(sites), sum(sites)
         kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._held()
@@ -89,18 +103,28 @@ class Run:
         search = kept + 4 * (every - most) + voxels * channels
         if self.exact or self.repeated:
             depths = [candidates.features.shape[1] for _, candidates in self.views]
-            search += 16 * most + 2 * max(depth * count for depth, count in zip(depths, sites, strict=True))
+            search += 16 * most + 2 * max(
+                depth * count for depth, count in zip(depths, sites, strict=True)
+            )
         else:
             search += 8 * most
         moments = [
             search + threads * self._searched(),
-            kept + 4 * every + voxels * (2 * channels + (4 if self.chosen else 0)) + threads * self._summed(),
+            kept
+            + 4 * every
+            + voxels * (2 * channels + (4 if self.chosen else 0))
+            + threads * self._summed(),
             kept + 4 * every + voxels * (channels + 2) + between,
-            kept + 2 * channels * asked * (self.shape != self.request.shape) + asked * self._delivered() + between,
+            kept
+            + 2 * channels * asked * (self.shape != self.request.shape)
+            + asked * self._delivered()
+            + between,
         ]
         if self.request.fixed is not None:
             moments.append(kept + 4 * every + voxels * (2 * channels + 9) + between)
-            moments.append(asked * (8 * channels + 16 if self.distances else 11 * channels + 2) + between)
+            moments.append(
+                asked * (8 * channels + 16 if self.distances else 11 * channels + 2) + between
+            )
         if self.correcting:
             moments.append(kept + self.correcting + voxels * 2 * channels)
         return moments
@@ -115,7 +139,9 @@ class Run:
         """Bytes of a voxel that the choice of the values takes beside the votes."""
         free = 2 * (self.request.fixed is not None)
         around = 6 if self.request.fixed is not None and self.distances else 0
-        values = 2 * self._channels + 1 if self.distances and self._channels > 1 else 2 + self.itemsize
+        values = (
+            2 * self._channels + 1 if self.distances and self._channels > 1 else 2 + self.itemsize
+        )
         return free + max(around, values)
 
     @property
@@ -127,9 +153,14 @@ class Run:
         """What one thread makes of features, and what they come from."""
         most = 0
         for (axis, candidates), grid in zip(self.views, self._grids(), strict=True):
-            depth, (_, height, across) = candidates.features.shape[1], turned_shape(self.shape, axis)
+            depth, (_, height, across) = (
+                candidates.features.shape[1],
+                turned_shape(self.shape, axis),
+            )
             thick = min(planes_together(depth, grid), self._thickest)
-            each = (6 if candidates.basis.grain > 1 else int(self._channels > 1)) + 2 * any(self.region.wraps)
+            each = (6 if candidates.basis.grain > 1 else int(self._channels > 1)) + 2 * any(
+                self.region.wraps
+            )
             made = 2 * depth * grid[1] * grid[2] + each * self._channels * height * across
             most = max(most, made * thick + block_bytes(candidates.basis, grid))
         return most
@@ -137,12 +168,24 @@ class Run:
     def _summed(self) -> int:
         """What one thread holds of votes, or of distances to pixels."""
         each = max(5 * (self._channels + 1), 6 * self._channels + 30 if self.chosen else 0)
-        return each * min(planes_at_once(self.shape), self._thickest) * self.shape[1] * self.shape[2]
+        return (
+            each * min(planes_at_once(self.shape), self._thickest) * self.shape[1] * self.shape[2]
+        )
 
     def _between(self) -> int:
         """What NumPy takes in between in one thread."""
-        each = _BETWEEN if self.request.fixed is not None else 8 if self.request.mask is not None else 4
-        return each * self._channels * min(prod(self.shape), max(AT_ONCE, self.shape[1] * self.shape[2]))
+        each = (
+            _BETWEEN
+            if self.request.fixed is not None
+            else 8
+            if self.request.mask is not None
+            else 4
+        )
+        return (
+            each
+            * self._channels
+            * min(prod(self.shape), max(AT_ONCE, self.shape[1] * self.shape[2]))
+        )
 
     def _pages(self) -> int:
         """Of a few planes, and of some rows in every plane of the views that lie across."""
@@ -152,7 +195,11 @@ class Run:
         pages = (width + 2) * (3 * self._channels + known) * plane
         for (axis, _), (planes, rows, columns) in zip(self.views, self._grids(), strict=True):
             each = 4 * rows * columns
-            pages += 8 * width * columns * rows if axis == 0 else 2 * planes * min(each, _AROUND + 4 * width * columns)
+            pages += (
+                8 * width * columns * rows
+                if axis == 0
+                else 2 * planes * min(each, _AROUND + 4 * width * columns)
+            )
         return pages
 
     def _grids(self) -> list[tuple[int, int, int]]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.checkpoint import due, offer
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 
 
 @dataclass
@@ -39,7 +39,9 @@ class State:
         """From what was offered."""
         count = sum(name.startswith("match") for name in arrays)
         matches = [arrays[f"match{place}"] for place in range(count)]
-        return cls(matches, arrays["votes"], arrays["field"], arrays.get("sources"), arrays.get("debt"))
+        return cls(
+            matches, arrays["votes"], arrays["field"], arrays.get("sources"), arrays.get("debt")
+        )
 
     def offer(self, stage: str, number: int) -> None:
         """Offer it to who keeps states, after `number` rounds of `stage`."""
@@ -54,7 +56,7 @@ class State:
 
 def even_weights(active: np.ndarray) -> np.ndarray:
     """The weights int32 of sites (sz, sy, sx) that vote alike: 1, and 0 where they are not active."""
-    weights = scratch.empty(active.shape, np.int32)
+    weights = memmap.empty(active.shape, np.int32)
 
     def work(start: int, stop: int) -> None:
         weights[start:stop] = active[start:stop]

@@ -1,7 +1,9 @@
-"""Volumes seen along y or x: copies with another axis first, there and back, plane by plane of the one that lies as it is.
+"""Volumes seen along y or x: copies with another axis first, there and back, plane by plane of the
+one that lies as it is.
 
-A plane stays in the cache while its lines go where they belong; turned as a whole every value would be fetched from memory by
-itself. Of arrays in scratch files no more than the pages of a slab is touched at a time.
+A plane stays in the cache while its lines go where they belong; turned as a whole every value would
+be fetched from memory by itself. Of arrays in scratch files no more than the pages of a slab is
+touched at a time.
 """
 
 from __future__ import annotations
@@ -10,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 
 
 def order_of(axis: int) -> tuple[int, int, int]:
@@ -27,7 +29,7 @@ def turned(values: np.ndarray, axis: int) -> np.ndarray:
     """
     if axis == 0 and values.flags.c_contiguous:
         return values
-    seen = scratch.empty((*values.shape[:-3], *turned_shape(values.shape[-3:], axis)), values.dtype)
+    seen = memmap.empty((*values.shape[:-3], *turned_shape(values.shape[-3:], axis)), values.dtype)
     back = _back(seen, axis)
 
     def work(start: int, stop: int) -> None:

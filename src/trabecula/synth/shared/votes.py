@@ -1,4 +1,6 @@
-"""Votes: fields in int16, in so fine steps that their mean can be ranked; what starts from noise starts from such."""
+"""Votes: fields in int16, in so fine steps that their mean can be ranked; what starts from noise
+starts from such.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 
 UNIT = 256
 """An int8 step of a field in the int16 of votes."""
@@ -17,7 +19,7 @@ _WORDS = 4  # of 64 bits that the generator makes at once
 
 def votes_of(field: np.ndarray) -> np.ndarray:
     """A field (C, Z, Y, X) int8 as votes (int16)."""
-    votes = scratch.empty(field.shape, np.int16, least=0)  # another process may write it
+    votes = memmap.empty(field.shape, np.int16, least=0)  # another process may write it
 
     def work(start: int, stop: int) -> None:
         np.multiply(field[:, start:stop], np.int16(UNIT), out=votes[:, start:stop], dtype=np.int16)
@@ -27,8 +29,10 @@ def votes_of(field: np.ndarray) -> np.ndarray:
 
 
 def noise(shape: Sequence[int], key: int) -> np.ndarray:
-    """White noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one generator."""
-    votes = scratch.empty(shape, np.int16)
+    """White noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one
+    generator.
+    """
+    votes = memmap.empty(shape, np.int16)
     channels, depth, height, width = votes.shape
 
     def work(start: int, stop: int) -> None:

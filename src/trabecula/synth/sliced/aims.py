@@ -1,7 +1,9 @@
-"""What pictures say of a material at each resolution: neighbourhoods, histograms, two-point functions.
+"""What pictures say of a material at each resolution: neighbourhoods, histograms, two-point
+functions.
 
-A coarser level is the distance field at every second pixel, from every one of the starts there are, not a mean: a mean over
-pixels of a picture and one over voxels of a volume differ, values at points of a plane do not.
+A coarser level is the distance field at every second pixel, from every one of the starts there are,
+not a mean: a mean over pixels of a picture and one over voxels of a volume differ, values at points
+of a plane do not.
 """
 
 from __future__ import annotations
@@ -23,13 +25,16 @@ from trabecula.synth.shared.statistics.soft import soft_indicator
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import FAR
 
-_REACH, _NEAR = 30, 6  # farthest distance of pairs in pixels of the picture, and at least so many of a level's own
+# farthest distance of pairs in pixels of the picture, and at least so many of a level's own
+_REACH, _NEAR = 30, 6
 _HARD = 1.0  # softness of an indicator that is 0 or 1
 
 
 @dataclass(frozen=True)
 class Level:
-    """One resolution of search and vote; two-point functions are those of the phases, for `steps.stepped`."""
+    """One resolution of search and vote; two-point functions are those of the phases, for
+    `steps.stepped`.
+    """
 
     views: tuple[tuple[int, Candidates], ...]
     histograms: tuple[Histogram, ...]
@@ -47,7 +52,8 @@ class Layout:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The distance fields (C, 1, Y, X) float32 of the pictures by their numbers, in voxels, and how they are seen.
+    """The distance fields (C, 1, Y, X) float32 of the pictures by their numbers, in voxels, and how
+    they are seen.
 
     `orientations` ("none", "mirrors", "all") are those of the copies that are learnt from.
     """
@@ -71,18 +77,28 @@ class Pictures:
             )
             for number, stack in stacks.items()
         }
-        target = replace(self._correlations(index, clip, _HARD), softness=config.softness * FULL / FAR)
-        return Level(tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target)
+        target = replace(
+            self._correlations(index, clip, _HARD), softness=config.softness * FULL / FAR
+        )
+        return Level(
+            tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target
+        )
 
     def layout(self, index: int, config: SlicedConfig) -> Layout:
         """For sliced rounds on level `index`."""
         parts = self._parts(index, config.layout_clip)
-        made = {number: slices_of(part, width=config.layout_width, flat=True) for number, part in parts.items()}
+        made = {
+            number: slices_of(part, width=config.layout_width, flat=True)
+            for number, part in parts.items()
+        }
         stacks = {number: Stack.of(part) for number, part in parts.items()}
-        # The soft interface is as wide as a voxel of the level, where the clipped field is that wide.
+        # The soft interface is as wide as a voxel of the level, where the clipped field is that
+        # wide.
         softness = min(2.0, 2**index / config.layout_clip) * FULL
         target = self._correlations(index, config.layout_clip, softness)
-        return Layout(tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target)
+        return Layout(
+            tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target
+        )
 
     def _histograms(self, stacks: dict[int, Stack]) -> tuple[Histogram, ...]:
         """One a channel, of all views together."""
@@ -100,7 +116,9 @@ class Pictures:
         return found
 
     def _correlations(self, index: int, clip: float, softness: float) -> Correlations:
-        """The two-point functions in the planes; where turned pictures count as well, one for all directions."""
+        """The two-point functions in the planes; where turned pictures count as well, one for all
+        directions.
+        """
         spacing = spacing_of(self.views)
         edges = [edge / mean_edge(spacing) for edge in spacing]
         parts = [
@@ -111,7 +129,11 @@ class Pictures:
         shortest = min(min(field.shape[2:]) for field in self.fields.values())
         reach = max(_NEAR, min(_REACH, shortest // 2 - 1) // 2**index)
         target = correlations_of(parts, softness=softness, r_max=reach, edges=edges)
-        return alike(target, [part.shape[1:] for part in parts]) if self.orientations == "all" else target
+        return (
+            alike(target, [part.shape[1:] for part in parts])
+            if self.orientations == "all"
+            else target
+        )
 
 
 def thinned(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
@@ -122,9 +144,13 @@ def thinned(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
 
 
 def alike(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlations:
-    """One function of distance for the three directions of a target that was measured in fields of these shapes."""
+    """One function of distance for the three directions of a target that was measured in fields of
+    these shapes.
+    """
     bins = target.r_max + 1
-    fits = np.sum([Pairs(shape, target.r_max, edges=target.edges).fits for shape in shapes], axis=0).reshape(3, bins)
+    fits = np.sum(
+        [Pairs(shape, target.r_max, edges=target.edges).fits for shape in shapes], axis=0
+    ).reshape(3, bins)
     sums = (target.curves.reshape(-1, 3, bins) * fits).sum(axis=1) / np.maximum(fits.sum(axis=0), 1)
     return replace(target, curves=np.tile(sums, (1, 3)), held=np.tile(fits.sum(axis=0) > 0, 3))
 
@@ -132,7 +158,8 @@ def alike(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlatio
 def leaning(
     target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
 ) -> Correlations:
-    """The target for fields with other histograms: the covariance form (S2 - m^2) / (m - m^2) is kept.
+    """The target for fields with other histograms: the covariance form (S2 - m^2) / (m - m^2) is
+    kept.
 
     `softness` is that of the indicator whose two-point functions they are.
     """

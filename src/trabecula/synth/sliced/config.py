@@ -13,15 +13,18 @@ class SlicedConfig:
     """Settings of `sliced`. Voxels are those of the level in question unless said otherwise."""
 
     views: tuple[str, ...] = ()
-    """Planes in which the result is to look like the pictures, such as yx, zx: two or three. Empty: one picture in all three; two
-    pictures in yx and zx, and in zy; three in one each."""
+    """Planes in which the result is to look like the pictures, such as yx, zx: two or three. Empty:
+    one picture in all three; two pictures in yx and zx, and in zy; three in one each."""
 
     levels: int = 3
-    """Resolutions at most, each half the next, 1 .. 6. As many are used as leave room in picture and result."""
+    """Resolutions at most, each half the next, 1 .. 6. As many are used as leave room in picture
+    and result.
+    """
 
     orientations: str = "auto"
-    """Copies of a picture to learn from besides itself: "none", "mirrors" (4), "all" (8, turned as well). "auto": all where one
-    picture is seen in three planes and the voxel is a cube, which says that no axis is preferred; else none."""
+    """Copies of a picture to learn from besides itself: "none", "mirrors" (4), "all" (8, turned as
+    well). "auto": all where one picture is seen in three planes and the voxel is a cube, which says
+    that no axis is preferred; else none."""
 
     layout_rounds: int = 30
     """Sliced rounds on the coarsest level, 1 .. 500."""
@@ -30,11 +33,13 @@ class SlicedConfig:
     """Width of the square neighbourhoods of sliced rounds, voxels, 3 .. 8."""
 
     layout_clip: float = 8.0
-    """Signed distance at which the field saturates while it is laid out, voxels of the result, 1 .. 40. Less suits
-    small bodies far apart (air voids), more connects."""
+    """Signed distance at which the field saturates while it is laid out, voxels of the result, 1 ..
+    40. Less suits small bodies far apart (air voids), more connects."""
 
     strength: float = 2.5
-    """How far sliced rounds move neighbourhoods, 0.1 .. 5: 1 is to the picture's distribution, more makes up for averaging."""
+    """How far sliced rounds move neighbourhoods, 0.1 .. 5: 1 is to the picture's distribution, more
+    makes up for averaging.
+    """
 
     layout_steps: int = 2
     """Steps towards the picture's two-point function after every third sliced round, 0 .. 10."""
@@ -43,18 +48,20 @@ class SlicedConfig:
     """Width of the square neighbourhoods of search and vote, voxels, 4 .. 12."""
 
     step: int = 2
-    """Distance between these in a plane of the finest level, voxels, 1 .. half their width; on other levels 1."""
+    """Distance between these in a plane of the finest level, voxels, 1 .. half their width; on
+    other levels 1.
+    """
 
     rounds: tuple[int, ...] = (3, 4)
-    """Rounds of search and vote on every level, finest first, each 0 .. 200; the last counts for the rest but the coarsest, which
-    has none but beside fixed voxels."""
+    """Rounds of search and vote on every level, finest first, each 0 .. 200; the last counts for
+    the rest but the coarsest, which has none but beside fixed voxels."""
 
     clip: float = 3.0
     """Signed distance at which the field of search and vote saturates, voxels, 1 .. 20."""
 
     corrections: tuple[int, ...] = (4,)
-    """Steps towards the picture's two-point function after every round, finest level first, each 0 .. 10; the last counts for the
-    rest."""
+    """Steps towards the picture's two-point function after every round, finest level first, each 0
+    .. 10; the last counts for the rest."""
 
     softness: float = 1.6
     """Width of the interface that steps move, voxels, 0.5 .. 4."""
@@ -63,7 +70,9 @@ class SlicedConfig:
     """Search sweeps per round, 1 .. 10."""
 
     tries: int = 2
-    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the best, ever nearer."""
+    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the
+    best, ever nearer.
+    """
 
     robustness: float = 0.8
     """Exponent r of the distances that are minimised, 0 .. 2, by weights d^(r - 2)."""
@@ -75,7 +84,8 @@ class SlicedConfig:
     """At most so many principal components, 4 .. 128."""
 
     specks: int = 12
-    """Connected pieces of a phase of fewer voxels go to their surroundings at the end, 0 .. 1000."""
+    """Connected pieces of a phase of fewer voxels go to their surroundings at the end, 0 .. 1000.
+    """
 
     def __post_init__(self) -> None:
         keep_views(self)

@@ -1,4 +1,6 @@
-"""Where a request is made: a torus where nothing is known, so that no place is special; else the request's own grid."""
+"""Where a request is made: a torus where nothing is known, so that no place is special; else the
+request's own grid.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from trabecula.core.request import Request
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content import Bounds
 from trabecula.synth.shared.fields import quantise
 from trabecula.synth.shared.matching.region import Region
@@ -16,7 +18,9 @@ from trabecula.synth.shared.slabs import inverse
 
 
 def torus(request: Request, top: int, least: int) -> list[Region]:
-    """The regions of levels 0 .. `top`; an open axis goes on to whole voxels of the coarsest, `least` of them at least."""
+    """The regions of levels 0 .. `top`; an open axis goes on to whole voxels of the coarsest,
+    `least` of them at least.
+    """
     whole = [max(least, -(-side // 2**top)) for side in request.shape]
     regions = []
     for index in range(top + 1):
@@ -33,27 +37,34 @@ def around_known(
 ) -> list[Region]:
     """The regions of levels 0 .. `top` around known voxels, whose field lies within `bounds`.
 
-    A coarser voxel is known where any of its voxels is, with their mean: a single slice would vanish in a mean over all of
-    them. `clip_of(index)` is the distance in voxels of the result at which a level saturates; `exact` says whether level 0
-    holds the bounds themselves rather than such a mean.
+    A coarser voxel is known where any of its voxels is, with their mean: a single slice would
+    vanish in a mean over all of them. `clip_of(index)` is the distance in voxels of the result at
+    which a level saturates; `exact` says whether level 0 holds the bounds themselves rather than
+    such a mean.
     """
     assert request.known is not None  # checked by the request
     regions = []
     for index in range(top + 1):
         if index == 0 and exact:
             least, most = (quantise(bound, clip=clip_of(0)) for bound in bounds)
-            regions.append(Region(request.shape, request.periodic, inverse(request.known), least, most))
+            regions.append(
+                Region(request.shape, request.periodic, inverse(request.known), least, most)
+            )
         else:
-            regions.append(_coarse(request.known, bounds, 2**index, clip_of(index), request.periodic))
+            regions.append(
+                _coarse(request.known, bounds, 2**index, clip_of(index), request.periodic)
+            )
     return regions
 
 
-def _coarse(known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]) -> Region:
+def _coarse(
+    known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]
+) -> Region:
     """The region of voxels `side` times as long."""
     low, high = bounds
     shape = tuple(-(-count // side) for count in known.shape)
-    free = scratch.empty(shape, bool)
-    least, most = (scratch.empty((len(low), *shape), np.int8) for _ in range(2))
+    free = memmap.empty(shape, bool)
+    least, most = (memmap.empty((len(low), *shape), np.int8) for _ in range(2))
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):

@@ -1,4 +1,6 @@
-"""The coarsest level: noise becomes a layout whose planes hold the pictures' neighbourhoods, none of them copied."""
+"""The coarsest level: noise becomes a layout whose planes hold the pictures' neighbourhoods, none
+of them copied.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,11 @@ STAGE = "layout"
 
 
 def laid_out(
-    layout: Layout, region: Region, histograms: tuple[Histogram, ...], seed: int, config: SlicedConfig
+    layout: Layout,
+    region: Region,
+    histograms: tuple[Histogram, ...],
+    seed: int,
+    config: SlicedConfig,
 ) -> np.ndarray:
     """Sliced rounds from noise, with steps on the two-point function.
 
@@ -45,7 +51,9 @@ def laid_out(
     """
     channels, stage = len(layout.histograms), key(seed, "sliced/layout")
     targets = targets_of(region, histograms, width=config.layout_width)
-    correlations = leaning(layout.correlations, layout.histograms, targets, softness=layout.correlations.softness)
+    correlations = leaning(
+        layout.correlations, layout.histograms, targets, softness=layout.correlations.softness
+    )
     state = resumed(STAGE)
     if state is None:
         begin = 0
@@ -54,7 +62,9 @@ def laid_out(
         del votes
     else:
         begin, field = state.number, state.arrays["field"]
-    for number in track(range(begin, config.layout_rounds), "laying out", total=config.layout_rounds - begin):
+    for number in track(
+        range(begin, config.layout_rounds), "laying out", total=config.layout_rounds - begin
+    ):
         # Votes are nobody's but the call's: they go as soon as the field is there.
         field = rematched(
             region,

@@ -1,8 +1,10 @@
-"""`sliced`: fit keeps what the pictures say at every resolution; generate lays out the coarsest, then refines level by level.
+"""`sliced`: fit keeps what the pictures say at every resolution; generate lays out the coarsest,
+then refines level by level.
 
-Sliced rounds (`layout`) move the neighbourhoods in the planes of the views towards the distribution of the picture's; they copy
-nothing, and see far because they work on a coarse grid. Search and vote (`passes`) then make interfaces and thin walls those of
-the picture. Steps on the two-point function go along with both.
+Sliced rounds (`layout`) move the neighbourhoods in the planes of the views towards the distribution
+of the picture's; they copy nothing, and see far because they work on a coarse grid. Search and vote
+(`passes`) then make interfaces and thin walls those of the picture. Steps on the two-point function
+go along with both.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from trabecula.synth.shared.solid_forecast import Run
 from trabecula.synth.shared.solid_state import State
 from trabecula.synth.shared.statistics.correlate import step_bytes, step_slab_bytes
 from trabecula.synth.shared.statistics.moved import round_bytes
-from trabecula.synth.sliced import SPEC
+from trabecula.synth.sliced import CAPABILITIES
 from trabecula.synth.sliced.aims import Layout, Level, Pictures, leaning, thinned
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.domain import around_known, torus
@@ -52,7 +54,7 @@ _AXES = "zyx"
 class Sliced(PictureMethod):
     """Sliced transport and two-point steps, then search and vote."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = SlicedConfig
     config: SlicedConfig
 
@@ -63,10 +65,14 @@ class Sliced(PictureMethod):
         return SlicedModel(self.config, exemplars, views)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Features of every level, counted in components of the pictures as they are, and the components' sample."""
+        """Features of every level, counted in components of the pictures as they are, and the
+        components' sample.
+        """
         config, channels = self.config, channels_of(exemplars)
         alone = len(exemplars) == 1 and len(config.views) != 2
-        chosen = ("all" if alone else "none") if config.orientations == "auto" else config.orientations
+        chosen = (
+            ("all" if alone else "none") if config.orientations == "auto" else config.orientations
+        )
         turns = len(symmetries(chosen, ndim=2))
         content = content_of(exemplars)
         features = 0
@@ -74,7 +80,8 @@ class Sliced(PictureMethod):
             for image in exemplars:
                 features += turns * 4**index * _bytes_of(content.fields(image), index, config)
         basis = basis_bytes(
-            channels * self._width() ** 2, turns * sum(int(np.prod(image.shape)) for image in exemplars)
+            channels * self._width() ** 2,
+            turns * sum(int(np.prod(image.shape)) for image in exemplars),
         )
         return Plan({"interpreter and kernels": PROCESS, "features": features, "basis": basis})
 
@@ -82,23 +89,29 @@ class Sliced(PictureMethod):
 class SlicedModel(PictureModel):
     """What the pictures say at every resolution."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     spills: ClassVar[bool] = True
     config: SlicedConfig
 
-    def __init__(self, config: SlicedConfig, exemplars: Sequence[Image], views: tuple[View, ...]) -> None:
+    def __init__(
+        self, config: SlicedConfig, exemplars: Sequence[Image], views: tuple[View, ...]
+    ) -> None:
         super().__init__(config, exemplars, views)
         spacing = spacing_of(views)
         self.content: Content = content_of([view.image for view in views], unit=mean_edge(spacing))
         fields = {view.picture: self.content.fields(view.image) for view in views}
         chosen = config.orientations
         if chosen == "auto":
-            alone = len(fields) == 1 and len(views) == 3 and max(spacing) <= min(spacing) * (1 + _SAME)
+            alone = (
+                len(fields) == 1 and len(views) == 3 and max(spacing) <= min(spacing) * (1 + _SAME)
+            )
             chosen = "all" if alone else "none"
         pictures = Pictures(fields, views, chosen)
         self.top = _top_for(min(min(view.image.shape) for view in views), config)
         indices = range(self.top + 1)
-        self.levels: list[Level] = [pictures.level(index, config) for index in track(indices, "learning the picture")]
+        self.levels: list[Level] = [
+            pictures.level(index, config) for index in track(indices, "learning the picture")
+        ]
         self.layouts: list[Layout] = [pictures.layout(index, config) for index in indices]
 
     def _check_request(self, request: Request) -> None:
@@ -113,7 +126,7 @@ class SlicedModel(PictureModel):
     def _least(self) -> int:
         return max(_LEAST, self.config.neighbourhood, self.config.layout_width)
 
-    def _generate(self, request: Request) -> np.ndarray:
+    def make(self, request: Request) -> np.ndarray:
         regions = self._regions(request)
         top = len(regions) - 1
         state, begin, done = self._resumed(top)
@@ -126,14 +139,18 @@ class SlicedModel(PictureModel):
             index = len(regions) - 1
             frame = self._frame(regions.pop(), index, request)
             if state is None:
-                state = begun(frame, _fitted(field, frame.region, finer=index < top), _key(request, index))
+                state = begun(
+                    frame, _fitted(field, frame.region, finer=index < top), _key(request, index)
+                )
             self._pass(frame, state, index, request, done)
             field, votes, state, done = state.field, state.votes, None, 0
         del field, frame
         return self._delivered(fit_to(votes, request.shape), request)
 
     def _resumed(self, top: int) -> tuple[State | None, int, int]:
-        """The state that an interrupted run left, its level and its rounds done; none, and the coarsest level."""
+        """The state that an interrupted run left, its level and its rounds done; none, and the
+        coarsest level.
+        """
         for index in range(top + 1):
             left = resumed(_stage(index))
             if left is not None:
@@ -142,7 +159,9 @@ class SlicedModel(PictureModel):
 
     def _laid_out(self, region: Region, top: int, request: Request) -> np.ndarray:
         layout = self.layouts[top]
-        return laid_out(layout, region, self.content.aims(layout.histograms, request), request.seed, self.config)
+        return laid_out(
+            layout, region, self.content.aims(layout.histograms, request), request.seed, self.config
+        )
 
     def _frame(self, region: Region, index: int, request: Request) -> Frame:
         level = self.levels[index]
@@ -218,7 +237,9 @@ class SlicedModel(PictureModel):
         """Bytes of the pictures' fields and neighbourhoods."""
         candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
         slices = {id(s): s for layout in self.layouts for _, s in layout.views}.values()
-        held = sum(c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes for c in candidates)
+        held = sum(
+            c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes for c in candidates
+        )
         return held + sum(s.features.nbytes for s in slices)
 
     def _region(self, request: Request, index: int) -> Region:
@@ -232,7 +253,9 @@ class SlicedModel(PictureModel):
         region, target = self._region(request, 0), self.levels[0].correlations
         run = Run(request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True)
         channels = len(self.levels[0].histograms)
-        return replace(run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape))
+        return replace(
+            run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape)
+        )
 
     def _layout_bytes(self, request: Request) -> int:
         """Of sliced rounds: sums in two orders, and components; or of steps between them."""
@@ -241,8 +264,13 @@ class SlicedModel(PictureModel):
         channels, voxels = len(layout.histograms), prod(region.shape)
         components = max(slices.basis.vectors.shape[1] for _, slices in layout.views)
         known = (3 + 4 * channels) * voxels * (request.fixed is not None)
-        rounds = voxels * (14 * channels + 9 + 2 * components) + max(round_bytes(slices) for _, slices in layout.views)
-        return known + max(rounds, 5 * channels * voxels + step_bytes(region.shape, layout.correlations, region.wraps))
+        rounds = voxels * (14 * channels + 9 + 2 * components) + max(
+            round_bytes(slices) for _, slices in layout.views
+        )
+        return known + max(
+            rounds,
+            5 * channels * voxels + step_bytes(region.shape, layout.correlations, region.wraps),
+        )
 
 
 def _fitted(field: np.ndarray, region: Region, *, finer: bool) -> np.ndarray:
@@ -269,7 +297,9 @@ def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
         (config.layout_width, config.layout_clip, 0.95, 64, True),
     ):
         part = thinned(field, index, clip)[0]
-        count = principal_basis(part, width=width, variance=variance, most=most, flat=True).vectors.shape[1]
+        count = principal_basis(
+            part, width=width, variance=variance, most=most, flat=True
+        ).vectors.shape[1]
         rows = int(np.prod([side - width + 1 for side in part.shape[2:]]))
         taken += rows * (4 << max(2, (count - 1).bit_length()) if sliced else 2 * count + 12)
     return taken

@@ -19,7 +19,10 @@ _FIRST = 4  # times as many sweeps in the first round, which starts from random 
 
 def begun(frame: Frame, field: np.ndarray, stage: np.uint64) -> State:
     """What rounds start from on a field (C, Z, Y, X) int8: random matches."""
-    matches = [random_matches(plane.grid, stage + np.uint64(place)) for place, plane in enumerate(frame.planes)]
+    matches = [
+        random_matches(plane.grid, stage + np.uint64(place))
+        for place, plane in enumerate(frame.planes)
+    ]
     return State(matches, votes_of(field), field)
 
 
@@ -48,7 +51,9 @@ def passed(
         state.offer(said, number + 1)
 
 
-def _searched(frame: Frame, state: State, config: SlicedConfig, stage: np.uint64, number: int) -> list[np.ndarray]:
+def _searched(
+    frame: Frame, state: State, config: SlicedConfig, stage: np.uint64, number: int
+) -> list[np.ndarray]:
     """New matches in place of the old, one a view; returns what they weigh in the vote."""
     weights = []
     for place, plane in enumerate(frame.planes):

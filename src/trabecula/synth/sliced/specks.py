@@ -6,15 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.runs import runs_of
 
 _OUT = 32000  # a vote that decides
 _FACES = 6  # neighbours share one
 
 
-def without_specks(votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int) -> np.ndarray:
+def without_specks(
+    votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
+) -> np.ndarray:
     """Votes that no longer give `values` their pieces of fewer than `least` voxels.
 
     Parameters
@@ -44,7 +46,7 @@ def without_specks(votes: np.ndarray, values: np.ndarray, present: Sequence[int]
 
 
 def _copy(votes: np.ndarray) -> np.ndarray:
-    copy = scratch.empty(votes.shape, votes.dtype)
+    copy = memmap.empty(votes.shape, votes.dtype)
 
     def work(start: int, stop: int) -> None:
         copy[:, start:stop] = votes[:, start:stop]

@@ -1,8 +1,9 @@
 """A step on the two-point function of what a field is cut to, rather than of its soft values.
 
-A field that is histogram-matched to distances need not be one: where it rises slowly, fewer and smoother interfaces make up the
-same histogram, and a soft indicator of its values does not see it. Divided by its own slope it is a distance near the
-interface, whichever way it rises; the target is the two-point function of the picture's phases themselves.
+A field that is histogram-matched to distances need not be one: where it rises slowly, fewer and
+smoother interfaces make up the same histogram, and a soft indicator of its values does not see it.
+Divided by its own slope it is a distance near the interface, whichever way it rises; the target is
+the two-point function of the picture's phases themselves.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.correlate import Correlations, corrected, step_slab_bytes
@@ -23,7 +24,8 @@ FAR = 4.0
 """Voxels at which distances saturate here."""
 
 _FLAT = np.float32(1.0)  # least slope, int8 steps a voxel
-_FEW, _MANY = 8, 1 << 19  # planes of which slopes are made at once, unless these are more voxels than so many
+# planes of which slopes are made at once, unless these are more voxels than so many
+_FEW, _MANY = 8, 1 << 19
 
 
 def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
@@ -41,7 +43,7 @@ def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarr
     (C, Z, Y, X) int16
         In 1 / UNIT of an int8 step of the field, to be matched to its histogram.
     """
-    distance = scratch.empty(field.shape, np.int8, least=0)  # another process may write it
+    distance = memmap.empty(field.shape, np.int8, least=0)  # another process may write it
     for channel, far in zip(field, distance, strict=True):
         _by_few(partial(_divided, channel, region.wraps, far), channel.shape, anywhere=True)
     votes = corrected(distance, target, periodic=region.wraps, free=region.free)
@@ -61,7 +63,9 @@ def _few(shape: Sequence[int]) -> int:
     return max(1, min(_FEW, _MANY // (shape[1] * shape[2])))
 
 
-def _by_few(work: Callable[[int, int], None], shape: Sequence[int], *, anywhere: bool = False) -> None:
+def _by_few(
+    work: Callable[[int, int], None], shape: Sequence[int], *, anywhere: bool = False
+) -> None:
     """Call work(start, stop) on all planes, a few at a time."""
     most = _few(shape)
 
@@ -72,8 +76,12 @@ def _by_few(work: Callable[[int, int], None], shape: Sequence[int], *, anywhere:
     for_slabs(few, shape[0], anywhere=anywhere)
 
 
-def _divided(channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int) -> None:
-    """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike: `FULL` is `FAR` voxels."""
+def _divided(
+    channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int
+) -> None:
+    """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike:
+    `FULL` is `FAR` voxels.
+    """
     ratio = channel[start:stop] / slope(channel, wraps, start, stop)
     np.clip(ratio, -FAR, FAR, out=ratio)
     ratio *= np.float32(FULL / FAR)
@@ -81,21 +89,31 @@ def _divided(channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start:
 
 
 def _multiplied(
-    channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, votes: np.ndarray, start: int, stop: int
+    channel: np.ndarray,
+    wraps: Sequence[bool],
+    far: np.ndarray,
+    votes: np.ndarray,
+    start: int,
+    stop: int,
 ) -> None:
-    """What planes start..stop of `far` (Z, Y, X) int8 moved to, `votes` (Z, Y, X) int16, as votes for the channel."""
+    """What planes start..stop of `far` (Z, Y, X) int8 moved to, `votes` (Z, Y, X) int16, as votes
+    for the channel.
+    """
     limit = FULL * UNIT
     part = slice(start, stop)
-    moves = (votes[part] - far[part] * np.int16(UNIT)) * (slope(channel, wraps, start, stop) * np.float32(FAR / FULL))
+    moves = (votes[part] - far[part] * np.int16(UNIT)) * (
+        slope(channel, wraps, start, stop) * np.float32(FAR / FULL)
+    )
     np.rint(moves, out=moves)
     moves += channel[part] * np.float32(UNIT)
     votes[part] = np.clip(moves, -limit, limit, out=moves)
 
 
 def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> np.ndarray:
-    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over neighbours and never 0: planes start..stop,
-    float32."""
-    planes = _around(np.arange(start - 1, stop + 1), len(channel), wraps[0])  # a neighbour more on either side
+    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over neighbours and
+    never 0: planes start..stop, float32."""
+    # a neighbour more on either side
+    planes = _around(np.arange(start - 1, stop + 1), len(channel), wraps[0])
     square = np.zeros((len(planes), *channel.shape[1:]), np.float32)
     before, after = (channel[_around(planes + by, len(channel), wraps[0])] for by in (-1, 1))
     _add_square(square, before, after)

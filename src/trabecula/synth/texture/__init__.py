@@ -1,8 +1,8 @@
 """3-D exemplar optimisation (Zhang, Chen, Wang, Wang 2017). See README.md in this folder."""
 
-from trabecula.synth.base import Spec
+from trabecula.synth.api.method import Capabilities
 
-SPEC = Spec(
+CAPABILITIES = Capabilities(
     name="texture",
     summary="a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest in the exemplar",
     paper="Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials",

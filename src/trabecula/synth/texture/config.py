@@ -14,32 +14,40 @@ class TextureConfig:
     """Settings of `texture`. Voxels are those of the level in question unless said otherwise."""
 
     neighbourhood: tuple[int, ...] = (8,)
-    """Widths w of the cubic neighbourhoods, voxels, each 4 .. 10, used one after another on every level (sections 4.1, 5.1).
-    Larger ones keep more structure and copy more."""
+    """Widths w of the cubic neighbourhoods, voxels, each 4 .. 10, used one after another on every
+    level (sections 4.1, 5.1). Larger ones keep more structure and copy more."""
 
     step: int = 2
-    """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section 4.1; 1 on the coarsest). 0
-    stands for half the width on every level."""
+    """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section
+    4.1; 1 on the coarsest). 0 stands for half the width on every level."""
 
     levels: int = 6
-    """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave room for a neighbourhood in
-    the exemplar: the coarsest has to see its largest structures, or the density of the result drifts."""
+    """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave
+    room for a neighbourhood in the exemplar: the coarsest has to see its largest structures, or the
+    density of the result drifts."""
 
     novelty: float | None = None
-    """The dial between moving pieces of the exemplar (0) and copying no more than an independent sample of the material does
-    (1). Default: 1 for labels; 0 for grey and colour, and with the paper's search, field or energies, which know no other."""
+    """The dial between moving pieces of the exemplar (0) and copying no more than an independent
+    sample of the material does (1). Default: 1 for labels; 0 for grey and colour, and with the
+    paper's search, field or energies, which know no other."""
 
     first_rounds: int = 20
-    """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100 (section 5.1: up to 30)."""
+    """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
+    (section 5.1: up to 30).
+    """
 
     rounds: tuple[int, ...] = (4, 6, 8, 12)
     """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
 
     clip: float = 4.2
-    """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider pores, shorter resolves struts."""
+    """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider
+    pores, shorter resolves struts.
+    """
 
     variance: float = 0.95
-    """Share of the neighbourhoods' variance that the principal components keep, 0.5 .. 1 (section 4.2)."""
+    """Share of the neighbourhoods' variance that the principal components keep, 0.5 .. 1 (section
+    4.2).
+    """
 
     components: int = 32
     """At most so many principal components, 4 .. 128."""
@@ -48,38 +56,49 @@ class TextureConfig:
     """Search sweeps per round, 1 .. 10."""
 
     tries: int = 4
-    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the best, ever nearer."""
+    """Pairs of random candidates per neighbourhood and sweep, 0 .. 64: one anywhere, one around the
+    best, ever nearer.
+    """
 
     index_penalty: float = 0.05
-    """Weight of the index histogram in the search, 0 .. 1 (section 4.2): how much being chosen too often adds to a distance."""
+    """Weight of the index histogram in the search, 0 .. 1 (section 4.2): how much being chosen too
+    often adds to a distance.
+    """
 
     robustness: float = 0.8
-    """Exponent r of the vote's weights d^(r - 2), 0 .. 2 (section 4.3); 2 is plain least squares."""
+    """Exponent r of the vote's weights d^(r - 2), 0 .. 2 (section 4.3); 2 is plain least squares.
+    """
 
     field: str = "distance"
-    """What labels become: "distance", the clipped signed distance of every phase, or "indicator", its 0 and 1 as the paper's
-    grey levels. Grey values and colours are what they are."""
+    """What labels become: "distance", the clipped signed distance of every phase, or "indicator",
+    its 0 and 1 as the paper's grey levels. Grey values and colours are what they are."""
 
     histogram: bool = True
-    """Whether every round matches the histogram of the field to the exemplar's, and the result holds its volume fractions.
-    Without, labels are split at the middle of the field, as the paper's iso-value does."""
+    """Whether every round matches the histogram of the field to the exemplar's, and the result
+    holds its volume fractions. Without, labels are split at the middle of the field, as the paper's
+    iso-value does."""
 
     search: str = "coherent"
-    """"coherent": each site tries its own match, its neighbours' moved along, and random ones. "exact": the `nearest`
-    nearest neighbourhoods, ordered again by the index histogram (section 4.2)."""
+    """"coherent": each site tries its own match, its neighbours' moved along, and random ones.
+    "exact": the `nearest` nearest neighbourhoods, ordered again by the index histogram (section
+    4.2)."""
 
     nearest: int = 10
     """k, the nearest neighbourhoods that the exact search looks at, 1 .. 100 (section 4.2)."""
 
     orientations: str = "none"
-    """Copies of the exemplar to learn from besides itself (section 5.1): "none", "mirrors" (8), "upright" (16, that keep the
-    first axis), "all" (48)."""
+    """Copies of the exemplar to learn from besides itself (section 5.1): "none", "mirrors" (8),
+    "upright" (16, that keep the first axis), "all" (48)."""
 
     gradient: float = 0.0
-    """mu, the weight of the gradient energy beside that of the values, 0 .. 100 (equation 1); smaller for thin features."""
+    """mu, the weight of the gradient energy beside that of the values, 0 .. 100 (equation 1);
+    smaller for thin features.
+    """
 
     adaptive: bool = False
-    """Whether lambda follows the energy (equation 2). It acts through the gradient energy only: alone it cancels."""
+    """Whether lambda follows the energy (equation 2). It acts through the gradient energy only:
+    alone it cancels.
+    """
 
     increase: float = 0.05
     """epsilon_i, by how much lambda rises where the energy fell, 0 .. 1 (equation 2)."""
@@ -88,23 +107,34 @@ class TextureConfig:
     """epsilon_d, by how much lambda falls where the energy rose, 0 .. 0.9 (equation 2)."""
 
     corrections: tuple[int, ...] = (0,)
-    """Steps towards the exemplar's two-point function after every round at novelty 0, finest level first, each 0 .. 10; the last
-    counts for the rest. With novelty they are part of it, beside fixed voxels there are none."""
+    """Steps towards the exemplar's two-point function after every round at novelty 0, finest level
+    first, each 0 .. 10; the last counts for the rest. With novelty they are part of it, beside
+    fixed voxels there are none."""
 
     tolerance: float = 0.0
-    """Relative change of the energy at which a level is left before its rounds are used up, 0 .. 0.1 (section 4.3); 0: never."""
+    """Relative change of the energy at which a level is left before its rounds are used up, 0 ..
+    0.1 (section 4.3); 0: never.
+    """
 
     trim: int = 1
-    """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. (w - t) / 2: less averaging."""
+    """Voxels at the rim of a neighbourhood that do not vote on the finest level, 0 .. (w - t) / 2:
+    less averaging.
+    """
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
             self._keep(name, low, high)
         if self.novelty is not None:
-            object.__setattr__(self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1))
+            object.__setattr__(
+                self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1)
+            )
         self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
-        self._keep_several("corrections", 0, 10, "the steps of the finest level first, such as [1, 2]")
-        self._keep_several("rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]")
+        self._keep_several(
+            "corrections", 0, 10, "the steps of the finest level first, such as [1, 2]"
+        )
+        self._keep_several(
+            "rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]"
+        )
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
         for name in ("histogram", "adaptive"):
@@ -119,12 +149,16 @@ class TextureConfig:
         counts = given if isinstance(given, (list, tuple)) else (given,)
         if not counts:
             raise InputError(f"{name} is empty: give {advice}")
-        checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
+        checked = tuple(
+            as_number(count, name=name, low=low, high=high, whole=True) for count in counts
+        )
         object.__setattr__(self, name, checked)
 
     def _keep(self, name: str, low: float, high: float) -> None:
         whole = isinstance(getattr(TextureConfig, name), int)
-        object.__setattr__(self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole))
+        object.__setattr__(
+            self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
+        )
 
     def step_of(self, width: int) -> int:
         """Distance between neighbourhoods of a width."""
@@ -167,7 +201,14 @@ _CHOICES = {
 
 _PRESETS: dict[str, dict[str, Any]] = {
     "fast": {"novelty": 0.0, "first_rounds": 14, "rounds": (2, 4, 6), "sweeps": 1, "tries": 2},
-    "best": {"novelty": 0.0, "first_rounds": 20, "rounds": (2, 6, 8), "sweeps": 1, "tries": 2, "corrections": (1,)},
+    "best": {
+        "novelty": 0.0,
+        "first_rounds": 20,
+        "rounds": (2, 6, 8),
+        "sweeps": 1,
+        "tries": 2,
+        "corrections": (1,),
+    },
     "paper": {
         "novelty": 0.0,
         "neighbourhood": (10, 8, 4),

@@ -1,18 +1,23 @@
-"""The global energy of equation (1), the weights of equation (2), their feedback on lambda, and the stop rule.
+"""The global energy of equation (1), the weights of equation (2), their feedback on lambda, and the
+stop rule.
 
 What the paper leaves open, and what is done here:
 
-- Which energy has to fall. Equation (1) holds the weights, and the weights hold lambda: raised by 5 %, it makes the energy
-  rise by itself, the rise makes lambda fall by 30 %, the energy follows it down, and so on: a curve that falls fast and deep
-  while nothing improves. So `Energy.robust` is compared: each weight belonging to the present distance, lambda = 1. With
-  mu = 0 it is what reweighted least squares descends. `literal=True` compares `Energy.weighted` instead, as it is written.
-  `Energy.squares` has no weights: curves with and without them are compared by it.
-- The unit of a distance. d^(r - 2) is not free of units beside mu, so a distance counts against a `reference`; another
+- Which energy has to fall. Equation (1) holds the weights, and the weights hold lambda: raised by 5
+%, it makes the energy
+  rise by itself, the rise makes lambda fall by 30 %, the energy follows it down, and so on: a curve
+  that falls fast and deep while nothing improves. So `Energy.robust` is compared: each weight
+  belonging to the present distance, lambda = 1. With mu = 0 it is what reweighted least squares
+  descends. `literal=True` compares `Energy.weighted` instead, as it is written. `Energy.squares`
+  has no weights: curves with and without them are compared by it.
+- The unit of a distance. d^(r - 2) is not free of units beside mu, so a distance counts against a
+`reference`; another
   reference is another mu.
 - An exact match has an infinite weight: `floor` is added to a squared distance.
 - How far lambda may go, and the threshold of the stop rule.
 
-With mu = 0 a factor common to all weights leaves the vote unchanged, so then lambda changes nothing but `weighted`.
+With mu = 0 a factor common to all weights leaves the vote unchanged, so then lambda changes nothing
+but `weighted`.
 
 Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, sections 4.1 and 4.3.
 """
@@ -27,20 +32,24 @@ from itertools import chain
 import numpy as np
 
 from trabecula.core.errors import InputError
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 
 
 @dataclass(frozen=True)
 class Energy:
-    """What one round ended with, in squared units of the field; comparable only on one level with one neighbourhood size."""
+    """What one round ended with, in squared units of the field; comparable only on one level with
+    one neighbourhood size.
+    """
 
     weighted: float
     """sum w_p d_p^2 + mu g: equation (1) with the weights of the vote, lambda in them."""
 
     robust: float
-    """reference^(2 - r) sum d_p^r + mu g: the same with weights of the present distances and lambda = 1."""
+    """reference^(2 - r) sum d_p^r + mu g: the same with weights of the present distances and lambda
+    = 1.
+    """
 
     squares: float
     """sum d_p^2."""
@@ -51,7 +60,9 @@ class Energy:
 
 @dataclass(frozen=True)
 class Feedback:
-    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, go on with `after`."""
+    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, go on with
+    `after`.
+    """
 
     scale: float = 1.0
     """lambda."""
@@ -63,8 +74,8 @@ class Feedback:
     """epsilon_d, 0 .. 1."""
 
     limit: float = 32.0
-    """lambda stays within 1 / limit .. limit, 1 or more: an energy that oscillates would take it to 0, and mu / lambda to
-    infinity."""
+    """lambda stays within 1 / limit .. limit, 1 or more: an energy that oscillates would take it to
+    0, and mu / lambda to infinity."""
 
     tolerance: float = 1e-3
     """Relative change of the energy below which a round was the last, 0 or more."""
@@ -113,7 +124,8 @@ def mismatch(
     gradient: bool = True,
     active: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Per site d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent voxels, in whole neighbourhoods.
+    """Per site d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent voxels, in whole
+    neighbourhoods.
 
     Parameters
     ----------
@@ -144,17 +156,36 @@ def mismatch(
         )
     parts = 1 if field.dtype == np.int8 else 256
     where = np.empty((0, 0, 0), bool) if active is None else active
-    result = scratch.zeros((2, *match.shape), np.float64)
+    result = memmap.zeros((2, *match.shape), np.float64)
 
     def work(start: int, stop: int) -> None:
-        _mismatch(field, parts, exemplar, match, where, shape, stride, step, width, gradient, result, start, stop)
+        _mismatch(
+            field,
+            parts,
+            exemplar,
+            match,
+            where,
+            shape,
+            stride,
+            step,
+            width,
+            gradient,
+            result,
+            start,
+            stop,
+        )
 
     for_slabs(work, len(match), least=1)
     return result
 
 
 def adaptive_weights(
-    squared: np.ndarray, *, robustness: float, reference: float, scale: float = 1.0, floor: float = 0.0
+    squared: np.ndarray,
+    *,
+    robustness: float,
+    reference: float,
+    scale: float = 1.0,
+    floor: float = 0.0,
 ) -> np.ndarray:
     """w_p = lambda (d_p / reference)^(r - 2): equation (2).
 
@@ -165,11 +196,13 @@ def adaptive_weights(
     robustness : float
         r, 0 .. 2; 2 gives every neighbourhood the same weight.
     reference : float
-        The distance whose weight is lambda, in the same unit (not squared); keep it for all rounds that are compared.
+        The distance whose weight is lambda, in the same unit (not squared); keep it for all rounds
+        that are compared.
     scale : float
         lambda.
     floor : float
-        Added to `squared`, so that an exact match does not outvote everything; such as one unit of the field per voxel.
+        Added to `squared`, so that an exact match does not outvote everything; such as one unit of
+        the field per voxel.
 
     Returns
     -------
@@ -219,13 +252,15 @@ def energy(
 
     def robust(z: int) -> np.ndarray:
         kept = there(squared, z)
-        # kept + floor: d^r at d = 0 has to be finite for r = 0 as well, and smooth for the comparison of rounds
+        # kept + floor: d^r at d = 0 has to be finite for r = 0 as well, and smooth for the
+        # comparison of rounds
         return adaptive_weights(kept, **settings) * (kept + floor)
 
     count = len(weights)
     steepness = total(lambda z: there(gradient, z), count)
     return Energy(
-        weighted=total(lambda z: there(weights, z) * unit * there(squared, z), count) + mu * steepness,
+        weighted=total(lambda z: there(weights, z) * unit * there(squared, z), count)
+        + mu * steepness,
         robust=total(robust, count) + mu * steepness,
         squares=total(lambda z: there(squared, z), count),
         gradient=steepness,
@@ -233,7 +268,9 @@ def energy(
 
 
 def total(values: Callable[[int], np.ndarray], count: int) -> float:
-    """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no order."""
+    """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no
+    order.
+    """
     return math.fsum(chain.from_iterable(_listed(values, count)))
 
 
@@ -241,12 +278,16 @@ def _listed(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[fl
     """One plane after the other: numbers of Python take 32 bytes each."""
     for z in range(count):
         yield values(z).ravel().tolist()
-        scratch.let_go()
+        memmap.release_pages()
 
 
 @kernel
-def _mismatch(state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop):
-    """Sites start..stop, in whole numbers: `state` counts `parts` to a unit. An empty `active` means everywhere."""
+def _mismatch(
+    state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop
+):
+    """Sites start..stop, in whole numbers: `state` counts `parts` to a unit. An empty `active`
+    means everywhere.
+    """
     difference = np.empty((width, width, width), np.int32)
     for sz in range(start, stop):
         for sy in range(match.shape[1]):

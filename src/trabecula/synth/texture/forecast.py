@@ -1,6 +1,8 @@
-"""Memory that a run will take, from the arrays that are held together at the moments that compete for its peak.
+"""Memory that a run will take, from the arrays that are held together at the moments that compete
+for its peak.
 
-Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods; coarser levels hold an eighth.
+Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods;
+coarser levels hold an eighth.
 """
 
 from __future__ import annotations
@@ -10,13 +12,13 @@ from dataclasses import dataclass
 from math import prod
 
 from trabecula.core.request import Request
-from trabecula.engine.tiles import thread_count
+from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.nearest import search_bytes
 from trabecula.synth.shared.neighbourhoods import block_bytes, planes_together
 from trabecula.synth.shared.slabs import AT_ONCE
-from trabecula.synth.texture import balance, grading
+from trabecula.synth.texture import energy_rounds, graded
 
 _RANKS = 1 << 19  # bytes of counts of all ranks
 _SITE = 13  # of a search: the match before and after, distances, which sites are active
@@ -77,8 +79,12 @@ class Run:
 
     @property
     def slab(self) -> int:
-        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and the pages of a few planes."""
-        beside = max(moment.beside for candidates in self.finest for moment in self._moments(candidates))
+        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
+        the pages of a few planes.
+        """
+        beside = max(
+            moment.beside for candidates in self.finest for moment in self._moments(candidates)
+        )
         return beside + max(map(self._pages, self.finest))
 
     @property
@@ -87,29 +93,39 @@ class Run:
         return max(moments, key=lambda moment: moment.arrays + moment.beside)
 
     def _moments(self, candidates: Candidates) -> list[Moment]:
-        """Of the rounds with one width, of what goes before them, and of the choice of the values after them."""
+        """Of the rounds with one width, of what goes before them, and of the choice of the values
+        after them.
+        """
         channels, request, threads = len(candidates.stack.field), self.request, thread_count()
         shape, grid = self._shape(candidates), self._grid(candidates)
         voxels, asked, sites = prod(shape), prod(request.shape), prod(grid)
         known, cropped = request.fixed is not None, shape != request.shape
-        free = (1 if known else int(request.mask is not None and cropped)) + int(known and request.mask is not None)
+        free = (1 if known else int(request.mask is not None and cropped)) + int(
+            known and request.mask is not None
+        )
         bounds = 2 * channels * (2 if cropped else 1) if known else 0
         held = voxels * (free + bounds) * 8 // 7 + (16 * voxels + 4 * sites if self.leaning else 0)
         features = 2 * candidates.features.shape[1] * sites if self.exact or self.repeated else 0
         vote = (
             threads
             * 4
-            * ((channels + 1) * prod(side + candidates.basis.width for side in shape[1:]) + grid[1] * grid[2])
+            * (
+                (channels + 1) * prod(side + candidates.basis.width for side in shape[1:])
+                + grid[1] * grid[2]
+            )
         )
         between = threads * min(asked, max(AT_ONCE, request.shape[1] * request.shape[2]))
-        search = threads * self._search(candidates) + (16 + 48 * self.exact) * len(candidates.features)
+        search = threads * self._search(candidates) + (16 + 48 * self.exact) * len(
+            candidates.features
+        )
         ranks = (threads + 3) * _RANKS
         moments = [
             Moment(held + voxels * channels + _SITE * sites + features, search),
             Moment(held + voxels * 2 * channels + 9 * sites, vote),
             Moment(held + voxels * (3 * channels + 8 * self.leaning) + 5 * sites, ranks),
             Moment(
-                asked * (2 * channels + self._chosen(channels)), ranks * (3 if self.distances and channels > 1 else 1)
+                asked * (2 * channels + self._chosen(channels)),
+                ranks * (3 if self.distances and channels > 1 else 1),
             ),
         ]
         if cropped:
@@ -117,14 +133,22 @@ class Run:
         if known:
             moments.append(Moment(held + voxels * (4 * channels + 9) + 5 * sites, between * 16))
             kept = 8 * channels + 16 if self.distances else 11 * channels + 2
-            moments.append(Moment(asked * kept, between * (32 if self.distances else 12 * channels)))
+            moments.append(
+                Moment(asked * kept, between * (32 if self.distances else 12 * channels))
+            )
         if self.energetic:
-            moments.append(Moment(held + balance.round_bytes(voxels, sites, channels=channels), search))
+            moments.append(
+                Moment(held + energy_rounds.round_bytes(voxels, sites, channels=channels), search)
+            )
         if self.leaning:
             meanwhile = 8 * (thread_count() - 1) * min(voxels, AT_ONCE)
-            moments.append(Moment(voxels * grading.BYTES + voxels * (free + bounds) * 8 // 7 + meanwhile, 0))
+            moments.append(
+                Moment(voxels * graded.BYTES + voxels * (free + bounds) * 8 // 7 + meanwhile, 0)
+            )
         if self.correcting:
-            moments.append(Moment(self.correcting + held + voxels * 4 * channels + 5 * sites, ranks))
+            moments.append(
+                Moment(self.correcting + held + voxels * 4 * channels + 5 * sites, ranks)
+            )
         return moments
 
     def _chosen(self, channels: int) -> int:
@@ -138,8 +162,14 @@ class Run:
     def _search(self, candidates: Candidates) -> int:
         """By one thread: features, and the sums over blocks that they are made of."""
         shape, grid, threads = self._shape(candidates), self._grid(candidates), thread_count()
-        basis, channels, depth = candidates.basis, len(candidates.stack.field), candidates.features.shape[1]
-        thick = min(planes_together(depth, grid), -(-grid[0] // (4 * threads if threads > 1 else 1)))
+        basis, channels, depth = (
+            candidates.basis,
+            len(candidates.stack.field),
+            candidates.features.shape[1],
+        )
+        thick = min(
+            planes_together(depth, grid), -(-grid[0] // (4 * threads if threads > 1 else 1))
+        )
         planes = min((thick - 1) * candidates.steps[0] + basis.box[0], shape[0] + basis.box[0])
         seen = channels * planes * prod(shape[1:])
         copied = int(channels > 1) + 2 * any(self.region.wraps)
@@ -149,7 +179,10 @@ class Run:
             made
             + opened
             + copied * seen
-            + max(4 * seen * (basis.grain > 1), 2 * seen * (basis.grain > 1) + block_bytes(basis, grid))
+            + max(
+                4 * seen * (basis.grain > 1),
+                2 * seen * (basis.grain > 1) + block_bytes(basis, grid),
+            )
         )
 
     def _pages(self, candidates: Candidates) -> int:
@@ -159,9 +192,11 @@ class Run:
         planes = (width + 2) * (3 * channels + known) * shape[1] * shape[2]
         pages = planes + 4 * _SITE * grid[1] * grid[2]
         if self.energetic:
-            pages += balance.slab_bytes(prod(shape[1:]), prod(grid[1:]), width=width, channels=channels)
+            pages += energy_rounds.slab_bytes(
+                prod(shape[1:]), prod(grid[1:]), width=width, channels=channels
+            )
         if self.leaning:
-            pages += grading.slab_bytes(shape)
+            pages += graded.slab_bytes(shape)
         return thread_count() * pages
 
     def _grid(self, candidates: Candidates) -> tuple[int, int, int]:

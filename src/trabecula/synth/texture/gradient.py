@@ -1,6 +1,8 @@
-"""The vote of equation (1) with both terms: matched intensities and matched gradients, as a screened Poisson system.
+"""The vote of equation (1) with both terms: matched intensities and matched gradients, as a
+screened Poisson system.
 
-With e_p the neighbourhood matched at p, and (a, b) the pairs of adjacent voxels inside it, the field s that minimises
+With e_p the neighbourhood matched at p, and (a, b) the pairs of adjacent voxels inside it, the
+field s that minimises
 
     sum_p w_p sum_a (s_a - e_p,a)^2  +  mu sum_p sum_(a,b) ((s_a - s_b) - (e_p,a - e_p,b))^2
 
@@ -8,9 +10,9 @@ solves, at every voxel a with its six neighbours b,
 
     W_a s_a + mu sum_b n_ab (s_a - s_b)  =  sum_p w_p e_p,a + mu sum_p sum_b (e_p,a - e_p,b)
 
-where W_a sums the weights and n_ab counts the neighbourhoods that hold a and b. `add_votes` sums the four in integers,
-`poisson.solve_votes` solves. Each pair counts once; seen from both of its voxels, as the paper may mean it, it
-would count twice, which is twice mu.
+where W_a sums the weights and n_ab counts the neighbourhoods that hold a and b. `add_votes` sums
+the four in integers, `poisson.solve_votes` solves. Each pair counts once; seen from both of its
+voxels, as the paper may mean it, it would count twice, which is twice mu.
 
 Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, sections 4.1 and 4.3.
 """
@@ -22,31 +24,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.errors import InputError
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 
 
 @dataclass(frozen=True)
 class Votes:
-    """Sums over the neighbourhoods that hold a voxel, in integers: any order of adding gives the same.
+    """Sums over the neighbourhoods that hold a voxel, in integers: any order of adding gives the
+    same.
 
-    A neighbour beyond the last plane of an axis is the first one, for results that repeat; elsewhere its count is 0.
+    A neighbour beyond the last plane of an axis is the first one, for results that repeat;
+    elsewhere its count is 0.
     """
 
     values: np.ndarray  # (C, Z, Y, X) int32, sum of w_p e_p
     weights: np.ndarray  # (Z, Y, X) int32, sum of w_p
-    gradients: np.ndarray  # (C, Z, Y, X) int32, sum of e_p,a - e_p,b over the neighbours b of a in the neighbourhood
-    pairs: np.ndarray  # (3, Z, Y, X) int16, neighbourhoods that hold the voxel and the next along an axis
+    # (C, Z, Y, X) int32, sum of e_p,a - e_p,b over the neighbours b of a in the neighbourhood
+    gradients: np.ndarray
+    # (3, Z, Y, X) int16, neighbourhoods that hold the voxel and the next along an axis
+    pairs: np.ndarray
 
 
 def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
     """Votes of a (Z, Y, X) volume before the first is cast."""
     return Votes(
-        scratch.zeros((channels, *shape), np.int32),
-        scratch.zeros(shape, np.int32),
-        scratch.zeros((channels, *shape), np.int32),
-        scratch.zeros((3, *shape), np.int16),
+        memmap.zeros((channels, *shape), np.int32),
+        memmap.zeros(shape, np.int32),
+        memmap.zeros((channels, *shape), np.int32),
+        memmap.zeros((3, *shape), np.int16),
     )
 
 
@@ -63,22 +69,26 @@ def add_votes(
     trim: int = 0,
     wraps: tuple[bool, ...] = (False, False, False),
 ) -> None:
-    """Add the matched neighbourhoods of one exemplar to `votes`, in place; once per exemplar where there are several.
+    """Add the matched neighbourhoods of one exemplar to `votes`, in place; once per exemplar where
+    there are several.
 
     Parameters
     ----------
     votes : Votes
-        Of the volume that the grid of neighbourhoods covers, (sites - 1) * step + width along every axis.
+        Of the volume that the grid of neighbourhoods covers, (sites - 1) * step + width along every
+        axis.
     field : (C, z, y, x) int8
         The exemplar.
     match : (sz, sy, sx) int32
-        Per site the index of its neighbourhood among `shape` corners, `stride` voxels apart; below 0: none.
+        Per site the index of its neighbourhood among `shape` corners, `stride` voxels apart; below
+        0: none.
     weight : (sz, sy, sx) int32
         1 .. 1023 (sums stay inside 32 bits for neighbourhoods of up to 10^3); 0: none.
     step, width : int
         Distance between sites and width of a neighbourhood, voxels.
     trim : int
-        Voxels at the rim of a neighbourhood that do not vote, except at a border that does not wrap.
+        Voxels at the rim of a neighbourhood that do not vote, except at a border that does not
+        wrap.
     wraps : (3,) bool
         Axes along which the volume will be folded (`fold_votes`).
 
@@ -93,23 +103,42 @@ def add_votes(
             f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} channels on sites that cover "
             f"{covered}: make them with no_votes(covered, channels=...)"
         )
-    rims = [_rims(count, width=width, trim=trim, wrap=wrap) for count, wrap in zip(match.shape, wraps, strict=True)]
+    rims = [
+        _rims(count, width=width, trim=trim, wrap=wrap)
+        for count, wrap in zip(match.shape, wraps, strict=True)
+    ]
     around = _laplacian(field)
 
     def work(start: int, stop: int) -> None:
         z, y, x = rims
         values, gradients = votes.values, votes.gradients
-        _add(field, around, match, weight, shape, stride, step, z, y, x, values, gradients, start, stop)
+        _add(
+            field,
+            around,
+            match,
+            weight,
+            shape,
+            stride,
+            step,
+            z,
+            y,
+            x,
+            values,
+            gradients,
+            start,
+            stop,
+        )
 
     for_slabs(work, covered[0])
     _add_counts(votes, match, weight, rims, step=step)
 
 
 def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
-    """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it repeats.
+    """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it
+    repeats.
 
-    For sites that go once round every periodic axis; give the covered length along the others. Where nothing lies beyond they
-    are the votes themselves.
+    For sites that go once round every periodic axis; give the covered length along the others.
+    Where nothing lies beyond they are the votes themselves.
 
     Raises
     ------
@@ -117,7 +146,9 @@ def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
         `shape` is larger than the votes.
     """
     if any(want > have for want, have in zip(shape, votes.weights.shape, strict=True)):
-        raise InputError(f"votes of {votes.weights.shape} do not cover a period of {tuple(shape)}: add sites")
+        raise InputError(
+            f"votes of {votes.weights.shape} do not cover a period of {tuple(shape)}: add sites"
+        )
     if votes.weights.shape == tuple(shape):
         return votes
     arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
@@ -127,7 +158,7 @@ def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
 
 def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     volumes = array.reshape(-1, *array.shape[-3:])
-    folded = scratch.empty((*array.shape[:-3], *shape), array.dtype)
+    folded = memmap.empty((*array.shape[:-3], *shape), array.dtype)
     results = folded.reshape(-1, *shape)
 
     def work(start: int, stop: int) -> None:
@@ -152,14 +183,18 @@ def _turned_back(rows: np.ndarray, period: int) -> np.ndarray:
 
 
 def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
-    """(sites, 2): the first voxel of each neighbourhood that votes along an axis, and the one after the last."""
+    """(sites, 2): the first voxel of each neighbourhood that votes along an axis, and the one after
+    the last.
+    """
     rims = np.tile([trim, width - trim], (count, 1))
     if not wrap:
         rims[0, 0], rims[-1, 1] = 0, width
     return rims
 
 
-def _add_counts(votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int) -> None:
+def _add_counts(
+    votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int
+) -> None:
     """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []
     for rim, length in zip(rims, votes.weights.shape, strict=True):
@@ -180,8 +215,12 @@ def _add_counts(votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[
     for_slabs(work, len(votes.weights))
 
 
-def _summed(near: np.ndarray, match: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The weights of sites on planes that are `near`, and how many of them vote, summed across the planes."""
+def _summed(
+    near: np.ndarray, match: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The weights of sites on planes that are `near`, and how many of them vote, summed across the
+    planes.
+    """
     cast, held = np.zeros(match.shape[1:], np.float32), np.zeros(match.shape[1:], np.float32)
     for sz in np.flatnonzero(near):
         voting = (match[sz] >= 0) & (weight[sz] > 0)
@@ -204,8 +243,24 @@ def _laplacian(field: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _add(field, around, match, weight, shape, stride, step, rims_z, rims_y, rims_x, values, gradients, start, stop):
-    """Values and gradients of all sites on the voxel planes start..stop; `around` is the exemplar's Laplacian.
+def _add(
+    field,
+    around,
+    match,
+    weight,
+    shape,
+    stride,
+    step,
+    rims_z,
+    rims_y,
+    rims_x,
+    values,
+    gradients,
+    start,
+    stop,
+):
+    """Values and gradients of all sites on the voxel planes start..stop; `around` is the exemplar's
+    Laplacian.
 
     What the Laplacian holds of neighbours beyond the neighbourhood is taken back at its faces.
     """
@@ -228,8 +283,17 @@ def _add(field, around, match, weight, shape, stride, step, rims_z, rims_y, rims
                     zm, zp = max(ez - 1, 0), min(ez + 1, field.shape[1] - 1)
                     for c in range(len(field)):
                         for dy in range(y0, y1):
-                            own, y, x, length = field[c, ez, ey + dy], sy * step + dy, sx * step + x0, x1 - x0
-                            to, slopes, slope = values[c, z, y], gradients[c, z, y], around[c, ez, ey + dy]
+                            own, y, x, length = (
+                                field[c, ez, ey + dy],
+                                sy * step + dy,
+                                sx * step + x0,
+                                x1 - x0,
+                            )
+                            to, slopes, slope = (
+                                values[c, z, y],
+                                gradients[c, z, y],
+                                around[c, ez, ey + dy],
+                            )
                             for i in range(length):
                                 to[x + i] += w * np.int32(own[ex + i])
                             for i in range(length):
@@ -239,13 +303,17 @@ def _add(field, around, match, weight, shape, stride, step, rims_z, rims_y, rims
                             if dz == z1 - 1:
                                 _take_back(slopes, own, field[c, zp, ey + dy], x, ex, length)
                             if dy == y0:
-                                _take_back(slopes, own, field[c, ez, max(ey + dy - 1, 0)], x, ex, length)
+                                _take_back(
+                                    slopes, own, field[c, ez, max(ey + dy - 1, 0)], x, ex, length
+                                )
                             if dy == y1 - 1:
                                 after = min(ey + dy + 1, field.shape[2] - 1)
                                 _take_back(slopes, own, field[c, ez, after], x, ex, length)
                             slopes[x] -= np.int32(own[ex]) - np.int32(own[max(ex - 1, 0)])
                             last = ex + length - 1
-                            slopes[x + length - 1] -= np.int32(own[last]) - np.int32(own[min(last + 1, len(own) - 1)])
+                            slopes[x + length - 1] -= np.int32(own[last]) - np.int32(
+                                own[min(last + 1, len(own) - 1)]
+                            )
 
 
 @inline

@@ -1,8 +1,9 @@
 """`texture`: fit keeps the exemplars' pyramid, generate makes the output level by level.
 
-With `novelty` the coarsest level is laid out anew (`novel`), without it starts from random patches (`plain`); from there both
-go by rounds of search (nearest neighbourhood of the exemplar for each of a sparse grid), vote (robust mean of what
-overlaps) and histogram matching (`optimise`). The fields of labels are clipped signed distances, so the last threshold is exact.
+With `novelty` the coarsest level is laid out anew (`novel`), without it starts from random patches
+(`plain`); from there both go by rounds of search (nearest neighbourhood of the exemplar for each of
+a sparse grid), vote (robust mean of what overlaps) and histogram matching (`optimise`). The fields
+of labels are clipped signed distances, so the last threshold is exact.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.target import check_target_porosity
-from trabecula.synth.base import Method, Model
+from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.content import Content, Labels, content_of
 from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
 from trabecula.synth.shared.matching.levels import levels_for
@@ -28,24 +29,36 @@ from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.neighbourhoods import basis_bytes
 from trabecula.synth.shared.orient import oriented, symmetries
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.statistics.correlate import Correlations, correlations_at, step_bytes, step_slab_bytes
-from trabecula.synth.texture import SPEC, novel
+from trabecula.synth.shared.statistics.correlate import (
+    Correlations,
+    correlations_at,
+    step_bytes,
+    step_slab_bytes,
+)
+from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.exemplar_rounds import Job, Level, level_of, made_plain
 from trabecula.synth.texture.forecast import Run
-from trabecula.synth.texture.plain import Job, Level, level_of, made_plain
-from trabecula.synth.texture.shares import BEYOND, check_phases, evened, shares_by_level, shares_of
+from trabecula.synth.texture.volume_fraction import (
+    BEYOND,
+    check_phases,
+    evened,
+    shares_by_level,
+    shares_of,
+)
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-_ROOM = 4  # positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
+# positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
+_ROOM = 4
 
 
 class Texture(Method):
     """3-D exemplar optimisation."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     config_type = TextureConfig
 
-    def _fit(self, exemplars: Sequence[Image]) -> TextureModel:
+    def learn(self, exemplars: Sequence[Image]) -> TextureModel:
         width = max(self.config.neighbourhood)
         for exemplar in exemplars:
             if min(exemplar.shape) < width + _ROOM:
@@ -62,11 +75,15 @@ class Texture(Method):
         distances = exemplars[0].kind == "labels" and self.config.field == "distance"
         turns = len(symmetries(self.config.orientations, spacing=exemplars[0].spacing))
         size = turns * sum(int(np.prod(shape)) for shape in shapes)
-        if self.config.novelty_for(distances=distances) and novel.top_for(min(min(shape) for shape in shapes)):
-            width, halves, each = novel.WIDTH, 1, 8 + 9 * channels
+        if self.config.novelty_for(distances=distances) and novel_layout.top_for(
+            min(min(shape) for shape in shapes)
+        ):
+            width, halves, each = novel_layout.WIDTH, 1, 8 + 9 * channels
         else:  # the second level's neighbourhoods are the ones that are described in full
             width, halves, each = max(self.config.neighbourhood), 2, 14 + 11 * channels
-        count = turns * sum(int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes)
+        count = turns * sum(
+            int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes
+        )
         basis = basis_bytes(channels * width**3, count)
         return Plan({"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis})
 
@@ -74,20 +91,24 @@ class Texture(Method):
 class TextureModel(Model):
     """Exemplars as a pyramid of fields with the neighbourhoods of every level."""
 
-    spec = SPEC
+    capabilities = CAPABILITIES
     spills: ClassVar[bool] = True
     config: TextureConfig
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
-        self.content: Content = content_of(exemplars, field=config.field, histogram=config.histogram)
+        self.content: Content = content_of(
+            exemplars, field=config.field, histogram=config.histogram
+        )
         self.novelty = config.novelty_for(distances=self.content.distances)
         turns = symmetries(config.orientations, spacing=exemplars[0].spacing)
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
-        self.top = novel.top_for(smallest) if self.novelty else 0
+        self.top = novel_layout.top_for(smallest) if self.novelty else 0
         self.stacks, self._own = [], []
-        for index in track(range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"):
+        for index in track(
+            range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"
+        ):
             own = [self._quantised(field, index) for field in fields]
             self.stacks.append(Stack.of([oriented(field, turn) for field in own for turn in turns]))
             self._own.append(own)
@@ -110,34 +131,42 @@ class TextureModel(Model):
         smallest = min(min(exemplar.shape) for exemplar in self.exemplars)
         stacks = self.stacks[: _levels_that_fit(smallest, self.config)]
         return [
-            level_of(stack, index, self.config, distances=self.content.distances) for index, stack in enumerate(stacks)
+            level_of(stack, index, self.config, distances=self.content.distances)
+            for index, stack in enumerate(stacks)
         ]
 
     def _targets(self) -> list[Correlations]:
         """The two-point functions of every level."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        return [correlations_at(own, index, edges=edges, clip=self.config.clip) for index, own in enumerate(self._own)]
+        return [
+            correlations_at(own, index, edges=edges, clip=self.config.clip)
+            for index, own in enumerate(self._own)
+        ]
 
     def _learn_new(self) -> None:
         """What material that is not copied has to agree with."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        schedule = novel.passes(self.novelty, self.top)
+        schedule = novel_layout.passes(self.novelty, self.top)
         self.aims = [
-            novel.aims_of(self.stacks[index], self._own[index], index, edges, schedule, self.config)
+            novel_layout.aims_of(
+                self.stacks[index], self._own[index], index, edges, schedule, self.config
+            )
             for index in range(self.top + 1)
         ]
-        self.slices = novel.slices_for(self._own[self.top])
+        self.slices = novel_layout.slices_for(self._own[self.top])
 
     def _quantised(self, field: np.ndarray, index: int) -> np.ndarray:
-        """A field of level `index` in int8: a distance counts in the voxels of its level, a grey value is what it is."""
+        """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
+        value is what it is.
+        """
         if self.content.distances:
             return quantise(field, clip=self.config.clip, unit=2**index)
         return quantise(field, clip=FULL)
 
-    def _generate(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+    def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         if self._makes_new(request):
-            schedule = novel.passes(self.novelty, self.top)
-            votes = novel.made_new(self.aims, self.slices, schedule, request, self.config)
+            schedule = novel_layout.passes(self.novelty, self.top)
+            votes = novel_layout.made_new(self.aims, self.slices, schedule, request, self.config)
             told: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
@@ -166,8 +195,15 @@ class TextureModel(Model):
         return shares_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
-        """Whether there is room to lay out something new; beside known voxels neighbourhoods have to fit them."""
-        return self.top > 0 and request.fixed is None and not request.target and novel.has_room(request.shape, self.top)
+        """Whether there is room to lay out something new; beside known voxels neighbourhoods have
+        to fit them.
+        """
+        return (
+            self.top > 0
+            and request.fixed is None
+            and not request.target
+            and novel_layout.has_room(request.shape, self.top)
+        )
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
@@ -198,7 +234,10 @@ class TextureModel(Model):
     def _plan_spilled(self, request: Request) -> dict[str, int]:
         slab = self._run(request).slab
         if self._makes_new(request):
-            slab = max(slab, novel.slab_bytes(self.aims[0].correlations, self.slices, request, self.top))
+            slab = max(
+                slab,
+                novel_layout.slab_bytes(self.aims[0].correlations, self.slices, request, self.top),
+            )
         elif self.targets and request.fixed is None:
             shape = Region(request.shape, request.periodic).shape
             slab = max(slab, step_slab_bytes(shape, self.targets[0], request.periodic))
@@ -218,9 +257,12 @@ class TextureModel(Model):
         labels = isinstance(self.content, Labels)
         itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
         if new:
-            region = Region(novel.domain(request.shape, request.periodic, 0, self.top), (True, True, True))
+            region = Region(
+                novel_layout.domain(request.shape, request.periodic, 0, self.top),
+                (True, True, True),
+            )
             correlations = self.aims[0].correlations
-            step = novel.step_bytes(correlations, request, self.top)
+            step = novel_layout.step_bytes(correlations, request, self.top)
             finest = self.aims[0].candidates
             return Run(request, region, finest, labels, itemsize, repeated=True, correcting=step)
         stepped = bool(self.targets) and request.fixed is None and not request.target
@@ -234,7 +276,9 @@ class TextureModel(Model):
             energetic=config.energetic,
             leaning=bool(request.target),
             repeated=config.sweeps > 1,
-            correcting=step_bytes(request.shape, self.targets[0], request.periodic) if stepped else 0,
+            correcting=step_bytes(request.shape, self.targets[0], request.periodic)
+            if stepped
+            else 0,
         )
 
 
@@ -255,7 +299,9 @@ def _levels_that_fit(smallest: int, config: TextureConfig) -> int:
 
 
 def _has_room(mask: np.ndarray, width: int) -> bool:
-    """Whether a cube of `width` voxels fits into a mask (one that is thinner along an axis may fill that axis)."""
+    """Whether a cube of `width` voxels fits into a mask (one that is thinner along an axis may fill
+    that axis).
+    """
     reach = [min(width, side) for side in mask.shape]
     deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside
     for plane in mask:
@@ -265,7 +311,9 @@ def _has_room(mask: np.ndarray, width: int) -> bool:
             sums = np.cumsum(room, axis=axis, dtype=np.int32)
             sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
             cells = np.arange(room.shape[axis] - reach[1 + axis] + 1)
-            room = sums.take(cells + reach[1 + axis], axis) - sums.take(cells, axis) == reach[1 + axis]
+            room = (
+                sums.take(cells + reach[1 + axis], axis) - sums.take(cells, axis) == reach[1 + axis]
+            )
         if room.any():
             return True
     return False

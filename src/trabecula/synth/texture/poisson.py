@@ -1,7 +1,9 @@
-"""The field that fits voted values and gradients best: the screened Poisson system of `gradient`, solved matrix-free.
+"""The field that fits voted values and gradients best: the screened Poisson system of `gradient`,
+solved matrix-free.
 
-Conjugate gradients with the diagonal as preconditioner. The condition is about 1 + 12 mu, so with mu near 1 ten products with the
-matrix suffice, each at the cost of a vote of two neighbourhoods; multigrid would pay from a mu of some tens on.
+Conjugate gradients with the diagonal as preconditioner. The condition is about 1 + 12 mu, so with
+mu near 1 ten products with the matrix suffice, each at the cost of a vote of two neighbourhoods;
+multigrid would pay from a mu of some tens on.
 """
 
 from __future__ import annotations
@@ -11,9 +13,9 @@ from functools import partial
 import numpy as np
 
 from trabecula.core.checks import as_number
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.texture.gradient import Votes
 
 _QUANTUM = 256  # parts of a field's unit in the result
@@ -22,20 +24,27 @@ _STEPS = 500  # of conjugate gradients at most: mu = 1000 takes some 300
 
 
 def solve_votes(
-    votes: Votes, *, mu: float, unit: int = 1, tolerance: float = 1 / 64, start: np.ndarray | None = None
+    votes: Votes,
+    *,
+    mu: float,
+    unit: int = 1,
+    tolerance: float = 1 / 64,
+    start: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The field that fits the voted values and gradients best: equation (1) for fixed matches and weights.
+    """The field that fits the voted values and gradients best: equation (1) for fixed matches and
+    weights.
 
     Parameters
     ----------
     votes : Votes
     mu : float
-        Weight of the gradients, 0 .. 100000, against values of weight 1; 0 gives the weighted mean. Beyond some 1000 the steps
-        end before the tolerance is met.
+        Weight of the gradients, 0 .. 100000, against values of weight 1; 0 gives the weighted mean.
+        Beyond some 1000 the steps end before the tolerance is met.
     unit : int
         The integer weight that stands for 1.
     tolerance : float
-        How far voxels may stay from the solution, as root mean square over those voted on, in units of the field.
+        How far voxels may stay from the solution, as root mean square over those voted on, in units
+        of the field.
     start : (C, Z, Y, X) array, optional
         A guess, in units of the field. Default: the weighted mean.
 
@@ -52,7 +61,7 @@ def solve_votes(
     mu = float(as_number(mu, name="mu", low=0, high=1e5))
     unit = int(as_number(unit, name="unit", low=1, high=2**20, whole=True))
     tolerance = float(as_number(tolerance, name="tolerance", low=1e-6, high=16))
-    result = scratch.empty(votes.values.shape, np.int16)
+    result = memmap.empty(votes.values.shape, np.int16)
     for channel in range(len(result)):
         guess = None if start is None else start[channel]
         field = _begun(votes, channel, guess if mu > 0 else None)
@@ -65,7 +74,7 @@ def solve_votes(
 
 def _begun(votes: Votes, channel: int, guess: np.ndarray | None) -> np.ndarray:
     """The guess, or the weighted mean, as (Z, Y, X) float32."""
-    field = scratch.empty(votes.weights.shape, np.float32)
+    field = memmap.empty(votes.weights.shape, np.float32)
     if guess is None:
         for_slabs(partial(_weighted_mean, votes.values[channel], votes.weights, field), len(field))
     else:
@@ -73,7 +82,9 @@ def _begun(votes: Votes, channel: int, guess: np.ndarray | None) -> np.ndarray:
     return field
 
 
-def _guessed(guess: np.ndarray, weights: np.ndarray, field: np.ndarray, start: int, stop: int) -> None:
+def _guessed(
+    guess: np.ndarray, weights: np.ndarray, field: np.ndarray, start: int, stop: int
+) -> None:
     field[start:stop] = np.where(weights[start:stop] > 0, guess[start:stop], 0)
 
 
@@ -81,7 +92,7 @@ def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolera
     """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
     weights, pairs, planes = votes.weights, votes.pairs, len(field)
     part = np.empty((planes, 2))
-    inverse, rest, along, image = (scratch.empty(field.shape, np.float32) for _ in range(4))
+    inverse, rest, along, image = (memmap.empty(field.shape, np.float32) for _ in range(4))
 
     def total() -> np.ndarray:
         return np.array([_sum(part[:, 0]), _sum(part[:, 1])])
@@ -89,7 +100,8 @@ def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolera
     system = votes.values[channel], votes.gradients[channel], weights, pairs, mu
     for_slabs(partial(_begin, *system, field, inverse, rest, along, part), planes)
     old, size = total()
-    # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err alike, the diagonal overstates
+    # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err
+    # alike, the diagonal overstates
     # what holds a voxel in its place by this ratio.
     paired, weight, held = sum_slabs(partial(_counted, pairs, weights), planes).tolist()
     ratio = 1 + 2 * float(mu) * paired / max(weight, 1)
@@ -108,7 +120,9 @@ def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolera
 def _counted(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Pairs, weights and voxels voted on."""
     part = weights[start:stop]
-    return np.array([pairs[:, start:stop].sum(dtype=np.int64), part.sum(dtype=np.int64), np.count_nonzero(part)])
+    return np.array(
+        [pairs[:, start:stop].sum(dtype=np.int64), part.sum(dtype=np.int64), np.count_nonzero(part)]
+    )
 
 
 @kernel
@@ -134,14 +148,21 @@ def _weighted_mean(values, weights, mean, start, stop):
         for y in range(mean.shape[1]):
             for x in range(mean.shape[2]):
                 w = weights[z, y, x]
-                mean[z, y, x] = np.float32(values[z, y, x]) / np.float32(w) if w > 0 else np.float32(0)
+                mean[z, y, x] = (
+                    np.float32(values[z, y, x]) / np.float32(w) if w > 0 else np.float32(0)
+                )
 
 
 @inline
 def _row(weights, pairs, mu, field, z, y, out):
     """One row of the matrix's product with `field`: W s + mu sum_b n_ab (s_a - s_b)."""
     Z, Y, X = field.shape
-    below, above, before, after = z - 1 if z > 0 else Z - 1, z + 1 if z < Z - 1 else 0, y - 1 if y > 0 else Y - 1, y + 1
+    below, above, before, after = (
+        z - 1 if z > 0 else Z - 1,
+        z + 1 if z < Z - 1 else 0,
+        y - 1 if y > 0 else Y - 1,
+        y + 1,
+    )
     after = after if after < Y else 0
     s, n2 = field[z, y], pairs[2, z, y]
     nu, nd, nf, nb = pairs[0, z, y], pairs[0, below, y], pairs[1, z, y], pairs[1, z, before]
@@ -161,18 +182,27 @@ def _row(weights, pairs, mu, field, z, y, out):
 
 @kernel
 def _begin(values, gradients, weights, pairs, mu, field, inverse, rest, along, part, start, stop):
-    """The diagonal's inverse, the first rest and direction; per plane rest . direction and |direction|^2."""
+    """The diagonal's inverse, the first rest and direction; per plane rest . direction and
+    |direction|^2.
+    """
     X = field.shape[2]
     for z in range(start, stop):
         part[z] = 0
         for y in range(field.shape[1]):
             _row(weights, pairs, mu, field, z, y, rest[z, y])
             for x in range(X):
-                n = np.int32(pairs[0, z, y, x]) + pairs[0, z - 1, y, x] + pairs[1, z, y, x] + pairs[1, z, y - 1, x]
+                n = (
+                    np.int32(pairs[0, z, y, x])
+                    + pairs[0, z - 1, y, x]
+                    + pairs[1, z, y, x]
+                    + pairs[1, z, y - 1, x]
+                )
                 n += np.int32(pairs[2, z, y, x]) + pairs[2, z, y, x - 1]
                 # weightless voxels keep their value: a row of zeros has no part in the directions
                 weight = np.float32(weights[z, y, x])
-                inverse[z, y, x] = np.float32(1) / (weight + mu * np.float32(n)) if weight > 0 else np.float32(0)
+                inverse[z, y, x] = (
+                    np.float32(1) / (weight + mu * np.float32(n)) if weight > 0 else np.float32(0)
+                )
                 wanted = np.float32(values[z, y, x]) + mu * np.float32(gradients[z, y, x])
                 rest[z, y, x] = wanted - rest[z, y, x] if weight > 0 else np.float32(0)
                 along[z, y, x] = inverse[z, y, x] * rest[z, y, x]

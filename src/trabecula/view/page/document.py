@@ -1,4 +1,6 @@
-"""The page as one file: template, style, scripts and volumes put together, with a policy that lets nothing else in."""
+"""The page as one file: template, style, scripts and volumes put together, with a policy that lets
+nothing else in.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,15 @@ from trabecula.view.rays import BLOCK
 from trabecula.view.shading import DEPTH, ENTRY, LEAST
 from trabecula.view.volume import LEVELS, WEIGHTS
 
-_SCRIPTS = ("volume.js", "scene.js", "drawing.js", "slices.js", "controls.js", "pointer.js", "app.js")
+_SCRIPTS = (
+    "volume.js",
+    "scene.js",
+    "drawing.js",
+    "slices.js",
+    "controls.js",
+    "pointer.js",
+    "app.js",
+)
 
 
 @dataclass(frozen=True)
@@ -54,11 +64,15 @@ class Page:
         return Path(path)
 
     def show(self, *, port: int = 0, browser: bool = True) -> None:
-        """Serve it on this machine alone and open a browser; returns when interrupted. See `server.serve`."""
+        """Serve it on this machine alone and open a browser; returns when interrupted. See
+        `server.serve`.
+        """
         server.serve(self.html, port=port, browser=browser)
 
     def _repr_html_(self) -> str:
-        frame = 'style="width:100%;border:1px solid #d5d9df" sandbox="allow-scripts allow-downloads"'
+        frame = (
+            'style="width:100%;border:1px solid #d5d9df" sandbox="allow-scripts allow-downloads"'
+        )
         return f'<iframe title="{escape(self.title)}" height="{self.height}" {frame} srcdoc="{escape(self.html)}"></iframe>'
 
     def __repr__(self) -> str:
@@ -67,7 +81,9 @@ class Page:
 
 def packed(values: np.ndarray) -> str:
     """Bytes as the page unpacks them: gzip in base64, the same for the same bytes."""
-    return base64.b64encode(gzip.compress(values.tobytes(), compresslevel=6, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(values.tobytes(), compresslevel=6, mtime=0)).decode(
+        "ascii"
+    )
 
 
 def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> str:
@@ -86,16 +102,28 @@ def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> st
         f"default-src 'none'; script-src 'sha256-{_hash(script)}'; style-src 'sha256-{_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
-    tables = {**as_table(), "block": BLOCK, "levels": LEVELS, "blur": WEIGHTS[: len(WEIGHTS) // 2 + 1].tolist()}
-    constants = f"const float DEPTH = {DEPTH}, ENTRY = {ENTRY}, LEAST = {LEAST}, BLOCK = {float(BLOCK)};"
-    blocks = (f'<script type="application/gzip" id="voxels-{k}">{text}</script>' for k, text in enumerate(volumes))
+    tables = {
+        **as_table(),
+        "block": BLOCK,
+        "levels": LEVELS,
+        "blur": WEIGHTS[: len(WEIGHTS) // 2 + 1].tolist(),
+    }
+    constants = (
+        f"const float DEPTH = {DEPTH}, ENTRY = {ENTRY}, LEAST = {LEAST}, BLOCK = {float(BLOCK)};"
+    )
+    blocks = (
+        f'<script type="application/gzip" id="voxels-{k}">{text}</script>'
+        for k, text in enumerate(volumes)
+    )
     parts = {
         "policy": policy,
         "title": escape(title),
         "style": style,
         "volumes": "\n".join(blocks),
         # A name of a file may hold "</script>"; in JSON an escape says the same.
-        "page": json.dumps({"title": title, **about, "table": tables}, allow_nan=False).replace("<", "\\u003c"),
+        "page": json.dumps({"title": title, **about, "table": tables}, allow_nan=False).replace(
+            "<", "\\u003c"
+        ),
         "vertex": _asset("march.vert"),
         "fragment": _asset("march.frag").replace("// {constants}", constants),
         "script": script,
@@ -111,7 +139,9 @@ def _asset(name: str) -> str:
 
 @cache
 def _script() -> str:
-    head = 'const PAGE = JSON.parse(document.getElementById("page").textContent), TABLE = PAGE.table;'
+    head = (
+        'const PAGE = JSON.parse(document.getElementById("page").textContent), TABLE = PAGE.table;'
+    )
     parts = "\n".join(_asset(name).replace('"use strict";\n', "") for name in _SCRIPTS)
     return f'(() => {{\n"use strict";\n{head}\n{parts}}})();'
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from trabecula.core.errors import InputError
 
-# The first of each group of the certificate's table that a reader looks for; what failed is shown besides.
+# The first of each group of the certificate's table that a reader looks for; what failed is shown
+# besides.
 _KEY = (
     "porosity",
     "porosity_error",
@@ -50,8 +51,12 @@ def figures_of(certificate: Any, count: int) -> list[list[list[str]]]:
 def _rows(certificate: Any) -> list[list[str]]:
     plain = certificate.to_json() if hasattr(certificate, "to_json") else certificate
     metrics = plain.get("metrics") if isinstance(plain, Mapping) else None
-    if not isinstance(metrics, Mapping) or not all(isinstance(metric, Mapping) for metric in metrics.values()):
-        raise InputError("certificate: give what tb.verify returns, or what `trabecula verify --json` prints")
+    if not isinstance(metrics, Mapping) or not all(
+        isinstance(metric, Mapping) for metric in metrics.values()
+    ):
+        raise InputError(
+            "certificate: give what tb.verify returns, or what `trabecula verify --json` prints"
+        )
     shown = [name for name in metrics if name in _KEY or metrics[name].get("pass") is False]
     verdicts = {True: "pass", False: "fail", None: ""}
     return [

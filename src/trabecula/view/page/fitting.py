@@ -49,7 +49,9 @@ class Fitted:
 
 
 def fitted(image: Image) -> Fitted:
-    """The volume, or means of blocks of it (of labels: the most frequent) where it is too large; a picture as one slice."""
+    """The volume, or means of blocks of it (of labels: the most frequent) where it is too large; a
+    picture as one slice.
+    """
     values = image.values if image.ndim == 3 else image.values[None]
     shape = image.shape if image.ndim == 3 else (1, *image.shape)
     limits, threshold = (0.0, 255.0), 0
@@ -71,7 +73,9 @@ def forecast(shape: Sequence[int], itemsize: int) -> Plan:
 
 
 def _block(shape: Sequence[int]) -> tuple[int, ...]:
-    """Edges of the smallest blocks, the same along every axis that has so many voxels, that make the volume fit."""
+    """Edges of the smallest blocks, the same along every axis that has so many voxels, that make
+    the volume fit.
+    """
     edge = 1
     while True:
         block = tuple(min(edge, side) for side in shape)
@@ -82,23 +86,31 @@ def _block(shape: Sequence[int]) -> tuple[int, ...]:
 
 
 def _slabs(values: np.ndarray, thick: int) -> list[np.ndarray]:
-    return [values[start : start + thick] for start in range(0, values.shape[0] // thick * thick, thick)]
+    return [
+        values[start : start + thick] for start in range(0, values.shape[0] // thick * thick, thick)
+    ]
 
 
 def _joined(slab: np.ndarray, block: Sequence[int], kind: str) -> np.ndarray:
     """One layer of blocks, (Y, X) or (Y, X, 3); what is left over at the far ends is left out."""
     _, tall, wide = block
     rows, columns = slab.shape[1] // tall, slab.shape[2] // wide
-    cut = slab[:, : rows * tall, : columns * wide].reshape(slab.shape[0], rows, tall, columns, wide, *slab.shape[3:])
+    cut = slab[:, : rows * tall, : columns * wide].reshape(
+        slab.shape[0], rows, tall, columns, wide, *slab.shape[3:]
+    )
     if kind != "labels":
         mean = cut.mean(axis=(0, 2, 4), dtype=np.float64)
         return np.round(mean).astype(np.uint8) if kind == "colour" else mean.astype(np.float32)
-    votes = np.stack([np.count_nonzero(cut == label, axis=(0, 2, 4)) for label in range(int(slab.max()) + 1)])
+    votes = np.stack(
+        [np.count_nonzero(cut == label, axis=(0, 2, 4)) for label in range(int(slab.max()) + 1)]
+    )
     return votes.argmax(axis=0).astype(np.uint8)
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Bytes stay as they are; other greys run from their 0.1 to their 99.9 percent, of a sample of them."""
+    """Bytes stay as they are; other greys run from their 0.1 to their 99.9 percent, of a sample of
+    them.
+    """
     if values.dtype == np.uint8:
         return 0.0, 255.0
     step = max(1, round((values.size / 1e6) ** (1 / 3)))
@@ -109,5 +121,7 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 def _bytes(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     if values.dtype == np.uint8:
         return values
-    scaled = (values.astype(np.float32) - np.float32(limits[0])) * np.float32(255 / (limits[1] - limits[0]))
+    scaled = (values.astype(np.float32) - np.float32(limits[0])) * np.float32(
+        255 / (limits[1] - limits[0])
+    )
     return np.round(np.clip(scaled, 0, 255)).astype(np.uint8)

@@ -1,8 +1,10 @@
-"""Serve one page on this machine: 127.0.0.1, a token that opens once, nothing else that can be read.
+"""Serve one page on this machine: 127.0.0.1, a token that opens once, nothing else that can be
+read.
 
-The address holds a token. Whoever comes with it first gets a cookie that opens the page from then on, and the token is
-spent; so an address seen in a list of processes or in a history is worth nothing. The name in the Host header has to be
-this machine's, against pages elsewhere that give their name this machine's address.
+The address holds a token. Whoever comes with it first gets a cookie that opens the page from then
+on, and the token is spent; so an address seen in a list of processes or in a history is worth
+nothing. The name in the Host header has to be this machine's, against pages elsewhere that give
+their name this machine's address.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ class PageServer(ThreadingHTTPServer):
             super().__init__((HOST, port), _Handler)
         except OSError as error:
             reason = error.strerror or error
-            raise InputError(f"port {port} cannot be used ({reason}): leave --port out to take a free one") from error
+            raise InputError(
+                f"port {port} cannot be used ({reason}): leave --port out to take a free one"
+            ) from error
         self.body = html.encode()
         self.token: str | None = secrets.token_urlsafe(32)
         self.cookie = secrets.token_urlsafe(32)
@@ -83,7 +87,9 @@ class _Handler(BaseHTTPRequestHandler):
             kept = f"{self._name}={self.server.cookie}; HttpOnly; SameSite=Lax; Path=/"
             self._answer(303, "", headers={"Location": "/", "Set-Cookie": kept})
         else:
-            self._answer(403, "this page opens once, with the address that trabecula printed: run it again")
+            self._answer(
+                403, "this page opens once, with the address that trabecula printed: run it again"
+            )
 
     @property
     def _name(self) -> str:
@@ -96,7 +102,14 @@ class _Handler(BaseHTTPRequestHandler):
             return "" if found is None else found.value
         return ""
 
-    def _answer(self, status: int, text: str | bytes, *, kind: str = "text/plain", headers: dict | None = None) -> None:
+    def _answer(
+        self,
+        status: int,
+        text: str | bytes,
+        *,
+        kind: str = "text/plain",
+        headers: dict | None = None,
+    ) -> None:
         body = text if isinstance(text, bytes) else text.encode()
         self.send_response(status)
         fixed = {
@@ -118,7 +131,9 @@ class _Handler(BaseHTTPRequestHandler):
         """Quiet: the command line shows what matters."""
 
 
-def serve(html: str, *, port: int = 0, browser: bool = True, tell: Callable[[str], None] | None = None) -> None:
+def serve(
+    html: str, *, port: int = 0, browser: bool = True, tell: Callable[[str], None] | None = None
+) -> None:
     """Serve a page until interrupted, and open a browser on it.
 
     Parameters
@@ -140,7 +155,9 @@ def serve(html: str, *, port: int = 0, browser: bool = True, tell: Callable[[str
         if browser and has_display() and webbrowser.open(server.url):
             line = f"the page is open in your browser, from {HOST}:{server.server_port}; Ctrl-C ends it"
         elif tell is None:
-            raise InputError("no browser was found on this machine: save(path) writes the page as a file")
+            raise InputError(
+                "no browser was found on this machine: save(path) writes the page as a file"
+            )
         else:
             found = "no browser was found on this machine: open" if browser else "open"
             line = f"{found} {server.url} (works once; Ctrl-C ends it; --html FILE writes a file instead)"
@@ -151,5 +168,9 @@ def serve(html: str, *, port: int = 0, browser: bool = True, tell: Callable[[str
 
 
 def has_display() -> bool:
-    """Whether a browser could show a window: on Linux without one, a text browser would take over the terminal."""
-    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    """Whether a browser could show a window: on Linux without one, a text browser would take over
+    the terminal.
+    """
+    return not sys.platform.startswith("linux") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )

@@ -21,7 +21,9 @@ MOST = 6
 """Volumes side by side."""
 
 _FULL = 1.25
-"""Letters a voxel that a grey volume may take packed (10 MB for 200^3); beyond, it is shown in 64 greys."""
+"""Letters a voxel that a grey volume may take packed (10 MB for 200^3); beyond, it is shown in 64
+greys.
+"""
 
 
 def view(
@@ -37,8 +39,9 @@ def view(
     Parameters
     ----------
     *images : Image or array, (Z, Y, X) or (Y, X)
-        Labels, grey or colour, such as an exemplar and what was made from it; 6 at most. More than 256^3 voxels are
-        drawn as means of blocks (labels: the most frequent), and the page says so; `crop` keeps a box at full resolution.
+        Labels, grey or colour, such as an exemplar and what was made from it; 6 at most. More than
+        256^3 voxels are drawn as means of blocks (labels: the most frequent), and the page says so;
+        `crop` keeps a box at full resolution.
     names : sequence of str, optional
         A name for each.
     look : {"bone", "foam", "bread", "sponge", "stone"}
@@ -58,7 +61,8 @@ def view(
     Raises
     ------
     InputError
-        No images or too many, not as many names or certificates, an unknown look, height out of range.
+        No images or too many, not as many names or certificates, an unknown look, height out of
+        range.
     """
     several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
     if not 1 <= len(several) <= MOST:
@@ -71,10 +75,14 @@ def view(
     figures = figures_of(certificate, len(several))
     scales = _scales(several)
     volumes, texts = [], []
-    for image, name, scale, rows in zip(several, named, scales or [1.0] * len(several), figures, strict=True):
+    for image, name, scale, rows in zip(
+        several, named, scales or [1.0] * len(several), figures, strict=True
+    ):
         volume, text = _volume(image, name, scale, rows)
         if scales is None and len(several) > 1:
-            volume["notes"].append("no common unit: each volume fills its place, they are not to one scale")
+            volume["notes"].append(
+                "no common unit: each volume fills its place, they are not to one scale"
+            )
         volumes.append(volume)
         texts.append(text)
     about = {"look": look, "aligned": scales is not None, "volumes": volumes}
@@ -102,7 +110,9 @@ def _scales(images: Sequence[Image]) -> list[float] | None:
     return [to_metres(unit) for unit in units] if all(has_length(unit) for unit in units) else None
 
 
-def _volume(image: Image, name: str, scale: float, figures: list[list[str]]) -> tuple[dict[str, Any], str]:
+def _volume(
+    image: Image, name: str, scale: float, figures: list[list[str]]
+) -> tuple[dict[str, Any], str]:
     """What the page is told of a volume, and its voxels."""
     fit, phases = fitted(image), _phases(image)
     values, notes = fit.values, _notes(image, fit)
@@ -138,13 +148,22 @@ def _spacing(image: Image) -> np.ndarray:
 
 
 def _phases(image: Image) -> list[dict[str, Any]]:
-    """Names, and which are drawn; of greys their dark and bright end, whose colours run into each other."""
+    """Names, and which are drawn; of greys their dark and bright end, whose colours run into each
+    other.
+    """
     if image.kind != "labels":
         return [{"name": "dark", "visible": True}, {"name": "bright", "visible": True}]
     # A slice at a time: bincount widens what it counts to 8 bytes.
-    counts = np.sum([np.bincount(plane.ravel(), minlength=len(image.phases)) for plane in image.values], axis=0)
+    counts = np.sum(
+        [np.bincount(plane.ravel(), minlength=len(image.phases)) for plane in image.values], axis=0
+    )
     return [
-        {"name": name, "visible": name != "void", "dark": name == "void", "share": f"{count / image.values.size:.1%}"}
+        {
+            "name": name,
+            "visible": name != "void",
+            "dark": name == "void",
+            "share": f"{count / image.values.size:.1%}",
+        }
         for name, count in zip(image.phases, counts, strict=True)
     ]
 
@@ -154,7 +173,10 @@ def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
     sides = [f"{side * edge:.4g}" for side, edge in zip(image.shape, image.spacing, strict=True)]
     facts = [
         ["Kind", image.kind],
-        ["Voxels", " x ".join(map(str, image.shape)) + (" (z, y, x)" if image.ndim == 3 else " (y, x)")],
+        [
+            "Voxels",
+            " x ".join(map(str, image.shape)) + (" (z, y, x)" if image.ndim == 3 else " (y, x)"),
+        ],
         ["Voxel", " x ".join(f"{edge:g}" for edge in image.spacing) + f" {image.unit}"],
         ["Size", " x ".join(sides) + f" {unit}"],
     ]
@@ -163,7 +185,9 @@ def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
         facts.append(["Phases", ", ".join(shares)])
     made = next((step for step in reversed(image.recipe.steps) if "method" in step), None)
     if made is not None:
-        facts.append(["Made by", f"{made['method']}" + (f", seed {made['seed']}" if "seed" in made else "")])
+        facts.append(
+            ["Made by", f"{made['method']}" + (f", seed {made['seed']}" if "seed" in made else "")]
+        )
     return facts
 
 

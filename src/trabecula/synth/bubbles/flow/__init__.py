@@ -1,4 +1,5 @@
-"""Where bubbles are pushed to, and where they may grow: dynamical systems, outlines, crusts (section 3.4 of the paper).
+"""Where bubbles are pushed to, and where they may grow: dynamical systems, outlines, crusts
+(section 3.4 of the paper).
 
 The names are looked up when they are used, since the registry asks for the presets alone.
 """

@@ -17,43 +17,50 @@ class FlowConfig:
     """Where bubbles are pushed to, and where none grow."""
 
     flow: Any = "none"
-    """What bubbles stretch along: "none"; a system by name: concentric, elliptic, spiral, roll, radial, saddle, quadratic
-    (equation 3), horizontal, vertical, axial; two formulas "x', y'" of x and y in a slice (and z along the axis), or three "x',
-    y', z'" of the volume; a .npy file of vectors (Z, Y, X, 3) along z, y, x that spans what is made, or in Python such an
-    array, or a function of z, y, x that returns three arrays."""
+    """What bubbles stretch along: "none"; a system by name: concentric, elliptic, spiral, roll,
+    radial, saddle, quadratic (equation 3), horizontal, vertical, axial; two formulas "x', y'" of x
+    and y in a slice (and z along the axis), or three "x', y', z'" of the volume; a .npy file of
+    vectors (Z, Y, X, 3) along z, y, x that spans what is made, or in Python such an array, or a
+    function of z, y, x that returns three arrays."""
 
     flow_axis: str = "z"
-    """The principal axis, z, y or x: slices lie across it. In a slice x runs along the last of its axes and y along the other.
-    Of a picture there is one slice."""
+    """The principal axis, z, y or x: slices lie across it. In a slice x runs along the last of its
+    axes and y along the other. Of a picture there is one slice."""
 
     flow_centre: str = "slice"
-    """Where x and y are 0: "slice", at the centre of mass of each slice of the mask; "piece", at that of the part of the slice,
-    where parts do not touch; "box", in the middle of what is made, as always without a mask."""
+    """Where x and y are 0: "slice", at the centre of mass of each slice of the mask; "piece", at
+    that of the part of the slice, where parts do not touch; "box", in the middle of what is made,
+    as always without a mask."""
 
     flow_extent: float = 1.0
-    """What x, y and z are at half the longest side of a slice (of the volume, for three formulas, functions and regions), 1e-6 ..
-    1e6; 0: they are lengths, in the unit of the voxels."""
+    """What x, y and z are at half the longest side of a slice (of the volume, for three formulas,
+    functions and regions), 1e-6 .. 1e6; 0: they are lengths, in the unit of the voxels."""
 
     flow_regions: tuple[tuple[str, Any], ...] = ()
-    """Other flows in parts of the volume: pairs of a condition on x, y, z of the volume and `label`, and a flow, such as
-    [["z > 0.5", "radial"], ["label == 2", "none"]]; the first that holds counts, and `flow` where none does."""
+    """Other flows in parts of the volume: pairs of a condition on x, y, z of the volume and
+    `label`, and a flow, such as [["z > 0.5", "radial"], ["label == 2", "none"]]; the first that
+    holds counts, and `flow` where none does."""
 
     flow_labels: Any = None
-    """What `label` is: a file of labels that spans what is made, or in Python an array or Image. Without: 0."""
+    """What `label` is: a file of labels that spans what is made, or in Python an array or Image.
+    Without: 0.
+    """
 
     flow_aspect: float = 0.0
-    """Ratio from which a slice counts as wide or tall, 1 .. 100: wide ones then flow horizontally, tall ones vertically, the
-    others as `flow` says. 0: the shape of a slice does not matter."""
+    """Ratio from which a slice counts as wide or tall, 1 .. 100: wide ones then flow horizontally,
+    tall ones vertically, the others as `flow` says. 0: the shape of a slice does not matter."""
 
     silhouette: float | None = None
-    """How far from its border a slice of the mask makes bubbles follow the outline, in the unit of the voxels: the size of the
-    paper's blur. Default: `silhouette_share`."""
+    """How far from its border a slice of the mask makes bubbles follow the outline, in the unit of
+    the voxels: the size of the paper's blur. Default: `silhouette_share`."""
 
     silhouette_share: float = 0.0
     """The same in mean distances between bubbles, 0 .. 100."""
 
     crust: float | None = None
-    """Depth below the mask's surface in which no bubble grows, in the unit of the voxels. Default: `crust_share`."""
+    """Depth below the mask's surface in which no bubble grows, in the unit of the voxels. Default:
+    `crust_share`.
+    """
 
     crust_share: float = 0.0
     """The same in mean distances between bubbles, 0 .. 100."""
@@ -63,9 +70,13 @@ class FlowConfig:
         check_name(self.flow_axis, ORDER, name="flow_axis")
         check_name(self.flow_centre, CENTRES, name="flow_centre")
         if self.flow_extent != 0:
-            self._keep("flow_extent", as_number(self.flow_extent, name="flow_extent", low=1e-6, high=1e6))
+            self._keep(
+                "flow_extent", as_number(self.flow_extent, name="flow_extent", low=1e-6, high=1e6)
+            )
         if self.flow_aspect != 0:
-            self._keep("flow_aspect", as_number(self.flow_aspect, name="flow_aspect", low=1, high=100))
+            self._keep(
+                "flow_aspect", as_number(self.flow_aspect, name="flow_aspect", low=1, high=100)
+            )
         self._keep("flow_regions", _as_regions(self.flow_regions))
         self._keep("flow_labels", _as_labels(self.flow_labels))
         for name in ("silhouette", "crust"):
@@ -99,7 +110,9 @@ def as_flow(value: Any, *, name: str) -> str:
 
 def _as_regions(value: Any) -> tuple[tuple[str, str], ...]:
     pairs = tuple(value) if isinstance(value, (list, tuple)) else None
-    if pairs is None or not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in pairs):
+    if pairs is None or not all(
+        isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in pairs
+    ):
         raise InputError(
             f"flow_regions={value!r} should be pairs of a condition and a flow, [['z > 0', 'radial'], ...]"
         )

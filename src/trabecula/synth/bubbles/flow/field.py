@@ -1,8 +1,10 @@
-"""`Flow`: which way bubbles stretch at any voxel, and where they may grow; slice by slice, and only where it is asked for.
+"""`Flow`: which way bubbles stretch at any voxel, and where they may grow; slice by slice, and only
+where it is asked for.
 
 What a slice says, later lines over earlier ones:
 
-1. the flow of the settings, about the slice's centre; in a wide or tall slice the horizontal or vertical one, where asked for;
+1. the flow of the settings, about the slice's centre; in a wide or tall slice the horizontal or
+vertical one, where asked for;
 2. the flows of regions;
 3. near the border of the mask the outline.
 """
@@ -46,7 +48,8 @@ def flow_of(
     mask : bool array of that shape, optional
         The form. Without, there is neither outline nor crust.
     distance : float
-        Mean distance between bubbles, in the unit of the spacing; for lengths that are shares of it.
+        Mean distance between bubbles, in the unit of the spacing; for lengths that are shares of
+        it.
 
     Raises
     ------
@@ -60,7 +63,8 @@ def flow_of(
     [[[-90, 90], [0, 127], [90, 90]]]
     """
     silhouette, crust = (
-        0.0 if mask is None else config.flow_length(name, distance) for name in ("silhouette", "crust")
+        0.0 if mask is None else config.flow_length(name, distance)
+        for name in ("silhouette", "crust")
     )
     if not crust and not config.directed(masked=mask is not None):
         return None
@@ -89,14 +93,20 @@ class Flow:
         self._room = Room(mask, crust, spacing) if crust and mask is not None else None
         self._flat = len(shape) == 2
         self._order = ORDER["z" if self._flat else config.flow_axis]
-        self._frames = Frames(self._solid(shape, 1), self._solid(spacing, 1.0), self._order, config.flow_extent)
+        self._frames = Frames(
+            self._solid(shape, 1), self._solid(spacing, 1.0), self._order, config.flow_extent
+        )
         self._edges = tuple(self._frames.spacing[axis] for axis in self._order[1:])
         self._slices = self._slices_of(mask, silhouette)
         self._system = system_of(config.flow)
         self._wide, self._tall = system_of("horizontal"), system_of("vertical")
-        self._regions = [(condition_of(where), system_of(flow)) for where, flow in config.flow_regions]
+        self._regions = [
+            (condition_of(where), system_of(flow)) for where, flow in config.flow_regions
+        ]
         self._labels = (
-            None if config.flow_labels is None else _labels(config).reshape(self._solid(_labels(config).shape, 1))
+            None
+            if config.flow_labels is None
+            else _labels(config).reshape(self._solid(_labels(config).shape, 1))
         )
 
     def directions(self, box: Box, step: int = 1) -> np.ndarray:
@@ -124,20 +134,28 @@ class Flow:
         return np.ascontiguousarray(found[0, ..., 1:]) if self._flat else found
 
     def room(self, box: Box) -> np.ndarray | None:
-        """Which voxels of a box bubbles may grow in, a bool array of its size; None where there is no crust."""
+        """Which voxels of a box bubbles may grow in, a bool array of its size; None where there is
+        no crust.
+        """
         return None if self._room is None else self._room(box)
 
     def _slices_of(self, mask: np.ndarray | None, silhouette: float) -> Slices | None:
         if mask is None:
             return None
         turned = (mask[None] if self._flat else mask).transpose(self._order)
-        return Slices(turned, self._edges, pieces=self._config.flow_centre == "piece", silhouette=silhouette)
+        return Slices(
+            turned, self._edges, pieces=self._config.flow_centre == "piece", silhouette=silhouette
+        )
 
-    def _slice(self, place: int, tall: np.ndarray, wide: np.ndarray, known: dict[object, np.ndarray]) -> np.ndarray:
+    def _slice(
+        self, place: int, tall: np.ndarray, wide: np.ndarray, known: dict[object, np.ndarray]
+    ) -> np.ndarray:
         """Vectors of one slice, (rows, columns, 3) along the slices' order of axes."""
         form = None if self._slices is None else self._slices[place]
         system, centre = self._chosen(form), self._centre(form, tall, wide)
-        alike = not self._regions and (system is None or (system.frame == "slice" and "z" not in system.names))
+        alike = not self._regions and (
+            system is None or (system.frame == "slice" and "z" not in system.names)
+        )
         key = (system, centre) if alike and not isinstance(centre[0], np.ndarray) else None
         if key is None or key not in known:
             known.clear()  # the last one is enough: slices follow each other
@@ -147,14 +165,20 @@ class Flow:
                 there = self._flowing(other, place, tall, wide, centre)
                 vectors = np.where(inside[..., None], there, vectors)
             known[key] = packed(vectors)
-        return known[key] if form is None or form.outline is None else self._outlined(known[key], form, tall, wide)
+        return (
+            known[key]
+            if form is None or form.outline is None
+            else self._outlined(known[key], form, tall, wide)
+        )
 
     def _chosen(self, form: Slice | None) -> System | None:
         """The flow of a slice, by its shape where that is asked for."""
         ratio = self._config.flow_aspect
         if not ratio:
             return self._system
-        voxels = [self._frames.shape[axis] for axis in self._order[1:]] if form is None else form.extent
+        voxels = (
+            [self._frames.shape[axis] for axis in self._order[1:]] if form is None else form.extent
+        )
         height, width = (side * edge for side, edge in zip(voxels, self._edges, strict=True))
         if width >= ratio * height:
             return self._wide
@@ -168,7 +192,8 @@ class Flow:
         if form.pieces is None:
             return form.centre[0] * self._edges[0], form.centre[1] * self._edges[1]
         rows, columns = (
-            np.clip(nodes, 0, side - 1) for nodes, side in zip((tall, wide), form.pieces[0].shape, strict=True)
+            np.clip(nodes, 0, side - 1)
+            for nodes, side in zip((tall, wide), form.pieces[0].shape, strict=True)
         )
         down, right = (part[np.ix_(rows, columns)] for part in form.pieces)
         return down * self._edges[0], right * self._edges[1]
@@ -182,7 +207,8 @@ class Flow:
             point = self._frames.points(place, tall, wide)
             velocity = self._frames.velocity(system, centre)
             for axis, part in enumerate(step_direction(velocity, point, self._step)):
-                found[..., axis] = part if part.ndim < 3 else part[0]  # some are the same all over the slice
+                # some are the same all over the slice
+                found[..., axis] = part if part.ndim < 3 else part[0]
         return found
 
     def _holds(self, where, place: int, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
@@ -194,13 +220,19 @@ class Flow:
         holds = np.nan_to_num(where(z=z, y=y, x=x, label=label)) != 0
         return np.broadcast_to(holds, (1, len(tall), len(wide)))[0]
 
-    def _outlined(self, vectors: np.ndarray, form: Slice, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    def _outlined(
+        self, vectors: np.ndarray, form: Slice, tall: np.ndarray, wide: np.ndarray
+    ) -> np.ndarray:
         """Vectors of a slice, those near its border along it."""
         assert form.outline is not None and self._slices is not None
         sides = self._slices.shape
-        inside = [(nodes >= 0) & (nodes < side) for nodes, side in zip((tall, wide), sides, strict=True)]
+        inside = [
+            (nodes >= 0) & (nodes < side) for nodes, side in zip((tall, wide), sides, strict=True)
+        ]
         box = np.ix_(*inside)
-        cells = np.ix_(*(nodes[kept] // form.every for nodes, kept in zip((tall, wide), inside, strict=True)))
+        cells = np.ix_(
+            *(nodes[kept] // form.every for nodes, kept in zip((tall, wide), inside, strict=True))
+        )
         along = form.outline[cells]
         found = vectors.copy()
         border = np.zeros(found.shape[:2], bool)

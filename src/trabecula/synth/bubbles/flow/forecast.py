@@ -38,10 +38,13 @@ def bytes_of_flow(
         Voxels from node to node.
     """
     edges = as_spacing(spacing, ndim=len(shape))
-    silhouette, crust = (config.flow_length(name, distance) if masked else 0.0 for name in ("silhouette", "crust"))
+    silhouette, crust = (
+        config.flow_length(name, distance) if masked else 0.0 for name in ("silhouette", "crust")
+    )
     flat = len(shape) == 2
     along, tall, wide = (
-        (1, *shape)[axis] if flat else shape[axis] for axis in ORDER["z" if flat else config.flow_axis]
+        (1, *shape)[axis] if flat else shape[axis]
+        for axis in ORDER["z" if flat else config.flow_axis]
     )
     voxels = tall * wide
     work = _STEP * voxels / step**2

@@ -1,4 +1,5 @@
-"""Coordinates: from voxels of a slice to those that a system is written in, and its velocities back.
+"""Coordinates: from voxels of a slice to those that a system is written in, and its velocities
+back.
 
 Points are lengths from the corner of the request, in the slices' order of axes (along, tall, wide).
 """
@@ -26,7 +27,9 @@ class Frames:
         Coordinate at half the longest side; 0 for lengths.
     """
 
-    def __init__(self, shape: Sequence[int], spacing: Sequence[float], order: Sequence[int], extent: float) -> None:
+    def __init__(
+        self, shape: Sequence[int], spacing: Sequence[float], order: Sequence[int], extent: float
+    ) -> None:
         self.shape, self.spacing, self.order = tuple(shape), tuple(spacing), tuple(order)
         self.sides = tuple(count * edge for count, edge in zip(shape, spacing, strict=True))
         self.middle = tuple(side / 2 for side in self.sides)
@@ -44,10 +47,13 @@ class Frames:
     def of_volume(self, point: Vectors) -> Vectors:
         """z, y, x from the middle of the request."""
         return tuple(
-            (part - middle) * self._volume_scale for part, middle in zip(self._by_axis(point), self.middle, strict=True)
+            (part - middle) * self._volume_scale
+            for part, middle in zip(self._by_axis(point), self.middle, strict=True)
         )
 
-    def nearest(self, values: np.ndarray, place: int, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    def nearest(
+        self, values: np.ndarray, place: int, tall: np.ndarray, wide: np.ndarray
+    ) -> np.ndarray:
         """Values of an array that spans the request, (1, rows, columns); 0 beyond it."""
         index: list[np.ndarray] = []
         inside: np.ndarray = np.ones((1, 1, 1), bool)
@@ -60,15 +66,17 @@ class Frames:
 
     def velocity(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
         """A system as a function of points, its velocities in the slices' order."""
-        return {"slice": self._in_slice, "volume": self._in_volume, "array": self._in_array}[system.frame](
-            system, centre
-        )
+        return {"slice": self._in_slice, "volume": self._in_volume, "array": self._in_array}[
+            system.frame
+        ](system, centre)
 
     def _in_slice(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
         origin = (self.middle[self.order[0]], *centre)
 
         def velocity(point: Vectors) -> Vectors:
-            z, y, x = ((part - zero) * self._slice_scale for part, zero in zip(point, origin, strict=True))
+            z, y, x = (
+                (part - zero) * self._slice_scale for part, zero in zip(point, origin, strict=True)
+            )
             found = system.velocity(z, y, x)
             return (found[2] if len(found) == 3 else np.zeros(1), found[1], found[0])
 
@@ -83,7 +91,9 @@ class Frames:
 
     def _in_array(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
         def velocity(point: Vectors) -> Vectors:
-            shares = (part / side for part, side in zip(self._by_axis(point), self.sides, strict=True))
+            shares = (
+                part / side for part, side in zip(self._by_axis(point), self.sides, strict=True)
+            )
             x1, y1, z1 = system.velocity(*shares)
             return self._in_order((z1, y1, x1))
 

@@ -1,8 +1,9 @@
 """Settings that are more than a word: a file of numbers, an array, a function.
 
-A setting has to fit into a recipe, which is plain JSON. So each of these is a text that says what it is, and carries the thing
-itself beside the text: "field.npy#sha256=..." is read again by whoever makes the material again, and checked; of an array or a
-function in memory the text can only say that it was one.
+A setting has to fit into a recipe, which is plain JSON. So each of these is a text that says what
+it is, and carries the thing itself beside the text: "field.npy#sha256=..." is read again by whoever
+makes the material again, and checked; of an array or a function in memory the text can only say
+that it was one.
 """
 
 from __future__ import annotations
@@ -57,17 +58,29 @@ def as_given(value: Any, *, name: str) -> Given | None:
         array = _numbers(value.values if isinstance(value, Image) else value, name=name)
         return _given(_ARRAY + digest(array), array=array)
     if callable(value):
-        return _given(f"{_FUNCTION}{_name_of(value)}, SHA-256 of its values {_probed(value, name)}", function=value)
+        return _given(
+            f"{_FUNCTION}{_name_of(value)}, SHA-256 of its values {_probed(value, name)}",
+            function=value,
+        )
     if isinstance(value, os.PathLike):
         return _read(os.fspath(value), name=name)
     if not isinstance(value, str):
-        raise InputError(f"{name}={value!r} should be a name, a formula, a file, an array or a function")
+        raise InputError(
+            f"{name}={value!r} should be a name, a formula, a file, an array or a function"
+        )
     if value.startswith((_ARRAY, _FUNCTION)):
         what = "array" if value.startswith(_ARRAY) else "function"
         raise InputError(
             f"{name} was {value}: nothing says how to make it again; give the {what} as {name}, or its file"
         )
-    is_file = MARK in value or Path(value).suffix.lower() in (".npy", ".tif", ".tiff", ".nrrd", ".zarr", ".mhd")
+    is_file = MARK in value or Path(value).suffix.lower() in (
+        ".npy",
+        ".tif",
+        ".tiff",
+        ".nrrd",
+        ".zarr",
+        ".mhd",
+    )
     return _read(value, name=name) if is_file else None
 
 
@@ -75,7 +88,11 @@ def _read(text: str, *, name: str) -> Given:
     """A file's numbers; a text with a SHA-256 has to be those."""
     path, _, expected = text.partition(MARK)
     try:
-        array = _field_of(path, name) if path.lower().endswith(".npy") else _numbers(files.read(path).values, name=name)
+        array = (
+            _field_of(path, name)
+            if path.lower().endswith(".npy")
+            else _numbers(files.read(path).values, name=name)
+        )
     except FileError as error:
         raise FileError(
             f"{name}={path}: {error}; it is looked for from the folder that the run is started in"
@@ -96,17 +113,23 @@ def _field_of(path: str, name: str) -> np.ndarray:
     except (OSError, ValueError, EOFError) as error:
         if isinstance(error, InputError):
             raise
-        raise FileError(f"{path} cannot be read as an array ({error}): write it with np.save") from None
+        raise FileError(
+            f"{path} cannot be read as an array ({error}): write it with np.save"
+        ) from None
 
 
 def _numbers(array: Any, *, name: str) -> np.ndarray:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        raise InputError(f"{name} holds {getattr(array, 'dtype', type(array).__name__)}: numbers are needed")
+        raise InputError(
+            f"{name} holds {getattr(array, 'dtype', type(array).__name__)}: numbers are needed"
+        )
     check_finite(array, name=name)
     return array
 
 
-def _given(text: str, *, array: np.ndarray | None = None, function: Callable[..., Any] | None = None) -> Given:
+def _given(
+    text: str, *, array: np.ndarray | None = None, function: Callable[..., Any] | None = None
+) -> Given:
     made = Given(text)
     made.array, made.function = array, function
     return made
@@ -123,7 +146,9 @@ def _probed(function: Callable[..., Any], name: str) -> str:
     return digest(called(function, z, y, x, name=name))[:12]
 
 
-def called(function: Callable[..., Any], z: np.ndarray, y: np.ndarray, x: np.ndarray, *, name: str) -> np.ndarray:
+def called(
+    function: Callable[..., Any], z: np.ndarray, y: np.ndarray, x: np.ndarray, *, name: str
+) -> np.ndarray:
     """The vectors (z, y, x) of a user's function at points, (3, ...) float64.
 
     Raises

@@ -1,8 +1,9 @@
-"""Following the outline of a slice: the slice is blurred, and its gradient turned by 90 degrees runs along the border.
+"""Following the outline of a slice: the slice is blurred, and its gradient turned by 90 degrees
+runs along the border.
 
-The blur is the mean over a disc, whose radius is the thickness of the zone: deeper than that the gradient is exactly 0 and the
-zone ends (section 3.4: the kernel's size is the thickness of the border). All sums are whole numbers. Thick zones are found on
-cells of several voxels."""
+The blur is the mean over a disc, whose radius is the thickness of the zone: deeper than that the
+gradient is exactly 0 and the zone ends (section 3.4: the kernel's size is the thickness of the
+border). All sums are whole numbers. Thick zones are found on cells of several voxels."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ def along_outline(plane: np.ndarray, thickness: float) -> tuple[np.ndarray, np.n
     Returns
     -------
     rows, columns : float64 arrays, one value a cell
-        Whole numbers, of no particular length; the sense is that of x' = -y, y' = x about a place inside.
+        Whole numbers, of no particular length; the sense is that of x' = -y, y' = x about a place
+        inside.
     every : int
         Voxels along the edge of a cell.
     """
@@ -58,7 +60,9 @@ def _counts(plane: np.ndarray, every: int) -> np.ndarray:
 def held_of(plane: np.ndarray) -> tuple[slice, ...]:
     """The box around what is not 0; of nothing an empty one."""
     ends = [np.flatnonzero(plane.any(axis=other)) for other in (1, 0)]
-    return tuple(slice(int(held[0]), int(held[-1]) + 1) if len(held) else slice(0, 0) for held in ends)
+    return tuple(
+        slice(int(held[0]), int(held[-1]) + 1) if len(held) else slice(0, 0) for held in ends
+    )
 
 
 def _disc_sums(values: np.ndarray, radius: int) -> np.ndarray:

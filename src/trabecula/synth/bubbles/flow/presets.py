@@ -1,5 +1,5 @@
-"""Ready settings of `bubbles`: materials by name. Lengths are shares of the mean distance between bubbles, so that they hold
-in any unit; that distance is in voxels until a density is given.
+"""Ready settings of `bubbles`: materials by name. Lengths are shares of the mean distance between
+bubbles, so that they hold in any unit; that distance is in voxels until a density is given.
 
 Light to import: the registry asks for the names.
 """
@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # A fine, uneven crumb, flattened as the loaf is, with a thin crust that the outer bubbles follow.
+    # A fine, uneven crumb, flattened as the loaf is, with a thin crust that the outer bubbles
+    # follow.
     "bread": {
         "distance": 10.0,
         "thickness": 0.2,
@@ -24,7 +25,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "silhouette_share": 1.5,
         "crust_share": 0.4,
     },
-    # Large holes beside small ones, drawn out along the windings of the rolled dough; a thick crust.
+    # Large holes beside small ones, drawn out along the windings of the rolled dough; a thick
+    # crust.
     "baguette": {
         "distance": 11.0,
         "thickness": 0.18,
@@ -71,8 +73,15 @@ PRESETS: dict[str, dict[str, Any]] = {
         "randomness": 0.75,
     },
     # Closed polyhedral cells that have grown until they met.
-    "foam": {"distance": 20.0, "thickness": 0.11, "spread": 0.12, "regularity": 0.8, "roughness": 0.0},
-    # Plates and rods between open cells, what is left of their walls; drawn out along the principal axis.
+    "foam": {
+        "distance": 20.0,
+        "thickness": 0.11,
+        "spread": 0.12,
+        "regularity": 0.8,
+        "roughness": 0.0,
+    },
+    # Plates and rods between open cells, what is left of their walls; drawn out along the principal
+    # axis.
     "bone": {
         "thickness": 0.2,
         "spread": 0.2,

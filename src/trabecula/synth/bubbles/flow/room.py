@@ -22,7 +22,8 @@ class Room:
     mask : (Z, Y, X) or (Y, X) bool array
         The form; beyond the array is nothing of it.
     crust : float
-        Depth below the surface, above 0; the surface lies half a voxel before the first centre outside.
+        Depth below the surface, above 0; the surface lies half a voxel before the first centre
+        outside.
     spacing : floats
         Edges of the voxels.
 
@@ -39,13 +40,19 @@ class Room:
         self._check()
 
     def __call__(self, box: Box) -> np.ndarray:
-        """Which voxels of a box lie deeper than the crust, a bool array of its size; the box may reach beyond the mask."""
+        """Which voxels of a box lie deeper than the crust, a bool array of its size; the box may
+        reach beyond the mask.
+        """
         found = np.zeros([stop - start for start, stop in box], bool)
-        inside = [(max(a, 0), min(b, side)) for (a, b), side in zip(box, self._mask.shape, strict=True)]
+        inside = [
+            (max(a, 0), min(b, side)) for (a, b), side in zip(box, self._mask.shape, strict=True)
+        ]
         if any(a >= b for a, b in inside):
             return found
         (first, last), rest = inside[0], tuple(slice(a, b) for a, b in inside[1:])
-        target = [slice(a - start, b - start) for (a, b), (start, _) in zip(inside, box, strict=True)]
+        target = [
+            slice(a - start, b - start) for (a, b), (start, _) in zip(inside, box, strict=True)
+        ]
         for number in range(first // self._slab, -(-last // self._slab)):
             low, high = max(first, number * self._slab), min(last, (number + 1) * self._slab)
             planes = slice(low - number * self._slab, high - number * self._slab)
@@ -70,41 +77,59 @@ class Room:
         if number not in self._known:
             ends = (number * self._slab, min((number + 1) * self._slab, len(self._mask)))
             box = (ends, *((0, side) for side in self._mask.shape[1:]))
-            self._known[number] = np.packbits(room_of(self._mask, box, self._crust, self._spacing), axis=-1)
+            self._known[number] = np.packbits(
+                room_of(self._mask, box, self._crust, self._spacing), axis=-1
+            )
         return self._known[number]
 
 
 def room_of(mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]) -> np.ndarray:
-    """Which voxels of a box inside the mask's array lie deeper in the form than `crust` (see `Room`)."""
+    """Which voxels of a box inside the mask's array lie deeper in the form than `crust` (see
+    `Room`).
+    """
     found = np.zeros([stop - start for start, stop in box], bool)
     held = _around(mask, box, crust, spacing)
     if held is not None:
         near, part = held
-        found[tuple(slice(a - first, b - first) for (a, b), (first, _) in zip(part, box, strict=True))] = near
+        found[
+            tuple(slice(a - first, b - first) for (a, b), (first, _) in zip(part, box, strict=True))
+        ] = near
     return found
 
 
-def _around(mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]) -> tuple[np.ndarray, Box] | None:
-    """The room of the smallest part of a box that holds all of the form in it, and that part; None where there is none."""
+def _around(
+    mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]
+) -> tuple[np.ndarray, Box] | None:
+    """The room of the smallest part of a box that holds all of the form in it, and that part; None
+    where there is none.
+    """
     form = mask[slices_of(box)]
     part = []
     for axis, (first, _) in enumerate(box):
-        held = np.flatnonzero(form.any(axis=tuple(other for other in range(mask.ndim) if other != axis)))
+        held = np.flatnonzero(
+            form.any(axis=tuple(other for other in range(mask.ndim) if other != axis))
+        )
         if not len(held):
             return None
         part.append((first + int(held[0]), first + int(held[-1]) + 1))
     margin = [math.ceil(crust / edge) + MARGIN for edge in spacing]
     near = cut(mask, [(a - far, b + far) for (a, b), far in zip(part, margin, strict=True)])
     inner = tuple(slice(far, -far) for far in margin)
-    # A voxel is kept whose centre lies deeper than the crust; to the next centre outside it is half an edge more.
+    # A voxel is kept whose centre lies deeper than the crust; to the next centre outside it is half
+    # an edge more.
     return distance_transform(near, spacing=spacing)[inner] > crust + min(spacing) / 2, tuple(part)
 
 
 def cut(mask: np.ndarray, box: list[tuple[int, int]]) -> np.ndarray:
     """A box of a mask, False beyond it."""
-    inside = [(max(a, 0), max(max(a, 0), min(b, side))) for (a, b), side in zip(box, mask.shape, strict=True)]
+    inside = [
+        (max(a, 0), max(max(a, 0), min(b, side)))
+        for (a, b), side in zip(box, mask.shape, strict=True)
+    ]
     found = np.zeros([b - a for a, b in box], bool)
-    target = tuple(slice(a - first, b - first) for (a, b), (first, _) in zip(inside, box, strict=True))
+    target = tuple(
+        slice(a - first, b - first) for (a, b), (first, _) in zip(inside, box, strict=True)
+    )
     if all(b > a for a, b in inside):
         found[target] = mask[tuple(slice(a, b) for a, b in inside)]
     return found

@@ -1,4 +1,5 @@
-"""Slices of a form across the principal axis: centres of mass, sizes, outlines; each found once where it is asked for.
+"""Slices of a form across the principal axis: centres of mass, sizes, outlines; each found once
+where it is asked for.
 
 A slice is (rows, columns) of voxels; its x runs along the columns, its y along the rows.
 """
@@ -16,15 +17,16 @@ from trabecula.synth.bubbles.flow.step import packed, unit
 CENTRES = ("slice", "piece", "box")
 
 ORDER = {"z": (0, 1, 2), "y": (1, 0, 2), "x": (2, 0, 1)}
-"""Axes of a volume by principal axis: along it, then y and x of a slice. So these are y and x across z, z and x across y, z and
-y across x."""
+"""Axes of a volume by principal axis: along it, then y and x of a slice. So these are y and x
+across z, z and x across y, z and y across x."""
 
 KEPT = 64 << 20  # bytes of slices that are kept for the boxes beside
 
 
 @dataclass(frozen=True)
 class Slice:
-    """What is known of a slice that holds some of the form. Places are voxels from its corner, along rows and columns.
+    """What is known of a slice that holds some of the form. Places are voxels from its corner,
+    along rows and columns.
 
     Attributes
     ----------
@@ -68,7 +70,9 @@ class Slices:
         Length up to which the outline is followed; 0: not.
     """
 
-    def __init__(self, mask: np.ndarray, edges: tuple[float, ...], *, pieces: bool, silhouette: float) -> None:
+    def __init__(
+        self, mask: np.ndarray, edges: tuple[float, ...], *, pieces: bool, silhouette: float
+    ) -> None:
         self._mask, self._edges, self._pieces, self._silhouette = mask, edges, pieces, silhouette
         self._known: dict[int, Slice | None] = {}
         self._held = 0
@@ -98,7 +102,8 @@ class Slices:
         pieces = piece_centres(plane, centre) if self._pieces else None
         if not self._silhouette:
             return Slice(centre, extent_of(plane), pieces)
-        # Thickness and cells are voxels of the finer axis. A gradient is per length; turned by 90 degrees its components
+        # Thickness and cells are voxels of the finer axis. A gradient is per length; turned by 90
+        # degrees its components
         # change places, and so do the edges.
         rows, columns, every = along_outline(plane, self._silhouette / min(self._edges))
         along = unit((rows * self._edges[0], columns * self._edges[1]))
@@ -106,7 +111,8 @@ class Slices:
 
 
 def centre_of(plane: np.ndarray) -> tuple[float, float] | None:
-    """Centre of mass of a slice, in voxels from its corner, along rows and columns; None of an empty one.
+    """Centre of mass of a slice, in voxels from its corner, along rows and columns; None of an
+    empty one.
 
     Parameters
     ----------
@@ -117,12 +123,15 @@ def centre_of(plane: np.ndarray) -> tuple[float, float] | None:
     if not count:
         return None
     # Twice the place of a voxel's centre is a whole number, and so are the sums.
-    down, right = (int(sums @ (2 * np.arange(len(sums)) + 1)) / (2 * count) for sums in (rows, columns))
+    down, right = (
+        int(sums @ (2 * np.arange(len(sums)) + 1)) / (2 * count) for sums in (rows, columns)
+    )
     return down, right
 
 
 def piece_centres(plane: np.ndarray, around: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Of every place in a slice the centre of mass of the part that it lies in; parts touch by an edge or a corner.
+    """Of every place in a slice the centre of mass of the part that it lies in; parts touch by an
+    edge or a corner.
 
     Parameters
     ----------
@@ -139,8 +148,12 @@ def piece_centres(plane: np.ndarray, around: tuple[float, float]) -> tuple[np.nd
     labels, sizes = label_components(np.ascontiguousarray(plane[held]), connectivity=8)
     found = []
     for axis, default in enumerate(around):
-        places = np.arange(held[axis].start, held[axis].stop).reshape((-1, 1) if axis == 0 else (1, -1))
-        moment = np.bincount(labels.ravel(), np.broadcast_to(2 * places + 1, labels.shape).ravel(), len(sizes) + 1)
+        places = np.arange(held[axis].start, held[axis].stop).reshape(
+            (-1, 1) if axis == 0 else (1, -1)
+        )
+        moment = np.bincount(
+            labels.ravel(), np.broadcast_to(2 * places + 1, labels.shape).ravel(), len(sizes) + 1
+        )
         centre = moment / np.concatenate([[1], 2 * sizes])
         centre[0] = default
         whole = np.full(plane.shape, default, np.float32)

@@ -1,9 +1,10 @@
 """A step of Runge-Kutta, which is what a lattice can follow of a streamline.
 
-The paper steps from a voxel by Runge-Kutta and goes on with the neighbour nearest to the solution (algorithm 2). A step here is
-one voxel's edge along the streamline, whatever the speed, so that the solution lies among the neighbours and its *direction* is
-what chooses one. Half of it is taken upstream and half downstream: the chord of a whole step downstream leaves a bend outwards,
-by an angle that grows with the voxels, and what is made on a coarse lattice would be another material."""
+The paper steps from a voxel by Runge-Kutta and goes on with the neighbour nearest to the solution
+(algorithm 2). A step here is one voxel's edge along the streamline, whatever the speed, so that the
+solution lies among the neighbours and its *direction* is what chooses one. Half of it is taken
+upstream and half downstream: the chord of a whole step downstream leaves a bend outwards, by an
+angle that grows with the voxels, and what is made on a coarse lattice would be another material."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ STILL = 1e-9
 
 
 def step_direction(velocity: Velocity, point: Vectors, step: float) -> Vectors:
-    """Where a point comes from and goes to along its streamline, by the classical Runge-Kutta method of fourth order.
+    """Where a point comes from and goes to along its streamline, by the classical Runge-Kutta
+    method of fourth order.
 
     Parameters
     ----------
@@ -33,8 +35,8 @@ def step_direction(velocity: Velocity, point: Vectors, step: float) -> Vectors:
     Returns
     -------
     tuple of arrays
-        The unit vector from where the step begins to where it ends; 0 where the point stands still or its velocity is no
-        number.
+        The unit vector from where the step begins to where it ends; 0 where the point stands still
+        or its velocity is no number.
     """
     here = unit(velocity(point))
     ahead = _slope(velocity, point, here, step / 2)
@@ -49,7 +51,9 @@ def _slope(velocity: Velocity, point: Vectors, first: Vectors, step: float) -> V
     second = unit(velocity(_moved(point, first, step / 2)))
     third = unit(velocity(_moved(point, second, step / 2)))
     fourth = unit(velocity(_moved(point, third, step)))
-    return tuple(a + 2 * b + 2 * c + d for a, b, c, d in zip(first, second, third, fourth, strict=True))
+    return tuple(
+        a + 2 * b + 2 * c + d for a, b, c, d in zip(first, second, third, fourth, strict=True)
+    )
 
 
 def unit(vectors: Vectors) -> Vectors:

@@ -1,7 +1,8 @@
-"""Dynamical systems by name, and what a flow is made of: a planar system, a field of vectors, or nothing.
+"""Dynamical systems by name, and what a flow is made of: a planar system, a field of vectors, or
+nothing.
 
-x and y are coordinates in a slice, from its centre; the system says how fast a point moves along them (Strogatz 2001). Only the
-direction is used: how far bubbles grow is not the flow's affair.
+x and y are coordinates in a slice, from its centre; the system says how fast a point moves along
+them (Strogatz 2001). Only the direction is used: how far bubbles grow is not the flow's affair.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ SYSTEMS: dict[str, str] = {
     "vertical": "0, 1",
     "axial": "0, 0, 1",
 }
-"""Right-hand sides of x' and y' by name; "roll" is an Archimedean spiral with windings half a unit apart, "axial" has a third
-component, along the principal axis."""
+"""Right-hand sides of x' and y' by name; "roll" is an Archimedean spiral with windings half a unit
+apart, "axial" has a third component, along the principal axis."""
 
 NONE = "none"
 
@@ -44,13 +45,14 @@ class System:
     Attributes
     ----------
     frame : {"slice", "volume", "array"}
-        What its coordinates are: x and y in a slice from the slice's centre, and z along the principal axis; x, y and z of the
-        volume from its centre; or shares 0 .. 1 of the volume's sides.
+        What its coordinates are: x and y in a slice from the slice's centre, and z along the
+        principal axis; x, y and z of the volume from its centre; or shares 0 .. 1 of the volume's
+        sides.
     names : frozenset of str
         Coordinates that it depends on.
     velocity : callable
-        Takes z, y, x; returns the velocities along x, y and, of a volume or where there is one, z: each an array that
-        broadcasts with them.
+        Takes z, y, x; returns the velocities along x, y and, of a volume or where there is one, z:
+        each an array that broadcasts with them.
     """
 
     frame: str
@@ -74,7 +76,11 @@ def system_of(flow: Any, *, name: str = "flow") -> System | None:
     if flow == NONE:
         return None
     if "," not in flow:
-        check_name(flow, (NONE, *SYSTEMS), name=f"{name} (or write it as formulas of x, y and z, separated by commas)")
+        check_name(
+            flow,
+            (NONE, *SYSTEMS),
+            name=f"{name} (or write it as formulas of x, y and z, separated by commas)",
+        )
     return _of_formulas(SYSTEMS.get(flow, flow), named=flow in SYSTEMS)
 
 
@@ -91,7 +97,8 @@ def _of_formulas(text: str, *, named: bool) -> System:
         )
     formulas = expressions(text, ("x", "y", "z"), count=count)
     used = frozenset().union(*(formula.names for formula in formulas))
-    # The named system along the principal axis is one of the slice; three formulas of a user are of the volume.
+    # The named system along the principal axis is one of the slice; three formulas of a user are of
+    # the volume.
     frame = "slice" if count == 2 or named else "volume"
 
     def velocity(z: np.ndarray, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -122,7 +129,9 @@ def _of_function(given: Given, name: str) -> System:
 
 
 def _of_array(given: Given, name: str) -> System:
-    """A field of vectors that spans the request: trilinear between its voxels' centres, the last goes on beyond them."""
+    """A field of vectors that spans the request: trilinear between its voxels' centres, the last
+    goes on beyond them.
+    """
     array = given.array
     assert array is not None
     if array.ndim == 3 and array.shape[-1] == 2:
@@ -154,7 +163,10 @@ def _between(vectors: np.ndarray, parts: tuple[np.ndarray, ...]) -> np.ndarray:
         share.append(place - first)
     total = np.zeros((*parts[0].shape, 3))
     for corner in np.ndindex(2, 2, 2):
-        index = tuple(np.minimum(a + b, side - 1) for a, b, side in zip(low, corner, vectors.shape, strict=False))
+        index = tuple(
+            np.minimum(a + b, side - 1)
+            for a, b, side in zip(low, corner, vectors.shape, strict=False)
+        )
         weight = np.ones(parts[0].shape)
         for part, far in zip(share, corner, strict=True):
             weight = weight * (part if far else 1 - part)

@@ -1,1 +1,3 @@
-"""Search and vote: neighbourhoods of the output on a grid, each matched with one of the exemplar, averaged where they overlap."""
+"""Search and vote: neighbourhoods of the output on a grid, each matched with one of the exemplar,
+averaged where they overlap.
+"""

@@ -1,4 +1,6 @@
-"""The output's neighbourhoods at one resolution, and the search for the nearest one of the exemplar for each."""
+"""The output's neighbourhoods at one resolution, and the search for the nearest one of the exemplar
+for each.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.joints import known_of, mixed_histograms, surroundings
 from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
@@ -24,18 +26,25 @@ _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds m
 
 @dataclass(frozen=True)
 class Grid:
-    """The output's neighbourhoods at one resolution and width: what does not change from round to round."""
+    """The output's neighbourhoods at one resolution and width: what does not change from round to
+    round.
+    """
 
     candidates: Candidates
     region: Region  # covered
     shape: tuple[int, ...]
     active: np.ndarray  # bool, `shape`
     targets: tuple[Histogram, ...]  # that the free voxels are to have, one a channel
-    guide: np.ndarray | None = None  # (`shape`, K) int16: more features, of the place and not of the field
+    # (`shape`, K) int16: more features, of the place and not of the field
+    guide: np.ndarray | None = None
 
     @classmethod
-    def over(cls, region: Region, candidates: Candidates, targets: tuple[Histogram, ...] | None = None) -> Grid:
-        """The neighbourhoods of a region, which is continued to what they cover. Targets default to `targets_of` the region."""
+    def over(
+        cls, region: Region, candidates: Candidates, targets: tuple[Histogram, ...] | None = None
+    ) -> Grid:
+        """The neighbourhoods of a region, which is continued to what they cover. Targets default to
+        `targets_of` the region.
+        """
         box, steps = candidates.basis.box, candidates.steps
         covered, shape = region.covered(box=box, steps=steps), region.grid(box=box, steps=steps)
         active = covered.active(shape, box=box, steps=steps)
@@ -59,8 +68,12 @@ class Grid:
         return covered_shape(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
 
 
-def targets_of(region: Region, histograms: tuple[Histogram, ...], *, width: int) -> tuple[Histogram, ...]:
-    """The histograms that what is made is to have: the exemplar's, and those of the known voxels within `width`, as one."""
+def targets_of(
+    region: Region, histograms: tuple[Histogram, ...], *, width: int
+) -> tuple[Histogram, ...]:
+    """The histograms that what is made is to have: the exemplar's, and those of the known voxels
+    within `width`, as one.
+    """
     if region.free is None or region.low is None or region.high is None:
         return histograms
     near = surroundings(region.free, known_of(region.free, region.low, region.high), width)
@@ -68,23 +81,35 @@ def targets_of(region: Region, histograms: tuple[Histogram, ...], *, width: int)
 
 
 def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
-    """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as neighbourhoods reach."""
+    """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as
+    neighbourhoods reach.
+    """
     shape = (len(field), *np.maximum(grid.reach, field.shape[1:]).tolist())
     if shape == field.shape:
         return field
-    return made_by_slabs(lambda start, stop: _planes(shape[1:], field, start, stop), shape, field.dtype)
+    return made_by_slabs(
+        lambda start, stop: _planes(shape[1:], field, start, stop), shape, field.dtype
+    )
 
 
 def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Planes start..stop of a field that is repeated to `shape`."""
-    part = field[:, start:stop] if stop <= field.shape[1] else field[:, np.arange(start, stop) % field.shape[1]]
-    beyond = [(0, 0), (0, 0), *((0, far - side) for far, side in zip(shape[1:], field.shape[2:], strict=True))]
+    part = (
+        field[:, start:stop]
+        if stop <= field.shape[1]
+        else field[:, np.arange(start, stop) % field.shape[1]]
+    )
+    beyond = [
+        (0, 0),
+        (0, 0),
+        *((0, far - side) for far, side in zip(shape[1:], field.shape[2:], strict=True)),
+    ]
     return np.pad(part, beyond, mode="wrap") if tuple(shape[1:]) != field.shape[2:] else part
 
 
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
     """The feature vectors of the output's neighbourhoods."""
-    features = scratch.empty((*grid.shape, _depth(grid)), np.int16)
+    features = memmap.empty((*grid.shape, _depth(grid)), np.int16)
 
     def work(start: int, stop: int) -> None:
         for first, last in _together(grid, start, stop):
@@ -95,7 +120,9 @@ def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
 
 
 def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """The feature vectors of the neighbourhoods in planes start..stop of the sites, in the caller's thread."""
+    """The feature vectors of the neighbourhoods in planes start..stop of the sites, in the caller's
+    thread.
+    """
     basis, step = grid.candidates.basis, grid.candidates.steps[0]
     features = np.empty((stop - start, *grid.shape[1:], basis.vectors.shape[1]), np.int16)
     shape = tuple(np.maximum(grid.reach, field.shape[1:]).tolist())
@@ -108,17 +135,23 @@ def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.nd
 
 
 def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them together fit into int32."""
+    """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them
+    together fit into int32.
+    """
     return np.concatenate([features, guide], axis=-1)
 
 
 def _depth(grid: Grid) -> int:
     """Components of a feature vector."""
-    return grid.candidates.basis.vectors.shape[1] + (0 if grid.guide is None else grid.guide.shape[-1])
+    return grid.candidates.basis.vectors.shape[1] + (
+        0 if grid.guide is None else grid.guide.shape[-1]
+    )
 
 
 def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Planes of sites whose features are made at once: a few, so that they are still in the cache when they are looked at."""
+    """Planes of sites whose features are made at once: a few, so that they are still in the cache
+    when they are looked at.
+    """
     thick = planes_together(_depth(grid), grid.shape)
     for first in range(start, stop, thick):
         yield first, min(first + thick, stop)
@@ -126,7 +159,7 @@ def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
 
 def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
     """Random patches: an independent candidate per site."""
-    match, numbers = scratch.empty(grid.shape, np.int32), grid.candidates.numbers
+    match, numbers = memmap.empty(grid.shape, np.int32), grid.candidates.numbers
     for_slabs(lambda start, stop: start_matches(match, numbers, stage, start, stop), len(match))
     return match
 
@@ -134,11 +167,13 @@ def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
 def nearest_matches(
     grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and their distances."""
+    """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and
+    their distances.
+    """
     among, count, active = grid.candidates.prepared, len(grid.candidates.numbers), grid.active
     shares = index_histogram(old, len(grid.candidates.features), active)
     factors = usage_factors(shares, weight=index_penalty * count, theta=1 / count)
-    match, found = (scratch.empty(old.shape, np.int32, least=0) for _ in range(2))
+    match, found = (memmap.empty(old.shape, np.int32, least=0) for _ in range(2))
     thick = max(1, _TOGETHER // (old.shape[1] * old.shape[2]))
 
     def work(start: int, stop: int) -> None:
@@ -146,7 +181,9 @@ def nearest_matches(
             planes = slice(first, min(first + thick, stop))
             there = active[planes]
             match[planes], found[planes] = old[planes], 0
-            match[planes][there], found[planes][there] = best_among(features[planes][there], among, factors)
+            match[planes][there], found[planes][there] = best_among(
+                features[planes][there], among, factors
+            )
 
     for_slabs(work, len(old), least=1, anywhere=True)
     return match, found
@@ -163,12 +200,21 @@ def swept(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and their distances."""
+    """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and
+    their distances.
+    """
     # In files features are more to write and to read than to make again.
-    kept = features_of(grid, field) if count > 1 and not scratch.is_active() else None
+    kept = features_of(grid, field) if count > 1 and not memmap.is_active() else None
     for sweep in range(first, first + count):
         match, distance = searched(
-            grid, match, field, kept, stage=stage, sweep=sweep, tries=tries, index_penalty=index_penalty
+            grid,
+            match,
+            field,
+            kept,
+            stage=stage,
+            sweep=sweep,
+            tries=tries,
+            index_penalty=index_penalty,
         )
     return match, distance
 
@@ -184,9 +230,11 @@ def searched(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One sweep of the coherent search: new matches and their distances. Features that are not given are made as it goes."""
+    """One sweep of the coherent search: new matches and their distances. Features that are not
+    given are made as it goes.
+    """
     candidates = grid.candidates
-    match, distance = scratch.empty(old.shape, np.int32), scratch.empty(old.shape, np.int32)
+    match, distance = memmap.empty(old.shape, np.int32), memmap.empty(old.shape, np.int32)
     penalty = penalties(old, grid, index_penalty)
     # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
     ratio = candidates.step // candidates.stride
@@ -195,7 +243,9 @@ def searched(
     def work(start: int, stop: int) -> None:
         for first, last in _together(grid, start, stop):
             search(
-                site_features(grid, field, first, last) if features is None else features[first:last],
+                site_features(grid, field, first, last)
+                if features is None
+                else features[first:last],
                 first,
                 candidates.features,
                 penalty,
@@ -218,7 +268,9 @@ def searched(
 
 
 def penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
-    """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one sweep."""
+    """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one
+    sweep.
+    """
     allowed = grid.candidates.allowed
 
     def tally(start: int, stop: int) -> np.ndarray:

@@ -1,10 +1,11 @@
 """Search and vote: plain functions on arrays.
 
-Glossary: S the neighbourhoods of the output on a grid, E those of the exemplar as a flat list; `match` the index into E per
-site of S. `ratios` are the grid's steps over those of E along each axis, so that a neighbour's match moves by as many
-cells of E; of squares in adjacent planes (box[0] = 1) it does not move.
-Sites that are not `active` are neither searched nor do they vote.
-Both kernels read old arrays and write new ones over a slab (Jacobi), so tiles and threads do not matter.
+Glossary: S the neighbourhoods of the output on a grid, E those of the exemplar as a flat list;
+`match` the index into E per site of S. `ratios` are the grid's steps over those of E along each
+axis, so that a neighbour's match moves by as many cells of E; of squares in adjacent planes (box[0]
+= 1) it does not move. Sites that are not `active` are neither searched nor do they vote.
+Both kernels read old arrays and write new ones over a slab (Jacobi), so tiles and threads do not
+matter.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from trabecula.engine.random import below, philox
 
 @kernel
 def start_matches(match, numbers, key, start, stop):
-    """Random patches: one of the candidates' numbers for every site of planes start..stop, each with the same chance."""
+    """Random patches: one of the candidates' numbers for every site of planes start..stop, each
+    with the same chance.
+    """
     for z in range(start, stop):
         for y in range(match.shape[1]):
             for x in range(match.shape[2]):
@@ -27,7 +30,9 @@ def start_matches(match, numbers, key, start, stop):
 
 @kernel
 def count_matches(match, active, counts, start, stop):
-    """How many active sites of planes start..stop are matched with each candidate, added to `counts`."""
+    """How many active sites of planes start..stop are matched with each candidate, added to
+    `counts`.
+    """
     for z in range(start, stop):
         for y in range(match.shape[1]):
             for x in range(match.shape[2]):
@@ -37,7 +42,9 @@ def count_matches(match, active, counts, start, stop):
 
 @inline
 def _distance(a, b, most):
-    """Squared distance, or something above `most` as soon as that is sure: most candidates fail in the first components."""
+    """Squared distance, or something above `most` as soon as that is sure: most candidates fail in
+    the first components.
+    """
     total = np.int32(0)
     first = min(8, a.shape[0])
     for i in range(first):
@@ -104,12 +111,13 @@ def search(
     start,
     stop,
 ):
-    """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for sites start..stop.
+    """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for
+    sites start..stop.
 
-    features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16; penalty (N,) float32 factors,
-    infinite where E has a gap; active (Z, Y, X) bool; old, match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised;
-    ratios, wraps (3,). Of the `tries` pairs of random candidates one is anywhere and one around the best, in a shrinking
-    radius.
+    features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16;
+    penalty (N,) float32 factors, infinite where E has a gap; active (Z, Y, X) bool; old, match (Z,
+    Y, X) int32; distance (Z, Y, X) int32, unpenalised; ratios, wraps (3,). Of the `tries` pairs of
+    random candidates one is anywhere and one around the best, in a shrinking radius.
     """
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
@@ -126,7 +134,11 @@ def search(
                 least = np.float32(_distance(site, exemplar[best], np.inf)) * penalty[best]
                 for axis in range(3):
                     for side in range(-1, 2, 2):
-                        dz, dy, dx = (side, 0, 0) if axis == 0 else ((0, side, 0) if axis == 1 else (0, 0, side))
+                        dz, dy, dx = (
+                            (side, 0, 0)
+                            if axis == 0
+                            else ((0, side, 0) if axis == 1 else (0, 0, side))
+                        )
                         nz, ny, nx = z + dz, y + dy, x + dx
                         if nz < 0 or ny < 0 or nx < 0 or nz >= Z or ny >= Y or nx >= X:
                             if not wraps[axis]:
@@ -138,7 +150,9 @@ def search(
                             best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):
                     words = philox(key, z, y, x, (sweep << 8) + k)
-                    best, least = _better(site, exemplar, penalty, below(words[0], count), best, least)
+                    best, least = _better(
+                        site, exemplar, penalty, below(words[0], count), best, least
+                    )
                     near = _around(words, best, shape, max(1, longest >> (k + 2)))
                     best, least = _better(site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
@@ -147,7 +161,9 @@ def search(
 
 @kernel
 def weigh(distance, active, floor, mean, table, weight, start, stop):
-    """The table's entry for 256 times the ratio of each site's distance to the mean; 0 where a site is not active."""
+    """The table's entry for 256 times the ratio of each site's distance to the mean; 0 where a site
+    is not active.
+    """
     for z in range(start, stop):
         for y in range(distance.shape[1]):
             for x in range(distance.shape[2]):
@@ -156,13 +172,16 @@ def weigh(distance, active, floor, mean, table, weight, start, stop):
 
 
 @kernel
-def vote(field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop):
-    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in int16; 0 where none is.
+def vote(
+    field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop
+):
+    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in
+    int16; 0 where none is.
 
-    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0 does not vote; strides of
-    E, steps of S, box and trims (3,) int in voxels; wraps (3,) bool; plane (C + 1, y, x) int32 scratch, as wide as the grid
-    covers; result (C, ...) int16. The rim of `trims` voxels of a neighbourhood does not vote, except at a border that
-    does not wrap.
+    field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0
+    does not vote; strides of E, steps of S, box and trims (3,) int in voxels; wraps (3,) bool;
+    plane (C + 1, y, x) int32 scratch, as wide as the grid covers; result (C, ...) int16. The rim of
+    `trims` voxels of a neighbourhood does not vote, except at a border that does not wrap.
     """
     C, Z, Y, X = result.shape
     summed = np.empty(match.shape[1:], np.int32)
@@ -170,14 +189,29 @@ def vote(field, match, weight, shape, strides, steps, box, trims, wraps, plane, 
         plane[:] = 0
         summed[:] = 0
         for turn in range(2 if wraps[0] else 1):
-            _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z + turn * Z)
+            _vote_plane(
+                field,
+                match,
+                weight,
+                shape,
+                strides,
+                steps,
+                box,
+                trims,
+                wraps,
+                plane,
+                summed,
+                z + turn * Z,
+            )
         _spread(summed, plane[C], steps, box, trims, wraps)
         _fold(plane, Y, X, wraps)
         for c in range(C):
             for y in range(Y):
                 for x in range(X):
                     weights = plane[C, y, x]
-                    result[c, z, y, x] = np.int64(plane[c, y, x]) * 256 // weights if weights > 0 else 0
+                    result[c, z, y, x] = (
+                        np.int64(plane[c, y, x]) * 256 // weights if weights > 0 else 0
+                    )
 
 
 @inline
@@ -199,7 +233,9 @@ def reach(site, count, width, trim, wrap):
 
 @inline
 def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z):
-    """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to `summed`."""
+    """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to
+    `summed`.
+    """
     SZ, SY, SX = match.shape
     C, width, step = field.shape[0], box[2], steps[2]
     weights = np.empty(width, np.int32)
@@ -215,7 +251,8 @@ def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, 
                 if w == 0:
                     continue
                 summed[sy, sx] += w
-                # Whole rows, with weight 0 at the rim: the compiler makes eight voxels one addition.
+                # Whole rows, with weight 0 at the rim: the compiler makes eight voxels one
+                # addition.
                 x0, x1 = reach(sx, SX, width, trims[2], wraps[2])
                 weights[:] = w
                 weights[:x0] = 0

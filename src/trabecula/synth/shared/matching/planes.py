@@ -1,7 +1,8 @@
-"""Several views of one volume at one resolution: the planes across an axis, matched with the picture seen there.
+"""Several views of one volume at one resolution: the planes across an axis, matched with the
+picture seen there.
 
-Neighbourhoods are squares in these planes. Every view searches for itself, in the volume turned so that its axis comes first;
-what all of them say of a slab of the volume is added up there.
+Neighbourhoods are squares in these planes. Every view searches for itself, in the volume turned so
+that its axis comes first; what all of them say of a slab of the volume is added up there.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
@@ -25,13 +26,16 @@ from trabecula.synth.shared.turned import order_of, turned
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
 _MOST_FACTOR = 256  # times an int8 is an int16
-_THICK = 8  # planes that are summed up at once, at least: sites at their borders are gone through twice
+# planes that are summed up at once, at least: sites at their borders are gone through twice
+_THICK = 8
 _CACHED = 1 << 17  # voxels that are summed up at once where planes are small
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One view: the axis it is seen across, and the neighbourhoods of the volume with that axis first."""
+    """One view: the axis it is seen across, and the neighbourhoods of the volume with that axis
+    first.
+    """
 
     axis: int
     grid: Grid
@@ -41,7 +45,9 @@ class Plane:
         return turned(field, self.axis)
 
     @classmethod
-    def over(cls, region: Region, axis: int, candidates: Candidates, targets: tuple[Histogram, ...]) -> Plane:
+    def over(
+        cls, region: Region, axis: int, candidates: Candidates, targets: tuple[Histogram, ...]
+    ) -> Plane:
         """The view of a region that is covered."""
         box, steps = candidates.basis.box, candidates.steps
         order = order_of(axis)
@@ -62,18 +68,28 @@ class Frame:
 
     @property
     def full(self) -> int:
-        """The integer factor of a voxel of an exemplar that counts fully: as fine as sums of all votes in int32 allow."""
+        """The integer factor of a voxel of an exemplar that counts fully: as fine as sums of all
+        votes in int32 allow.
+        """
         candidates = self.planes[0].grid.candidates
         overlaps = len(self.planes) * (-(-candidates.basis.width // candidates.step)) ** 2
         room = (2**31 - 1) // (_MOST_WEIGHT * FULL * overlaps)
         return min(_MOST_FACTOR, 1 << (room.bit_length() - 1))
 
     @classmethod
-    def over(cls, region: Region, views: Sequence[tuple[int, Candidates]], histograms: tuple[Histogram, ...]) -> Frame:
-        """The views (axis, neighbourhoods) of a region; `histograms` are those of the pictures together."""
+    def over(
+        cls,
+        region: Region,
+        views: Sequence[tuple[int, Candidates]],
+        histograms: tuple[Histogram, ...],
+    ) -> Frame:
+        """The views (axis, neighbourhoods) of a region; `histograms` are those of the pictures
+        together.
+        """
         widths = {candidates.basis.width for _, candidates in views}
         steps = {candidates.step for _, candidates in views}
-        (width,), (step,) = widths, steps  # one for all views: a voxel of the cover belongs to all of them
+        # one for all views: a voxel of the cover belongs to all of them
+        (width,), (step,) = widths, steps
         covered = region.covered(box=(width,) * 3, steps=(step,) * 3)
         targets = targets_of(covered, histograms, width=width)
         planes = tuple(Plane.over(covered, axis, candidates, targets) for axis, candidates in views)
@@ -88,7 +104,8 @@ def voted_planes(
     factors: Sequence[np.ndarray] | None = None,
     trim: int = 0,
 ) -> np.ndarray:
-    """The weighted mean (C, Z, Y, X) int16 of all matched neighbourhoods of all views, times 256; 0 where none reaches.
+    """The weighted mean (C, Z, Y, X) int16 of all matched neighbourhoods of all views, times 256; 0
+    where none reaches.
 
     Parameters
     ----------
@@ -106,7 +123,7 @@ def voted_planes(
         values = np.concatenate([field * factor, np.broadcast_to(factor, (1, *field.shape[1:]))])
         views.append((values, matches[place], weights[place], *_laid(plane, trim)))
     shape = frame.region.shape
-    votes = scratch.empty((len(frame.targets), *shape), np.int16)
+    votes = memmap.empty((len(frame.targets), *shape), np.int16)
 
     def work(start: int, stop: int) -> None:
         thick = planes_at_once(shape)
@@ -129,7 +146,8 @@ def chosen_planes(
     dear: Sequence[np.ndarray],
     trim: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of all pixels that the matched neighbourhoods of all views lay on a voxel, the one nearest to the mean.
+    """Of all pixels that the matched neighbourhoods of all views lay on a voxel, the one nearest to
+    the mean.
 
     Parameters
     ----------
@@ -153,10 +171,12 @@ def chosen_planes(
     laid = [_laid(plane, trim) for plane in frame.planes]
     views: list[tuple[int, tuple[Any, ...]]] = [
         (plane.axis, (int(begin), *own, *how))
-        for plane, *own, how, begin in zip(frame.planes, exemplars, dear, matches, weights, laid, begins, strict=True)
+        for plane, *own, how, begin in zip(
+            frame.planes, exemplars, dear, matches, weights, laid, begins, strict=True
+        )
     ]
     shape = frame.region.shape
-    field, sources = scratch.empty(mean.shape, np.int8), scratch.empty(shape, np.int32)
+    field, sources = memmap.empty(mean.shape, np.int8), memmap.empty(shape, np.int32)
 
     def work(start: int, stop: int) -> None:
         thick = planes_at_once(shape)
@@ -164,10 +184,14 @@ def chosen_planes(
             here = slice(first, min(first + thick, stop))
             aim = mean[:, here]
             aim = aim * np.int16(256) if aim.dtype == np.int8 else aim
-            cost, found = np.full(aim.shape[1:], 2**62, np.int64), np.full(aim.shape[1:], -1, np.int32)
+            cost, found = (
+                np.full(aim.shape[1:], 2**62, np.int64),
+                np.full(aim.shape[1:], -1, np.int32),
+            )
             for axis, view in views:
                 seen, least, taken = (
-                    np.ascontiguousarray(np.moveaxis(part, axis - 3, -3)) for part in (aim, cost, found)
+                    np.ascontiguousarray(np.moveaxis(part, axis - 3, -3))
+                    for part in (aim, cost, found)
                 )
                 choose_pixels(seen, least, taken, first, *view)
                 cost, found = (np.moveaxis(part, 0, axis) for part in (least, taken))
@@ -189,8 +213,19 @@ def planes_at_once(shape: tuple[int, ...]) -> int:
 
 
 def _laid(plane: Plane, trim: int) -> tuple[Any, ...]:
-    """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the width and its axis."""
+    """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the
+    width and its axis.
+    """
     grid, candidates = plane.grid, plane.grid.candidates
     width, trims = candidates.basis.width, trims_of(grid, trim)
     sides, wraps = grid.region.shape, grid.region.wraps
-    return candidates.shape, sides, candidates.strides, candidates.steps, width, trims, wraps, plane.axis
+    return (
+        candidates.shape,
+        sides,
+        candidates.strides,
+        candidates.steps,
+        width,
+        trims,
+        wraps,
+        plane.axis,
+    )

@@ -1,4 +1,6 @@
-"""Where something is made: the output's grid at one resolution, which axes wrap, what is free and what is known."""
+"""Where something is made: the output's grid at one resolution, which axes wrap, what is free and
+what is known.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trabecula.core.request import Request
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.synth.shared.content import free_of
 from trabecula.synth.shared.neighbourhoods import Triple, covered_shape, grid_shape
 from trabecula.synth.shared.pyramid import halve
@@ -20,9 +22,9 @@ from trabecula.synth.shared.turned import order_of, turned
 class Region:
     """The output at one resolution.
 
-    `shape` is its extent in voxels; `wraps` says which axes are periodic. `free` (Z, Y, X) bool marks the voxels that are to
-    be made (None: all); `low` and `high` (C, Z, Y, X) int8 are the least and most that a voxel may become (None: no limit),
-    equal where its value is known.
+    `shape` is its extent in voxels; `wraps` says which axes are periodic. `free` (Z, Y, X) bool
+    marks the voxels that are to be made (None: all); `low` and `high` (C, Z, Y, X) int8 are the
+    least and most that a voxel may become (None: no limit), equal where its value is known.
     """
 
     shape: tuple[int, ...]
@@ -39,33 +41,53 @@ class Region:
         return z, y, x
 
     def covered(self, *, box: Triple, steps: Triple) -> Region:
-        """The region with its open axes continued to what a grid of neighbourhoods covers; what is added is not free."""
+        """The region with its open axes continued to what a grid of neighbourhoods covers; what is
+        added is not free.
+        """
         reach = covered_shape(self.grid(box=box, steps=steps), box=box, steps=steps)
-        shape = tuple(side if wrap else far for side, far, wrap in zip(self.shape, reach, self.wraps, strict=True))
+        shape = tuple(
+            side if wrap else far
+            for side, far, wrap in zip(self.shape, reach, self.wraps, strict=True)
+        )
 
         def grown(values: np.ndarray | None, fill: int) -> np.ndarray | None:
             return None if values is None else _grown(values, shape, fill)
 
-        return Region(shape, self.wraps, grown(self.free, 0), grown(self.low, -127), grown(self.high, 127))
+        return Region(
+            shape, self.wraps, grown(self.free, 0), grown(self.low, -127), grown(self.high, 127)
+        )
 
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
-        """The sites whose neighbourhood holds a voxel that is to be made, of a region that is covered."""
+        """The sites whose neighbourhood holds a voxel that is to be made, of a region that is
+        covered.
+        """
         free = self.free
 
         def found(start: int, stop: int) -> np.ndarray | bool:
             return (
-                True if free is None else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
+                True
+                if free is None
+                else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
             )
 
         return made_by_slabs(found, grid, bool)
 
-    def _found(self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple) -> np.ndarray:
+    def _found(
+        self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple
+    ) -> np.ndarray:
         """One plane of the active sites."""
         planes = np.arange(z * steps[0], z * steps[0] + box[0])
         around = free[planes % len(free)] if self.wraps[0] else free[planes[0] : planes[-1] + 1]
         found = np.asarray(around.any(axis=0))
         for axis in (0, 1):
-            found = _in_windows(found, grid[1 + axis], box[1 + axis], steps[1 + axis], axis, wrap=self.wraps[1 + axis])
+            found = _in_windows(
+                found,
+                grid[1 + axis],
+                box[1 + axis],
+                steps[1 + axis],
+                axis,
+                wrap=self.wraps[1 + axis],
+            )
         return found
 
     def seen(self, axis: int) -> Region:
@@ -94,7 +116,9 @@ class Region:
         return Region(shape, self.wraps, made_by_slabs(any_of_eight, shape, bool))
 
     def bounded(self, field: np.ndarray) -> np.ndarray:
-        """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into it."""
+        """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into
+        it.
+        """
         low, high = self.low, self.high
         if low is None or high is None:
             return field
@@ -115,10 +139,11 @@ def regions_of(
     *,
     thin: bool = False,
 ) -> list[Region]:
-    """The request at `count` resolutions, finest first; `bounds` are halved like any field, and `quantised` per level.
+    """The request at `count` resolutions, finest first; `bounds` are halved like any field, and
+    `quantised` per level.
 
-    With `thin` a coarse voxel of which any part is known is known: a single slice is felt on every level. Otherwise it is as
-    free as its freest part, which suits known blocks.
+    With `thin` a coarse voxel of which any part is known is known: a single slice is felt on every
+    level. Otherwise it is as free as its freest part, which suits known blocks.
     """
     region = Region(request.shape, request.periodic, free_of(request))
     known = request.known if thin else None
@@ -136,8 +161,15 @@ def regions_of(
             bounds = (halve(bounds[0]), halve(bounds[1]))
         elif bounds is not None and known is not None:
             share = _share(known)
-            bounds = (_halved_known(bounds[0], known, share), _halved_known(bounds[1], known, share))
-            known = made_by_slabs(lambda a, b, share=share: share[0, a:b] > 0, share.shape[1:], bool)  # type: ignore[misc]
+            bounds = (
+                _halved_known(bounds[0], known, share),
+                _halved_known(bounds[1], known, share),
+            )
+            known = made_by_slabs(
+                lambda a, b, share=share: share[0, a:b] > 0,  # type: ignore[misc]
+                share.shape[1:],
+                bool,
+            )
             region = replace(region, free=both(region.free, inverse(known)))
     return regions
 
@@ -148,15 +180,21 @@ def _share(known: np.ndarray) -> np.ndarray:
 
 
 def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else what it is anywhere."""
+    """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else
+    what it is anywhere.
+    """
     sums = halve(
-        made_by_slabs(lambda a, b: np.where(known[a:b], bound[:, a:b], np.float32(0)), bound.shape, np.float32)
+        made_by_slabs(
+            lambda a, b: np.where(known[a:b], bound[:, a:b], np.float32(0)), bound.shape, np.float32
+        )
     )
     anywhere = _first_free(bound, known)
 
     def mean(start: int, stop: int) -> np.ndarray:
         part = share[:, start:stop]
-        return np.where(part > 0, sums[:, start:stop] / np.maximum(part, np.float32(1e-6)), anywhere)
+        return np.where(
+            part > 0, sums[:, start:stop] / np.maximum(part, np.float32(1e-6)), anywhere
+        )
 
     return made_by_slabs(mean, sums.shape, np.float32)
 
@@ -175,7 +213,7 @@ def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
     have = values.shape[-3:]
     if have == shape:
         return values
-    grown = scratch.empty((*values.shape[:-3], *shape), values.dtype)
+    grown = memmap.empty((*values.shape[:-3], *shape), values.dtype)
 
     def work(start: int, stop: int) -> None:
         part = grown[..., start:stop, :, :]
@@ -187,7 +225,9 @@ def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
     return grown
 
 
-def _in_windows(values: np.ndarray, count: int, width: int, step: int, axis: int, *, wrap: bool) -> np.ndarray:
+def _in_windows(
+    values: np.ndarray, count: int, width: int, step: int, axis: int, *, wrap: bool
+) -> np.ndarray:
     """Whether any of a plane (Y, X) bool is True in `count` windows along an axis."""
     side = values.shape[axis]
     sums = np.cumsum(values, axis=axis, dtype=np.int32)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram, match_histogram
 from trabecula.synth.shared.joints import joined
 from trabecula.synth.shared.matching.grid import Grid
@@ -19,9 +19,14 @@ from trabecula.synth.shared.slabs import made_by_slabs
 
 
 def refined(
-    field: np.ndarray, wraps: tuple[bool, ...], *, distances: bool, shape: Sequence[int] | None = None
+    field: np.ndarray,
+    wraps: tuple[bool, ...],
+    *,
+    distances: bool,
+    shape: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """A field (C, Z, Y, X) int8 at twice the resolution; a distance, which counts in voxels, doubles too.
+    """A field (C, Z, Y, X) int8 at twice the resolution; a distance, which counts in voxels,
+    doubles too.
 
     With a `shape` cropped, or continued by its last cells, to that.
     """
@@ -29,19 +34,27 @@ def refined(
 
 
 def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.ndarray:
-    """w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as integers of 1 .. 1023.
+    """w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as integers
+    of 1 .. 1023.
 
-    Through a table over the ratio to the mean, so that no power function is asked for a bit it might round otherwise.
-    Sites that are not active weigh 0.
+    Through a table over the ratio to the mean, so that no power function is asked for a bit it
+    might round otherwise. Sites that are not active weigh 0.
     """
     # One quantum per voxel keeps an exact match from outvoting everything.
     basis = grid.candidates.basis
     floor = SCALE**2 * len(basis.vectors) * basis.grain ** (2 if basis.flat else 3)
-    total = sum_slabs(lambda start, stop: int(distance[start:stop].sum(dtype=np.int64)), len(distance))
+    total = sum_slabs(
+        lambda start, stop: int(distance[start:stop].sum(dtype=np.int64)), len(distance)
+    )
     mean = total // max(1, grid.count) + floor
-    table = np.clip(np.rint(255 * (np.arange(4096).clip(1) / 256) ** ((robustness - 2) / 2)), 1, 1023).astype(np.int32)
-    weights = scratch.empty(distance.shape, np.int32)
-    for_slabs(lambda start, stop: weigh(distance, grid.active, floor, mean, table, weights, start, stop), len(weights))
+    table = np.clip(
+        np.rint(255 * (np.arange(4096).clip(1) / 256) ** ((robustness - 2) / 2)), 1, 1023
+    ).astype(np.int32)
+    weights = memmap.empty(distance.shape, np.int32)
+    for_slabs(
+        lambda start, stop: weigh(distance, grid.active, floor, mean, table, weights, start, stop),
+        len(weights),
+    )
     return weights
 
 
@@ -52,11 +65,17 @@ def joined_votes(region: Region, votes: np.ndarray) -> np.ndarray:
     return joined(votes, region.low, region.high, region.free)
 
 
-def rematched(region: Region, votes: np.ndarray, targets: tuple[Histogram, ...] | None) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 as a field in int8, with histograms where there are targets, and what is known put back."""
+def rematched(
+    region: Region, votes: np.ndarray, targets: tuple[Histogram, ...] | None
+) -> np.ndarray:
+    """Votes (C, Z, Y, X) int16 as a field in int8, with histograms where there are targets, and
+    what is known put back.
+    """
     if targets is None:
-        return region.bounded(made_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8))
-    field = scratch.empty(votes.shape, np.int8)
+        return region.bounded(
+            made_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
+        )
+    field = memmap.empty(votes.shape, np.int8)
     for mean, target, channel in zip(votes, targets, field, strict=True):
         match_histogram(mean, target, region.free, out=channel)
     return region.bounded(field)
@@ -70,7 +89,7 @@ def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) 
     """The weighted mean of the matched neighbourhoods, times 256; 0 where no active one reaches."""
     candidates, region = grid.candidates, grid.region
     stack = candidates.stack
-    votes = scratch.empty((len(stack.field), *region.shape), np.int16)
+    votes = memmap.empty((len(stack.field), *region.shape), np.int16)
 
     def work(start: int, stop: int) -> None:
         plane = np.empty((len(votes) + 1, *grid.reach[1:]), np.int32)

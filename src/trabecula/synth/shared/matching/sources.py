@@ -1,9 +1,10 @@
-"""What is copied from: the exemplars at one resolution, stacked along z to one volume, and its neighbourhoods as features.
+"""What is copied from: the exemplars at one resolution, stacked along z to one volume, and its
+neighbourhoods as features.
 
 A picture is a volume of one plane, and its neighbourhoods are flat.
 
-Several exemplars, and rotated or mirrored copies of them, are one flat list of candidates with gaps: a neighbourhood that
-would reach over the seam between two volumes is not allowed.
+Several exemplars, and rotated or mirrored copies of them, are one flat list of candidates with
+gaps: a neighbourhood that would reach over the seam between two volumes is not allowed.
 """
 
 from __future__ import annotations
@@ -14,13 +15,20 @@ from functools import cached_property
 
 import numpy as np
 
-from trabecula.engine import scratch
+from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.nearest import Candidates as Nearest
 from trabecula.synth.shared.nearest import candidates
-from trabecula.synth.shared.neighbourhoods import Basis, Triple, box_of, principal_basis, project, steps_of
+from trabecula.synth.shared.neighbourhoods import (
+    Basis,
+    Triple,
+    box_of,
+    principal_basis,
+    project,
+    steps_of,
+)
 
 _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
 
@@ -29,8 +37,8 @@ _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candid
 class Stack:
     """Volumes at one resolution, one above the other; beyond their own sides lies zero.
 
-    `field` is (C, z, y, x) int8; `starts` (n,) the first plane of each volume; `sides` (n, 3) its extent; `histograms` one
-    per channel, of the volumes themselves.
+    `field` is (C, z, y, x) int8; `starts` (n,) the first plane of each volume; `sides` (n, 3) its
+    extent; `histograms` one per channel, of the volumes themselves.
     """
 
     field: np.ndarray
@@ -47,12 +55,18 @@ class Stack:
         for field, start, (z, y, x) in zip(fields, starts, sides, strict=False):
             whole[:, start : start + z, :y, :x] = field
         channels = zip(*fields, strict=True)
-        histograms = tuple(Histogram.of(np.concatenate([part.ravel() for part in channel])) for channel in channels)
+        histograms = tuple(
+            Histogram.of(np.concatenate([part.ravel() for part in channel])) for channel in channels
+        )
         return cls(whole, starts[:-1], sides, histograms)
 
     def allowed(self, box: Triple) -> np.ndarray:
-        """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz, gy, gx) bool."""
-        within = np.zeros([side - w + 1 for side, w in zip(self.field.shape[1:], box, strict=True)], bool)
+        """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz,
+        gy, gx) bool.
+        """
+        within = np.zeros(
+            [side - w + 1 for side, w in zip(self.field.shape[1:], box, strict=True)], bool
+        )
         for start, sides in zip(self.starts, self.sides, strict=True):
             z, y, x = (int(side) - w + 1 for side, w in zip(sides, box, strict=True))
             within[start : start + z, :y, :x] = True
@@ -61,7 +75,8 @@ class Stack:
 
 @dataclass(frozen=True)
 class Candidates:
-    """The neighbourhoods of one width: `features` (N, D) int16 of the cells of a grid of `shape`, `stride` voxels apart.
+    """The neighbourhoods of one width: `features` (N, D) int16 of the cells of a grid of `shape`,
+    `stride` voxels apart.
 
     `step` is how far apart the output's neighbourhoods are to be.
     """
@@ -98,15 +113,30 @@ class Candidates:
         k: int = 10,
         flat: bool = False,
     ) -> Candidates:
-        """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2 million."""
+        """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2
+        million.
+        """
         within = stack.allowed(box_of(width, flat=flat))
-        basis = principal_basis(stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat)
+        basis = principal_basis(
+            stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat
+        )
         stride = step if np.count_nonzero(within) > _MANY else 1
         every_z, every_y, every_x = steps_of(stride, flat=flat)
         allowed = within[::every_z, ::every_y, ::every_x]
-        features = project(stack.field, basis, step=stride, active=None if allowed.all() else allowed)
+        features = project(
+            stack.field, basis, step=stride, active=None if allowed.all() else allowed
+        )
         features = features.reshape(-1, features.shape[-1])
-        return cls(stack, basis, features, allowed.shape, stride, step, np.ascontiguousarray(allowed).ravel(), k)
+        return cls(
+            stack,
+            basis,
+            features,
+            allowed.shape,
+            stride,
+            step,
+            np.ascontiguousarray(allowed).ravel(),
+            k,
+        )
 
     @cached_property
     def numbers(self) -> np.ndarray:
@@ -116,11 +146,13 @@ class Candidates:
     @cached_property
     def prepared(self) -> Nearest:
         """The candidates as the exact search wants them."""
-        return candidates(self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed)
+        return candidates(
+            self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed
+        )
 
     def bounds(self) -> np.ndarray:
-        """(n, 3, 4) int64: of each volume and axis its start in the stack, the last corner of a neighbourhood within it, and the
-        first and last cell of the grid that are allowed."""
+        """(n, 3, 4) int64: of each volume and axis its start in the stack, the last corner of a
+        neighbourhood within it, and the first and last cell of the grid that are allowed."""
         most = self.stack.sides - self.basis.box
         start = np.zeros_like(most)
         start[:, 0] = self.stack.starts
@@ -129,12 +161,15 @@ class Candidates:
         return np.stack([start, most, *cells], axis=-1).astype(np.int64)
 
 
-def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int) -> np.ndarray:
-    """Matches on another grid: every new neighbourhood takes what the old one at its place was matched with.
+def carried(
+    match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int
+) -> np.ndarray:
+    """Matches on another grid: every new neighbourhood takes what the old one at its place was
+    matched with.
 
     `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
     """
-    moved, bounds = scratch.empty(grid, np.int32), new.bounds()
+    moved, bounds = memmap.empty(grid, np.int32), new.bounds()
 
     def work(start: int, stop: int) -> None:
         _carry(
@@ -158,18 +193,38 @@ def carried(match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int
 
 
 @kernel
-def _carry(match, shape, strides, steps, starts, moved, new_shape, new_strides, new_steps, bounds, factor, start, stop):
-    """Matches on another grid, planes start..stop: each site takes what the old one at its place was matched with.
+def _carry(
+    match,
+    shape,
+    strides,
+    steps,
+    starts,
+    moved,
+    new_shape,
+    new_strides,
+    new_steps,
+    bounds,
+    factor,
+    start,
+    stop,
+):
+    """Matches on another grid, planes start..stop: each site takes what the old one at its place
+    was matched with.
 
-    match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape` and `new_shape` with cells
-    `strides` and `new_strides` apart; starts (n,) the first planes of the volumes that E is stacked of; bounds (n, 3, 4) int64
-    of each volume of the new E its start (0 but along z), the last corner within it, and the first and last cell.
+    match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape`
+    and `new_shape` with cells `strides` and `new_strides` apart; starts (n,) the first planes of
+    the volumes that E is stacked of; bounds (n, 3, 4) int64 of each volume of the new E its start
+    (0 but along z), the last corner within it, and the first and last cell.
     """
     site, corner = np.empty(3, np.int64), np.empty(3, np.int64)
     for z in range(start, stop):
         for y in range(moved.shape[1]):
             for x in range(moved.shape[2]):
-                corner[0], corner[1], corner[2] = z * new_steps[0], y * new_steps[1], x * new_steps[2]
+                corner[0], corner[1], corner[2] = (
+                    z * new_steps[0],
+                    y * new_steps[1],
+                    x * new_steps[2],
+                )
                 for axis in range(3):
                     site[axis] = min(corner[axis] // (factor * steps[axis]), match.shape[axis] - 1)
                 m = match[site[0], site[1], site[2]]
@@ -177,7 +232,11 @@ def _carry(match, shape, strides, steps, starts, moved, new_shape, new_strides, 
                 volume = 0
                 while volume + 1 < len(starts) and starts[volume + 1] <= cz:
                     volume += 1
-                old = (cz - starts[volume], m // shape[2] % shape[1] * strides[1], m % shape[2] * strides[2])
+                old = (
+                    cz - starts[volume],
+                    m // shape[2] % shape[1] * strides[1],
+                    m % shape[2] * strides[2],
+                )
                 index = np.int64(0)
                 for axis in range(3):
                     bound = bounds[volume, axis]

@@ -1,1 +1,3 @@
-"""What a field and an exemplar have in common without a voxel copied: distributions of neighbourhoods, two-point functions."""
+"""What a field and an exemplar have in common without a voxel copied: distributions of
+neighbourhoods, two-point functions.
+"""

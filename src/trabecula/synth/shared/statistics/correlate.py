@@ -1,15 +1,18 @@
-"""Steps that bring the two-point function of a field to an exemplar's, by moving its interfaces a little.
+"""Steps that bring the two-point function of a field to an exemplar's, by moving its interfaces a
+little.
 
-The two-point function here is that of a soft indicator, which rises from 0 to 1 over `softness` around the interface, so that a
-small move changes it a little. Pairs are told apart by their distance and by the axis they lie nearest to: of distance
-alone, a material that is longer along one axis would come out longer still. A step is one of Gauss and Newton in as many
-directions as there are bands of distances: the direction of a band is the gradient of the squared misfit at these
-distances, a convolution of the field, kept on the interface and freed of its mean there (which would change the volume
-fraction). The convolution wraps around the faces even where the material does not: cut off there it would pile up one
-phase on them.
+The two-point function here is that of a soft indicator, which rises from 0 to 1 over `softness`
+around the interface, so that a small move changes it a little. Pairs are told apart by their
+distance and by the axis they lie nearest to: of distance alone, a material that is longer along one
+axis would come out longer still. A step is one of Gauss and Newton in as many directions as there
+are bands of distances: the direction of a band is the gradient of the squared misfit at these
+distances, a convolution of the field, kept on the interface and freed of its mean there (which
+would change the volume fraction). The convolution wraps around the faces even where the material
+does not: cut off there it would pile up one phase on them.
 
-The two-point function of a vote falls short of what the step before had reached, always on the same side. `debt`, the sum of
-such misfits, makes the step aim as far beyond (as the integral term of a controller does).
+The two-point function of a vote falls short of what the step before had reached, always on the same
+side. `debt`, the sum of such misfits, makes the step aim as far beyond (as the integral term of a
+controller does).
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.statistics.bands import bands, best_length, least_squares
 from trabecula.synth.shared.statistics.long_waves import LongWaves
@@ -30,19 +33,21 @@ from trabecula.synth.shared.statistics.soft import Soft
 from trabecula.synth.shared.votes import UNIT, votes_of
 
 _SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
-_REACH, _NEAR = 30, 6  # farthest distance in voxels of the finest level, and at least so many of a level's own
+# farthest distance in voxels of the finest level, and at least so many of a level's own
+_REACH, _NEAR = 30, 6
 _LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
-_SHORT = 2.0  # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
+# a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
+_SHORT = 2.0
 
 
 @dataclass(frozen=True)
 class Correlations:
-    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft indicator, of pairs
-    nearest to z, then to y, then to x.
+    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft
+    indicator, of pairs nearest to z, then to y, then to x.
 
-    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a voxel; `held` (bool) says
-    for which of them the exemplars hold any pairs. With `waves` the steps leave alone waves longer
-    than twice their largest window.
+    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
+    voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
+    leave alone waves longer than twice their largest window.
     """
 
     curves: np.ndarray
@@ -64,9 +69,11 @@ def correlations_of(
     r_max: int,
     edges: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Correlations:
-    """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of them counted alike.
+    """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of
+    them counted alike.
 
-    A picture is a volume of one plane across the axis that it is seen across: it says nothing of pairs along that axis.
+    A picture is a volume of one plane across the axis that it is seen across: it says nothing of
+    pairs along that axis.
 
     Parameters
     ----------
@@ -90,15 +97,21 @@ def correlations_of(
     return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
 
 
-def correlations_at(fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float) -> Correlations:
-    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that suit it.
+def correlations_at(
+    fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
+) -> Correlations:
+    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that
+    suit it.
 
     `clip` is the distance in voxels of the level at which its int8 fields saturate.
     """
-    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)  # a picture has no depth
+    # a picture has no depth
+    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)
     reach = min(_REACH, shortest * 2**level // 2 - 1)
     softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
-    return correlations_of(fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges)
+    return correlations_of(
+        fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges
+    )
 
 
 def owed(
@@ -121,7 +134,9 @@ def misfit(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where there are no pairs."""
+    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where
+    there are no pairs.
+    """
     pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
     for c, channel in enumerate(field):
@@ -166,11 +181,14 @@ def corrected(
     return votes
 
 
-def step_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)) -> int:
+def step_bytes(
+    shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
+) -> int:
     """Memory of `corrected` at its peak beside the field and the votes, for a volume of this shape."""
     pairs, around = _pairs(shape, target, periodic)
     slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
-    # Moments that compete: a direction is made, it is transformed, its change of the two-point function is read off.
+    # Moments that compete: a direction is made, it is transformed, its change of the two-point
+    # function is read off.
     most = max(
         slope + around.spectrum_bytes + around.kernel_bytes,
         slope + change,
@@ -189,16 +207,22 @@ def step_slab_bytes(
 
 
 def _pairs(
-    shape: Sequence[int], target: Correlations, periodic: Sequence[bool], free: np.ndarray | None = None
+    shape: Sequence[int],
+    target: Correlations,
+    periodic: Sequence[bool],
+    free: np.ndarray | None = None,
 ) -> tuple[Pairs, Pairs]:
     """Those that count, and those of directions, which wrap around the faces."""
-    pairs = Pairs(tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free)
+    pairs = Pairs(
+        tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free
+    )
     return pairs, replace(pairs, wraps=(True, True, True), free=None)
 
 
 @dataclass(frozen=True)
 class _Direction:
-    """A direction in which the two-point function falls where it is pushed: on the interface only, its mean there left as it is.
+    """A direction in which the two-point function falls where it is pushed: on the interface only,
+    its mean there left as it is.
 
     `slope` (Z, Y, X) float32 is the gradient everywhere, `mean` that on the interface.
     """
@@ -221,11 +245,14 @@ def _step(
         return None
     spectrum = pairs.forward(soft.plane)
     r = np.arange(pairs.bins) % (target.r_max + 1)
-    weights = np.where((r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
+    weights = np.where(
+        (r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0
+    )
     excess = pairs.curve(spectrum, spectrum) - aim
     centred = around.forward(partial(soft.centred, mean))
 
-    # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of 16 to 40 have no other hold.
+    # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
+    # 16 to 40 have no other hold.
     shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
     pushes, changes = bands(excess * weights), []
     for push in pushes:
@@ -242,7 +269,9 @@ def _step(
     direction = _direction(push, soft, moving, centred, around, shortest)
     del centred  # the peak is ahead
     spectra = pairs.forward(direction.plane)
-    return direction, np.float32(best_length(excess, change, pairs.curve(spectra, spectra), weights))
+    return direction, np.float32(
+        best_length(excess, change, pairs.curve(spectra, spectra), weights)
+    )
 
 
 def _direction(
@@ -261,7 +290,9 @@ def _direction(
 
 
 def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np.ndarray) -> None:
-    """Go so far in a direction: into votes (Z, Y, X) int16, `unit` of which is the soft indicator's whole range."""
+    """Go so far in a direction: into votes (Z, Y, X) int16, `unit` of which is the soft indicator's
+    whole range.
+    """
     limit = FULL * UNIT
 
     def work(start: int, stop: int) -> None:

@@ -1,11 +1,14 @@
-"""Long waves: how much the local fraction of a phase varies over windows that are wider than neighbourhoods see.
+"""Long waves: how much the local fraction of a phase varies over windows that are wider than
+neighbourhoods see.
 
-Neighbourhoods know nothing beyond their width, and two-point functions hardly resolve a wave longer than their largest distance:
-a wave of amplitude a adds a^2 / 2 to every distance alike, .0005 for one that moves the local fraction by .03. So the field
-is split into bands by box means of doubling width, the spread of each band is compared with the exemplar's, and interfaces are
-shifted, smoothly, until it agrees. A phase keeps its overall fraction: bands have no mean.
+Neighbourhoods know nothing beyond their width, and two-point functions hardly resolve a wave longer
+than their largest distance: a wave of amplitude a adds a^2 / 2 to every distance alike, .0005 for
+one that moves the local fraction by .03. So the field is split into bands by box means of doubling
+width, the spread of each band is compared with the exemplar's, and interfaces are shifted,
+smoothly, until it agrees. A phase keeps its overall fraction: bands have no mean.
 
-Sums are whole numbers and their variances are added plane by plane, so threads and scratch files change nothing.
+Sums are whole numbers and their variances are added plane by plane, so threads and scratch files
+change nothing.
 """
 
 from __future__ import annotations
@@ -16,11 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, sum_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.shared.box_sums import summed
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.votes import UNIT
-from trabecula.synth.shared.windows import summed
 
 _FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
 _PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side
@@ -45,8 +48,8 @@ class LongWaves:
     variances : (C, n) float
         Of the mean soft indicator over windows of each width, per channel.
     bands : (C, n) float
-        The same of its difference from the mean over the next wider window around the same place; of the widest, from the
-        mean over everything.
+        The same of its difference from the mean over the next wider window around the same place;
+        of the widest, from the mean over everything.
     softness : float
         Width of the soft step in int8 steps of the field.
     """
@@ -59,11 +62,15 @@ class LongWaves:
     def extended(self, side: int) -> LongWaves:
         """Return the same for volumes whose shortest side is given: windows up to half of it.
 
-        Wider windows than the exemplars have are continued with the ratio of the last two variances, which is 1/8 at least
-        (no correlation at such distances) and 1 at most.
+        Wider windows than the exemplars have are continued with the ratio of the last two
+        variances, which is 1/8 at least (no correlation at such distances) and 1 at most.
         """
         count = sum(2 * width <= side for width in self.widths)
-        variances, bands, widths = self.variances[:, :count], self.bands[:, :count], list(self.widths[:count])
+        variances, bands, widths = (
+            self.variances[:, :count],
+            self.bands[:, :count],
+            list(self.widths[:count]),
+        )
         if not count:
             return LongWaves((), variances, bands, self.softness)
         if count < len(self.widths):
@@ -80,20 +87,25 @@ class LongWaves:
 
 
 def long_waves_of(fields: Sequence[np.ndarray], level: int, *, softness: float) -> LongWaves:
-    """Return the spread of the local fraction in exemplars (C, Z, Y, X) int8 of one level (0 the finest).
+    """Return the spread of the local fraction in exemplars (C, Z, Y, X) int8 of one level (0 the
+    finest).
 
-    Windows lie wholly within an exemplar and are at most a third of its shortest side; they vary around the mean of all
-    exemplars.
+    Windows lie wholly within an exemplar and are at most a third of its shortest side; they vary
+    around the mean of all exemplars.
     """
     shortest = min(side for field in fields for side in field.shape[1:])
     widths = _widths(shortest, level)
     variances, bands = (np.zeros((len(fields[0]), len(widths))) for _ in range(2))
     for c in range(len(fields[0])):
         channels, counts = [field[c] for field in fields], sum(field[c].size for field in fields)
-        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (_FINE * counts)
+        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (
+            _FINE * counts
+        )
         for n, width in enumerate(widths):
             wider = widths[n + 1] if n + 1 < len(widths) else None
-            found = np.sum([_squares_of(channel, softness, width, wider, mean) for channel in channels], axis=0)
+            found = np.sum(
+                [_squares_of(channel, softness, width, wider, mean) for channel in channels], axis=0
+            )
             variances[c, n], bands[c, n] = found[0] / found[1], found[2] / found[3]
     return LongWaves(widths, variances, bands, softness)
 
@@ -106,8 +118,8 @@ def adjust_long_waves(
 ) -> None:
     """Shift the interfaces of votes until the spread of every band is the exemplars', in place.
 
-    A band whose spread falls short by less than a tenth, or exceeds by less than a twentieth, is left as it is. Windows wider
-    than half of the shortest side are not looked at.
+    A band whose spread falls short by less than a tenth, or exceeds by less than a twentieth, is
+    left as it is. Windows wider than half of the shortest side are not looked at.
 
     Parameters
     ----------
@@ -115,8 +127,9 @@ def adjust_long_waves(
         1 / UNIT of an int8 step.
     target : LongWaves
     matched : callable
-        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: it is whose spread counts. A shift that
-        is less than what lies between two values of a distance changes the votes' soft indicator, and no label.
+        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: it is whose
+        spread counts. A shift that is less than what lies between two values of a distance changes
+        the votes' soft indicator, and no label.
     wraps : three bools
         Axes on which windows go on beyond a face.
     """
@@ -125,7 +138,9 @@ def adjust_long_waves(
         return
     for _ in range(_ROUNDS):
         field = matched(votes)
-        moved = [_adjust(votes[c], field[c], waves, waves.bands[c], wraps) for c in range(len(votes))]
+        moved = [
+            _adjust(votes[c], field[c], waves, waves.bands[c], wraps) for c in range(len(votes))
+        ]
         del field
         if not any(moved):
             break
@@ -163,15 +178,21 @@ def _table(softness: float) -> np.ndarray:
 
 
 def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
-    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing, and that of everything."""
+    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing,
+    and that of everything.
+    """
     table = _table(softness)
-    return summed(lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False))
+    return summed(
+        lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False)
+    )
 
 
 def _squares_of(
     channel: np.ndarray, softness: float, width: int, wider: int | None, mean: float
 ) -> tuple[float, int, float, int]:
-    """The sum of squares over all windows of a width, and their number; then of the band that ends with a wider one."""
+    """The sum of squares over all windows of a width, and their number; then of the band that ends
+    with a wider one.
+    """
     narrow, _ = _summed_soft(channel, softness, width)
     alone = _Band(narrow, None, 1 / (_FINE * width**3), 1.0, mean).squares_within(width)
     if wider is None:
@@ -182,15 +203,23 @@ def _squares_of(
 
 
 def _adjust(
-    votes: np.ndarray, field: np.ndarray, waves: LongWaves, bands: np.ndarray, wraps: tuple[bool, bool, bool]
+    votes: np.ndarray,
+    field: np.ndarray,
+    waves: LongWaves,
+    bands: np.ndarray,
+    wraps: tuple[bool, bool, bool],
 ) -> bool:
-    """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was anything to shift."""
+    """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was
+    anything to shift.
+    """
     table = _table(waves.softness)
 
     def soft(z: int) -> np.ndarray:
         return np.asarray(table[field[z].view(np.uint8)])
 
-    moving = sum_slabs(lambda a, b: sum(_moving(soft(z)) for z in range(a, b)), len(field)) / field.size
+    moving = (
+        sum_slabs(lambda a, b: sum(_moving(soft(z)) for z in range(a, b)), len(field)) / field.size
+    )
     if not moving:
         return False
     shift: np.ndarray | None = None
@@ -205,7 +234,7 @@ def _adjust(
         gain = _gain(bands[n], band.variance())
         if gain:
             if shift is None:
-                shift = scratch.zeros(field.shape, np.float32)
+                shift = memmap.zeros(field.shape, np.float32)
             band.add(shift, np.float32(-gain / moving))
         if wide is not None:
             narrow = wide
@@ -243,7 +272,9 @@ def _gain(wanted: float, found: float) -> float:
 
 @dataclass(frozen=True)
 class _Band:
-    """The difference of two means: sums over windows `narrow` and `wide` (None: `mean` everywhere), times their scales."""
+    """The difference of two means: sums over windows `narrow` and `wide` (None: `mean` everywhere),
+    times their scales.
+    """
 
     narrow: np.ndarray
     wide: np.ndarray | None
@@ -269,10 +300,15 @@ class _Band:
         return math.fsum(squares.tolist()) / self.narrow.size
 
     def squares_within(self, width: int) -> tuple[float, int]:
-        """Return the sum of squares over windows of an odd width that lie within the volume, and their number."""
+        """Return the sum of squares over windows of an odd width that lie within the volume, and
+        their number.
+        """
         low, sides = width // 2, self.narrow.shape
         inner = tuple(slice(low, side - low) for side in sides[1:])
-        squares = [float((self.plane(z)[inner].astype(np.float64) ** 2).sum()) for z in range(low, sides[0] - low)]
+        squares = [
+            float((self.plane(z)[inner].astype(np.float64) ** 2).sum())
+            for z in range(low, sides[0] - low)
+        ]
         return math.fsum(squares), math.prod(side - 2 * low for side in sides)
 
     def add(self, shift: np.ndarray, factor: np.float32) -> None:

@@ -1,4 +1,6 @@
-"""One round: neighbourhoods on their principal components, turned, transported along every axis, turned back and put back."""
+"""One round: neighbourhoods on their principal components, turned, transported along every axis,
+turned back and put back.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine.tiles import one_blas_thread, thread_count
+from trabecula.engine.parallel import one_blas_thread, thread_count
 from trabecula.synth.shared.neighbourhoods import SCALE, project, steps_of
 from trabecula.synth.shared.statistics.sites import BATCH, Sites
 from trabecula.synth.shared.statistics.sliced_kernels import draw_signs
@@ -35,7 +37,9 @@ def add_moved(
     total: np.ndarray,
     votes: np.ndarray,
 ) -> None:
-    """Add the moved neighbourhoods that hold a voxel to total (C, Z, Y, X) int32, and their number to votes (Z, Y, X) int32."""
+    """Add the moved neighbourhoods that hold a voxel to total (C, Z, Y, X) int32, and their number
+    to votes (Z, Y, X) int32.
+    """
     basis, size = slices.basis, slices.features.shape[1]
     steps = steps_of(round_.step, flat=basis.flat)
     sites = Sites.drawn(
@@ -75,8 +79,8 @@ def add_moved(
 
 
 def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
-    """A random turn of `size` axes (a power of two) times `size`, in whole numbers: Hadamard's matrix twice, with random
-    signs before, between and behind."""
+    """A random turn of `size` axes (a power of two) times `size`, in whole numbers: Hadamard's
+    matrix twice, with random signs before, between and behind."""
     matrix: np.ndarray = np.ones((1, 1))
     while len(matrix) < size:
         matrix = np.block([[matrix, matrix], [matrix, -matrix]])
@@ -88,8 +92,14 @@ def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
 
 
 def round_bytes(slices: Slices) -> int:
-    """Memory that a round takes whatever the volume: features of the exemplars, and neighbourhoods that are put back."""
-    size, (components, length), threads = slices.features.shape[1], slices.back.shape, thread_count()
+    """Memory that a round takes whatever the volume: features of the exemplars, and neighbourhoods
+    that are put back.
+    """
+    size, (components, length), threads = (
+        slices.features.shape[1],
+        slices.back.shape,
+        thread_count(),
+    )
     batch = 4 * BATCH + BATCH // length * (2 * components + 40)
     of_a_thread = AT_ONCE * (20 * size + 8 * length) + 24 * size * BINS
     return slices.features.nbytes + batch + 40 * size * BINS + threads * of_a_thread

@@ -1,8 +1,10 @@
-"""Pairs of voxels by their distance, in fields of float32: the two-point function of values that are not 0 or 1.
+"""Pairs of voxels by their distance, in fields of float32: the two-point function of values that
+are not 0 or 1.
 
-Unlike `measure.correlation`, which counts, this also correlates two fields and convolves one with a radial kernel, and keeps the
-transforms. Every line is transformed alone, so that threads change nothing: first planes by slabs of z, then the lines along
-z by slabs of y, of which every plane holds a contiguous piece.
+Unlike `measure.correlation`, which counts, this also correlates two fields and convolves one with a
+radial kernel, and keeps the transforms. Every line is transformed alone, so that threads change
+nothing: first planes by slabs of z, then the lines along z by slabs of y, of which every plane
+holds a contiguous piece.
 """
 
 from __future__ import annotations
@@ -13,15 +15,17 @@ from functools import cached_property
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs, thread_count
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.measure.fft import fast_side
 
-# What may be written by another process (`anywhere`) lies in a file however small it is: `least` is 0.
+# What may be written by another process (`anywhere`) lies in a file however small it is: `least` is
+# 0.
 Planes = Callable[[int], np.ndarray]
 """Plane z (Y, X) float32 of a field that is nowhere as a whole; asked for by several threads."""
 
-_WORTH = 1 << 19  # values that are worth a thread: transforms of less wait for the interpreter longer than they take
+# values that are worth a thread: transforms of less wait for the interpreter longer than they take
+_WORTH = 1 << 19
 
 _CONE = np.cos(np.pi / 8) ** 2
 
@@ -33,10 +37,12 @@ def _enough(values: int) -> int:
 
 @dataclass(frozen=True)
 class Pairs:
-    """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance and the axis they lie nearest to.
+    """All pairs of voxels of a grid that are up to `r_max` apart, by their rounded distance and the
+    axis they lie nearest to.
 
-    `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free` (Z, Y, X) bool says which
-    voxels count (None: all). With two `cones` those within 22.5 degrees of their axis are told apart from the others.
+    `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free`
+    (Z, Y, X) bool says which voxels count (None: all). With two `cones` those within 22.5 degrees
+    of their axis are told apart from the others.
     """
 
     shape: tuple[int, ...]
@@ -70,7 +76,9 @@ class Pairs:
 
     @property
     def bins(self) -> int:
-        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then to x; for each cone."""
+        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then
+        to x; for each cone.
+        """
         return 3 * self.cones * (self.r_max + 1)
 
     @cached_property
@@ -116,7 +124,9 @@ class Pairs:
 
     @property
     def kept_bytes(self) -> int:
-        """Of what `curve` takes meanwhile: lines at the offsets, and a few numbers for each of these."""
+        """Of what `curve` takes meanwhile: lines at the offsets, and a few numbers for each of
+        these.
+        """
         return self.kernel_bytes + 4 * self.table_bytes
 
     @property
@@ -126,10 +136,12 @@ class Pairs:
         return (1 << 16) + thread_count() * 64 * max(depth, height) * (width // 2 + 1)
 
     def forward(self, values: np.ndarray | Planes) -> np.ndarray:
-        """The transform of (Z, Y, X) float32, given whole or as a function of z that makes each plane; complex64."""
+        """The transform of (Z, Y, X) float32, given whole or as a function of z that makes each
+        plane; complex64.
+        """
         depth, height, width = self.sides
         count = self.shape[0]
-        spectrum = scratch.empty((depth, height, width // 2 + 1), np.complex64, least=0)
+        spectrum = memmap.empty((depth, height, width // 2 + 1), np.complex64, least=0)
         _flat_transforms(values, (height, width), spectrum[:count])
 
         def lines(start: int, stop: int) -> None:
@@ -140,17 +152,22 @@ class Pairs:
         return spectrum
 
     def curve(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """The mean product of two fields over all pairs of each bin, from their transforms: (bins,) float64."""
+        """The mean product of two fields over all pairs of each bin, from their transforms: (bins,)
+        float64.
+        """
         return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
 
-    def convolved(self, spectrum: np.ndarray, weights: np.ndarray, *, shorter_than: int = 0) -> np.ndarray:
-        """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X) float32.
+    def convolved(
+        self, spectrum: np.ndarray, weights: np.ndarray, *, shorter_than: int = 0
+    ) -> np.ndarray:
+        """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X)
+        float32.
 
-        Every axis has to wrap. With `shorter_than` its waves longer than about twice so many voxels are left out: less
-        its mean, twice over, of boxes of that width.
+        Every axis has to wrap. With `shorter_than` its waves longer than about twice so many voxels
+        are left out: less its mean, twice over, of boxes of that width.
         """
         kernel = self._kernel(weights)
-        values = scratch.empty(self.shape, np.float32, least=0)
+        values = memmap.empty(self.shape, np.float32, least=0)
         depth, far = self.shape[0], self.reach[0]
         along_z, along_y, along_x = (_box_response(side, shorter_than) ** 2 for side in self.shape)
         along_x = along_x[: kernel.shape[2]]
@@ -178,7 +195,7 @@ class Pairs:
             around[across] = half[dz]
             return around
 
-        kernel = scratch.empty((len(half), height, width // 2 + 1), np.complex64, least=0)
+        kernel = memmap.empty((len(half), height, width // 2 + 1), np.complex64, least=0)
         _flat_transforms(plane, (height, width), kernel)
         return kernel
 
@@ -201,12 +218,13 @@ class Pairs:
         *,
         anywhere: bool = False,
     ) -> None:
-        """Back from the transform whose plane y is product(y), into `values`: at some places along every axis only.
+        """Back from the transform whose plane y is product(y), into `values`: at some places along
+        every axis only.
 
         `anywhere` says that values may be written by another process.
         """
         depth, height, width = self.sides
-        kept = scratch.empty((len(places[0]), height, width // 2 + 1), np.complex64, least=0)
+        kept = memmap.empty((len(places[0]), height, width // 2 + 1), np.complex64, least=0)
 
         def lines(start: int, stop: int) -> None:
             for y in range(start, stop):
@@ -222,12 +240,18 @@ class Pairs:
 
     def _by_length(self, sums: np.ndarray) -> np.ndarray:
         twice = np.where(np.arange(len(sums)) > 0, 2.0, 1.0)[:, None, None]
-        counted = np.bincount(self.places.ravel(), weights=(sums * twice).ravel(), minlength=self.bins + 1)
+        counted = np.bincount(
+            self.places.ravel(), weights=(sums * twice).ravel(), minlength=self.bins + 1
+        )
         return np.asarray(counted[: self.bins])
 
 
-def _flat_transforms(values: np.ndarray | Planes, sides: tuple[int, int], spectra: np.ndarray) -> None:
-    """Transforms of planes along x and y, continued by zeros to `sides`, into `spectra` (n, y, x // 2 + 1)."""
+def _flat_transforms(
+    values: np.ndarray | Planes, sides: tuple[int, int], spectra: np.ndarray
+) -> None:
+    """Transforms of planes along x and y, continued by zeros to `sides`, into `spectra` (n, y, x //
+    2 + 1).
+    """
     height, width = sides
 
     def work(start: int, stop: int) -> None:
@@ -248,6 +272,8 @@ def _box_response(side: int, width: int) -> np.ndarray:
 
 
 def _taken(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
-    """The values at places along an axis, which may be negative; the values themselves where that is all in their order."""
+    """The values at places along an axis, which may be negative; the values themselves where that
+    is all in their order.
+    """
     side = values.shape[axis]
     return values if len(places) == side and places[0] == 0 else values.take(places % side, axis)

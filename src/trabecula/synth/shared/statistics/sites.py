@@ -1,4 +1,6 @@
-"""The neighbourhoods of one sliced round: where they begin in a volume, and what becomes of the voxels that they hold."""
+"""The neighbourhoods of one sliced round: where they begin in a volume, and what becomes of the
+voxels that they hold.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,16 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.neighbourhoods import Triple, covered_shape
 from trabecula.synth.shared.statistics.sliced_kernels import add, draw_starts
 from trabecula.synth.shared.votes import UNIT
 
 BATCH = 1 << 21
-"""Values of neighbourhoods that are put back at a time, if not those of one row of sites are more."""
+"""Values of neighbourhoods that are put back at a time, if not those of one row of sites are more.
+"""
 
 _FEW = 512  # neighbourhoods that are rebuilt at once: what is made of them stays in the cache
 
@@ -25,8 +28,9 @@ _FEW = 512  # neighbourhoods that are rebuilt at once: what is made of them stay
 class Sites:
     """A grid of neighbourhoods of `box` voxels, `steps` apart.
 
-    `counts` is how many there are along each axis, `places` where the voxels that they cover lie along it, one after the
-    other; `active` (`counts`) bool says which of them take part (None: all).
+    `counts` is how many there are along each axis, `places` where the voxels that they cover lie
+    along it, one after the other; `active` (`counts`) bool says which of them take part (None:
+    all).
     """
 
     counts: Triple
@@ -47,7 +51,9 @@ class Sites:
         key: np.uint64,
         number: int,
     ) -> Sites:
-        """The grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and goes around what wraps."""
+        """The grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and goes
+        around what wraps.
+        """
         along = list(zip(shape, box, steps, periodic, strict=True))
         room = [side if wrap and t > 1 else min(t, side - w + 1) for side, w, t, wrap in along]
         starts = np.empty(3, np.int64)
@@ -57,7 +63,10 @@ class Sites:
             for start, (side, w, t, wrap) in zip(starts, along, strict=True)
         )
         covered = covered_shape((z, y, x), box=box, steps=steps)
-        at = [(start + np.arange(reach)) % side for start, reach, side in zip(starts, covered, shape, strict=True)]
+        at = [
+            (start + np.arange(reach)) % side
+            for start, reach, side in zip(starts, covered, shape, strict=True)
+        ]
         places = (at[0], at[1], at[2])
         active = None if free is None else _holding(free, places, (z, y, x), box, steps)
         return cls((z, y, x), places, box, steps, active)
@@ -69,7 +78,7 @@ class Sites:
     def levels(self, field: np.ndarray) -> np.ndarray:
         """What all sites cover of votes (C, Z, Y, X), in int8."""
         across = np.ix_(np.arange(len(field)), *self.places[1:])
-        levels = scratch.empty((len(field), *map(len, self.places)), np.int8)
+        levels = memmap.empty((len(field), *map(len, self.places)), np.int8)
 
         def work(start: int, stop: int) -> None:
             for z in range(start, stop):
@@ -79,8 +88,12 @@ class Sites:
         for_slabs(work, levels.shape[1])
         return levels
 
-    def rows(self, features: np.ndarray, start: int, stop: int, *, few: int) -> Iterator[np.ndarray]:
-        """Features (z, y, x, D) of the sites that take part, of planes start..stop of them, about so many at a time."""
+    def rows(
+        self, features: np.ndarray, start: int, stop: int, *, few: int
+    ) -> Iterator[np.ndarray]:
+        """Features (z, y, x, D) of the sites that take part, of planes start..stop of them, about
+        so many at a time.
+        """
         lines = max(1, few // self.counts[2])
         for z in range(start, stop):
             for y in range(0, self.counts[1], lines):
@@ -96,13 +109,20 @@ class Sites:
         total: np.ndarray,
         votes: np.ndarray,
     ) -> None:
-        """Add the neighbourhoods that are rebuilt of their features, with a `rest` (C,) of each voxel, to total (C, Z, Y, X)
-        int32, and their number to votes (Z, Y, X) int32."""
+        """Add the neighbourhoods that are rebuilt of their features, with a `rest` (C,) of each
+        voxel, to total (C, Z, Y, X) int32, and their number to votes (Z, Y, X) int32."""
         length = len(total) * self.box[0] * self.box[1] * self.box[2]
         for planes, lines in self._batches(length):
             active = None if self.active is None else self.active[planes, lines]
             self._put_some(
-                features[planes, lines], active, (planes.start, lines.start), rebuilt, length, rest, total, votes
+                features[planes, lines],
+                active,
+                (planes.start, lines.start),
+                rebuilt,
+                length,
+                rest,
+                total,
+                votes,
             )
 
     def _put_some(
@@ -116,7 +136,9 @@ class Sites:
         total: np.ndarray,
         votes: np.ndarray,
     ) -> None:
-        """Of the sites (z, y, x) of some planes and rows, from the `first`: neighbourhoods of `length` values."""
+        """Of the sites (z, y, x) of some planes and rows, from the `first`: neighbourhoods of
+        `length` values.
+        """
         chosen = features.reshape(-1, features.shape[-1]) if active is None else features[active]
         if not len(chosen):
             return
@@ -126,7 +148,9 @@ class Sites:
         blocks = np.empty((len(chosen), length), np.int32)
         _rebuild(chosen, rebuilt, blocks)
         steps, box = np.array(self.steps), np.array(self.box)
-        collect = partial(add, blocks, numbers, np.array(first), steps, box, *self.places, rest, total, votes)
+        collect = partial(
+            add, blocks, numbers, np.array(first), steps, box, *self.places, rest, total, votes
+        )
         for_slabs(collect, votes.shape[1], least=4)
 
     def _batches(self, length: int) -> Iterator[tuple[slice, slice]]:
@@ -139,7 +163,9 @@ class Sites:
                 yield slice(z, min(z + planes, depth)), slice(y, min(y + lines, height))
 
 
-def _rebuild(features: np.ndarray, rebuilt: Callable[[np.ndarray], np.ndarray], blocks: np.ndarray) -> None:
+def _rebuild(
+    features: np.ndarray, rebuilt: Callable[[np.ndarray], np.ndarray], blocks: np.ndarray
+) -> None:
     def work(start: int, stop: int) -> None:
         for first in range(start, stop, _FEW):
             part = slice(first, min(first + _FEW, stop))
@@ -148,16 +174,20 @@ def _rebuild(features: np.ndarray, rebuilt: Callable[[np.ndarray], np.ndarray], 
     for_slabs(work, len(features), least=64)
 
 
-def _holding(free: np.ndarray, places: Sequence[np.ndarray], counts: Triple, box: Triple, steps: Triple) -> np.ndarray:
+def _holding(
+    free: np.ndarray, places: Sequence[np.ndarray], counts: Triple, box: Triple, steps: Triple
+) -> np.ndarray:
     """Whether the neighbourhood at each site holds a voxel that is free."""
-    active = scratch.empty(counts, bool)
+    active = memmap.empty(counts, bool)
     across = np.ix_(*places[1:])
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
             covered = places[0][z * steps[0] : z * steps[0] + box[0]]
             held = free[covered].any(axis=0)[across]
-            windows = np.lib.stride_tricks.sliding_window_view(held, box[1:])[:: steps[1], :: steps[2]]
+            windows = np.lib.stride_tricks.sliding_window_view(held, box[1:])[
+                :: steps[1], :: steps[2]
+            ]
             active[z] = windows.any(axis=(2, 3))
 
     for_slabs(work, counts[0])

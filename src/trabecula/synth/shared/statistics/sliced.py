@@ -1,19 +1,22 @@
-"""Sliced rounds: neighbourhoods of the output take on the distribution of the exemplar's, without copying any of them.
+"""Sliced rounds: neighbourhoods of the output take on the distribution of the exemplar's, without
+copying any of them.
 
 Pitie, Kokaram, Dahyot 2007, "Automated colour grading using colour distribution transfer",
-doi:10.1016/j.cviu.2006.11.011, section 3, on the principal components of neighbourhoods: turn the axes at random, move
-the values along every axis monotonically so that their histogram is the exemplar's, turn back; a voxel becomes the mean
-of the neighbourhoods that hold it. Nothing is looked up in the exemplar, so nothing is copied.
+doi:10.1016/j.cviu.2006.11.011, section 3, on the principal components of neighbourhoods: turn the
+axes at random, move the values along every axis monotonically so that their histogram is the
+exemplar's, turn back; a voxel becomes the mean of the neighbourhoods that hold it. Nothing is
+looked up in the exemplar, so nothing is copied.
 
-Only what the components hold is put back: what they leave out of the output (its noise, at first) has to go, or it stays
-for ever. Along periodic axes every voxel lies in equally many neighbourhoods; along open ones those near a face lie in
-fewer, their mean is noisier, and the rarer phase gathers there.
+Only what the components hold is put back: what they leave out of the output (its noise, at first)
+has to go, or it stays for ever. Along periodic axes every voxel lies in equally many
+neighbourhoods; along open ones those near a face lie in fewer, their mean is noisier, and the rarer
+phase gathers there.
 
-Everything is a whole number within the range in which products of matrices are exact, so the bits do not depend on the
-BLAS, on threads or on the machine.
+Everything is a whole number within the range in which products of matrices are exact, so the bits
+do not depend on the BLAS, on threads or on the machine.
 
-From pictures the neighbourhoods are squares in the planes of a view; where a material is seen in several views, a voxel becomes
-the mean over all of them (`sliced_views`).
+From pictures the neighbourhoods are squares in the planes of a view; where a material is seen in
+several views, a voxel becomes the mean over all of them (`sliced_views`).
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine import scratch
-from trabecula.engine.tiles import for_slabs
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.statistics.moved import Round, add_moved
 from trabecula.synth.shared.statistics.slices import Slices
@@ -42,7 +45,8 @@ def sliced_round(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round: every neighbourhood of a grid moves towards the exemplar's distribution, and overlaps are averaged.
+    """One round: every neighbourhood of a grid moves towards the exemplar's distribution, and
+    overlaps are averaged.
 
     Parameters
     ----------
@@ -54,20 +58,23 @@ def sliced_round(
     number : int
         Of the round: each has its own random numbers.
     step : int
-        Voxels between neighbourhoods; the grid begins elsewhere in every round, so all voxels get their turn.
+        Voxels between neighbourhoods; the grid begins elsewhere in every round, so all voxels get
+        their turn.
     strength : float
-        How far they move: 1 is to the exemplar's distribution. More makes up for what averaging takes away.
+        How far they move: 1 is to the exemplar's distribution. More makes up for what averaging
+        takes away.
     periodic : three bools
         Axes that wrap around.
     free : (Z, Y, X) bool, optional
-        Only neighbourhoods that hold such a voxel take part, and only such voxels change. Default: all.
+        Only neighbourhoods that hold such a voxel take part, and only such voxels change. Default:
+        all.
 
     Returns
     -------
     (C, Z, Y, X) int16
     """
     round_ = Round(key, number, step, strength)
-    total, votes = scratch.zeros(field.shape, np.int32), scratch.zeros(field.shape[1:], np.int32)
+    total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
     add_moved(field, slices, round_, periodic, free, total, votes)
     return _replaced(field, total, votes, free)
 
@@ -83,15 +90,16 @@ def sliced_views(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round in which every plane of every view moves towards that view's distribution, and all overlaps are averaged.
+    """One round in which every plane of every view moves towards that view's distribution, and all
+    overlaps are averaged.
 
     Parameters
     ----------
     field : (C, Z, Y, X) int16
         1 / UNIT of an int8 step; no side below the width of the neighbourhoods.
     views : sequence of (axis, Slices)
-        The axis across which a view is seen (0 z, 1 y, 2 x) and what it aims at: flat neighbourhoods of a picture whose rows
-        lie along the slower of the two other axes.
+        The axis across which a view is seen (0 z, 1 y, 2 x) and what it aims at: flat
+        neighbourhoods of a picture whose rows lie along the slower of the two other axes.
     key, number, step, strength, periodic, free
         As in `sliced_round`, of the volume.
 
@@ -99,7 +107,7 @@ def sliced_views(
     -------
     (C, Z, Y, X) int16
     """
-    total, votes = scratch.zeros(field.shape, np.int32), scratch.zeros(field.shape[1:], np.int32)
+    total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
     for place, (axis, slices) in enumerate(views):
         round_ = Round(key, number * len(views) + place, step, strength)
         around = [periodic[a] for a in order_of(axis)]
@@ -108,7 +116,7 @@ def sliced_views(
             add_moved(seen, slices, round_, around, made, total, votes)
             continue
         shape = turned_shape(field.shape[1:], axis)
-        sums, counts = scratch.zeros((len(field), *shape), np.int32), scratch.zeros(shape, np.int32)
+        sums, counts = memmap.zeros((len(field), *shape), np.int32), memmap.zeros(shape, np.int32)
         add_moved(seen, slices, round_, around, made, sums, counts)
         del seen
         put_back(sums, axis, total, add=True)
@@ -117,9 +125,11 @@ def sliced_views(
     return _replaced(field, total, votes, free)
 
 
-def _replaced(field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None) -> np.ndarray:
+def _replaced(
+    field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None
+) -> np.ndarray:
     """The mean of what was put back wherever there is something, and the voxel is free."""
-    replaced, limit = scratch.empty(field.shape, np.int16, least=0), FULL * UNIT
+    replaced, limit = memmap.empty(field.shape, np.int16, least=0), FULL * UNIT
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):

@@ -34,7 +34,9 @@ def extremes(values, low, high):
 
 @kernel
 def tally(values, low, size, counts):
-    """Count the values (n, P) of every column in bins of size (P,) from low (P,): into counts (P, bins)."""
+    """Count the values (n, P) of every column in bins of size (P,) from low (P,): into counts (P,
+    bins).
+    """
     for k in range(values.shape[1]):
         for i in range(len(values)):
             counts[k, (np.int64(values[i, k]) - low[k]) // size[k]] += 1
@@ -53,7 +55,9 @@ def tally_sums(values, low, size, counts):
 
 @kernel
 def destinations(mine, theirs, table):
-    """table (P, bins): where the ranks of each of mine (P, bins) lie among theirs (2, P, bins), counts and sums."""
+    """table (P, bins): where the ranks of each of mine (P, bins) lie among theirs (2, P, bins),
+    counts and sums.
+    """
     for k in range(len(mine)):
         n, m = mine[k].sum(), theirs[0, k].sum()
         other, sums = theirs[0, k], theirs[1, k]
@@ -84,11 +88,26 @@ def moves(values, low, size, table, found):
 
 
 @kernel
-def add(blocks, numbers, first, steps, box, places_z, places_y, places_x, rest, total, votes, start, stop):
+def add(
+    blocks,
+    numbers,
+    first,
+    steps,
+    box,
+    places_z,
+    places_y,
+    places_x,
+    rest,
+    total,
+    votes,
+    start,
+    stop,
+):
     """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
 
-    blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,) the number of the first
-    site along z and y; places_*: where what all sites cover along an axis lies; rest (C,) is added to each.
+    blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,)
+    the number of the first site along z and y; places_*: where what all sites cover along an axis
+    lies; rest (C,) is added to each.
     """
     width, voxels = box[2], box[0] * box[1] * box[2]
     channels = len(total)
@@ -123,5 +142,7 @@ def add(blocks, numbers, first, steps, box, places_z, places_y, places_x, rest, 
                             count[x + dx] += 1
             for x in range(len(places_x)):
                 for c in range(channels):
-                    total[c, places_z[z], places_y[y], places_x[x]] += line[c, x] + rest[c] * count[x]
+                    total[c, places_z[z], places_y[y], places_x[x]] += (
+                        line[c, x] + rest[c] * count[x]
+                    )
                 votes[places_z[z], places_y[y], places_x[x]] += count[x]

@@ -1,4 +1,6 @@
-"""What sliced rounds aim at: neighbourhoods of exemplars on their principal components, in whole numbers."""
+"""What sliced rounds aim at: neighbourhoods of exemplars on their principal components, in whole
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,9 @@ _MOST = 1 << 16  # neighbourhoods of the exemplars that stand for all of them, a
 class Slices:
     """What sliced rounds aim at: neighbourhoods of exemplars on their principal components.
 
-    `features` (N, P) float32 and `back` (P, C * voxels) float64 hold whole numbers, P is a power of two; `rest` (C,) int64 is
-    what the components leave out of the mean, in 1 / UNIT of an int8 step.
+    `features` (N, P) float32 and `back` (P, C * voxels) float64 hold whole numbers, P is a power of
+    two; `rest` (C,) int64 is what the components leave out of the mean, in 1 / UNIT of an int8
+    step.
     """
 
     basis: Basis
@@ -30,9 +33,15 @@ class Slices:
 
 
 def slices_of(
-    fields: Sequence[np.ndarray], *, width: int = 4, variance: float = 0.95, most: int = 64, flat: bool = False
+    fields: Sequence[np.ndarray],
+    *,
+    width: int = 4,
+    variance: float = 0.95,
+    most: int = 64,
+    flat: bool = False,
 ) -> Slices:
-    """The neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65 thousand of them at most.
+    """The neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65 thousand
+    of them at most.
 
     Parameters
     ----------
@@ -45,20 +54,28 @@ def slices_of(
     most : int
         Components at most.
     flat : bool
-        Whether neighbourhoods are squares of one plane z, as of a picture (C, 1, Y, X), rather than cubes.
+        Whether neighbourhoods are squares of one plane z, as of a picture (C, 1, Y, X), rather than
+        cubes.
     """
     basis = principal_basis(fields[0], width=width, variance=variance, most=most, flat=flat)
     count = basis.vectors.shape[1]
     size = 1 << max(2, (count - 1).bit_length())
-    sides = [[side - w + 1 for side, w in zip(field.shape[1:], basis.box, strict=True)] for field in fields]
+    sides = [
+        [side - w + 1 for side, w in zip(field.shape[1:], basis.box, strict=True)]
+        for field in fields
+    ]
     stride = max(1, round((sum(map(math.prod, sides)) / _MOST) ** (1 / 2 if flat else 1 / 3)))
-    rows = np.concatenate([project(field, basis, step=stride).reshape(-1, count) for field in fields])
+    rows = np.concatenate(
+        [project(field, basis, step=stride).reshape(-1, count) for field in fields]
+    )
     features = np.zeros((len(rows), size), np.float32)
     features[:, :count] = rows
     back = np.zeros((size, len(basis.vectors)))
     back[:count] = np.rint(basis.vectors.T.astype(np.float64) * (FINE / basis.scale))
     middle = (rows.sum(axis=0, dtype=np.float64) / len(rows)) @ back[:count] / (SCALE * FINE)
-    rest = _mean_of_neighbourhoods(fields, basis.box) - middle.reshape(len(fields[0]), -1).mean(axis=1)
+    rest = _mean_of_neighbourhoods(fields, basis.box) - middle.reshape(len(fields[0]), -1).mean(
+        axis=1
+    )
     rest = np.rint(UNIT * rest).astype(np.int64)
     return Slices(basis, features, back, rest)
 

@@ -1,4 +1,6 @@
-"""Soft indicators: 0 to 1 over a few voxels around an interface, made plane by plane of fields in int8."""
+"""Soft indicators: 0 to 1 over a few voxels around an interface, made plane by plane of fields in
+int8.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine.tiles import sum_slabs
+from trabecula.engine.parallel import sum_slabs
 
 
 def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
@@ -19,7 +21,8 @@ def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
 class Soft:
     """The soft indicator of a field (Z, Y, X) int8, 0 where it is not free; nowhere as a whole.
 
-    `table` (256,) float32 is its value by the byte of the field; `free` (Z, Y, X) bool, None for everywhere.
+    `table` (256,) float32 is its value by the byte of the field; `free` (Z, Y, X) bool, None for
+    everywhere.
     """
 
     field: np.ndarray
@@ -60,7 +63,9 @@ class Soft:
         counts = np.zeros(256, np.int64)
         for z in range(start, stop):
             plane = self.field[z].view(np.uint8)
-            counts += np.bincount((plane if self.free is None else plane[self.free[z]]).ravel(), minlength=256)
+            counts += np.bincount(
+                (plane if self.free is None else plane[self.free[z]]).ravel(), minlength=256
+            )
         return counts
 
 

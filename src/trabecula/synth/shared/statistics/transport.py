@@ -1,7 +1,9 @@
-"""Monotone transport along axes: every value goes where its rank lies among others, through histograms.
+"""Monotone transport along axes: every value goes where its rank lies among others, through
+histograms.
 
-Values that share a bin of the common histogram go together, to the mean of the others over the ranks that they cover. All of
-them are whole numbers, so that the result depends neither on how they are cut into parts nor on the order of these.
+Values that share a bin of the common histogram go together, to the mean of the others over the
+ranks that they cover. All of them are whole numbers, so that the result depends neither on how they
+are cut into parts nor on the order of these.
 """
 
 from __future__ import annotations
@@ -12,8 +14,14 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.engine.tiles import for_slabs, sum_slabs
-from trabecula.synth.shared.statistics.sliced_kernels import destinations, extremes, moves, tally, tally_sums
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.shared.statistics.sliced_kernels import (
+    destinations,
+    extremes,
+    moves,
+    tally,
+    tally_sums,
+)
 
 BINS = 1024
 """Of a histogram along an axis."""
@@ -27,7 +35,9 @@ Parts = Callable[[int, int], Iterable[np.ndarray]]
 
 @dataclass(frozen=True)
 class Transport:
-    """Along every axis of (n, P): bins of `size` (P,) from `low` (P,), and where the values of each go, `table` (P, BINS)."""
+    """Along every axis of (n, P): bins of `size` (P,) from `low` (P,), and where the values of each
+    go, `table` (P, BINS).
+    """
 
     low: np.ndarray
     size: np.ndarray
@@ -65,7 +75,9 @@ class Transport:
         return found
 
 
-def _ends(ours: Parts, length: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ends(
+    ours: Parts, length: int, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest value along every axis, where others lie from `low` to `high`."""
     least, most = np.tile(low, (length, 1)), np.tile(high, (length, 1))
 

@@ -1,0 +1,101 @@
+"""Coarser copies of a volume, so that a viewer need not read all of it: each level halves the one
+before.
+
+Level 0 is the volume itself. A voxel of the next level stands for the 2 x 2 x 2 below it (2 x 2 of
+a picture), at an odd end for fewer: of labels for what most of them are, of greys and colours for
+their mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+# that are halved at once, an even number: what is held besides is that of a few planes
+_PLANES = 16
+
+
+def shapes_of(shape: Sequence[int], smallest: int) -> list[tuple[int, ...]]:
+    """The shapes of all levels, the volume's own first, down to one of at most `smallest` voxels
+    along its longest axis.
+
+    Examples
+    --------
+    >>> shapes_of((600, 90, 1), 256)
+    [(600, 90, 1), (300, 45, 1), (150, 23, 1)]
+    """
+    found = [tuple(shape)]
+    while max(found[-1]) > smallest:
+        found.append(tuple((side + 1) // 2 for side in found[-1]))
+    return found
+
+
+def halved(values: np.ndarray, *, labels: bool, axes: int | None = None) -> np.ndarray:
+    """The next level of an array.
+
+    Parameters
+    ----------
+    values : (..., Z, Y, X) or (..., Y, X) array
+    labels : bool
+        Whether its values are names: 0..n-1, uint8. Of a tie the first voxel's wins where it is in
+        it, else the lowest: so no phase is favoured by its number.
+    axes : int, optional
+        How many of the last axes are of space. Default: all.
+
+    Returns
+    -------
+    array of the same type, of half the sides, rounded up
+
+    Examples
+    --------
+    >>> halved(np.array([[0, 1, 1], [1, 1, 2]], np.uint8), labels=True)
+    array([[1, 1]], dtype=uint8)
+    >>> halved(np.array([[0.0, 1.0], [2.0, 5.0]]), labels=False)
+    array([[2.]])
+    """
+    if axes is not None and values.ndim > axes:
+        return np.stack([halved(channel, labels=labels, axes=axes) for channel in values])
+    one = _most if labels else _mean
+    return np.concatenate(
+        [one(_even(values[first : first + _PLANES])) for first in range(0, len(values), _PLANES)]
+    )
+
+
+def _even(values: np.ndarray) -> np.ndarray:
+    """The last plane of an odd axis twice, which changes neither the majority nor the mean of its
+    pairs.
+    """
+    if not any(side % 2 for side in values.shape):
+        return values
+    return np.pad(values, [(0, side % 2) for side in values.shape], mode="edge")
+
+
+def _sums(values: np.ndarray) -> np.ndarray:
+    """Sums of the 2 x 2 x 2, the first axis first: its planes are added as they lie in memory."""
+    for axis in range(values.ndim):
+        pairs = np.moveaxis(values, axis, 0)
+        values = np.moveaxis(pairs[::2] + pairs[1::2], 0, axis)
+    return values
+
+
+def _most(values: np.ndarray) -> np.ndarray:
+    first = values[(slice(None, None, 2),) * values.ndim]
+    result, most = np.zeros_like(first), np.zeros(first.shape, np.uint8)
+    of_first = np.zeros_like(most)
+    for label in range(int(values.max()) + 1):
+        count = _sums((values == label).view(np.uint8))
+        better = count > most
+        result[better] = label
+        np.maximum(most, count, out=most)
+        np.copyto(of_first, count, where=first == label)
+    np.copyto(result, first, where=of_first == most)
+    return result
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    count = 2**values.ndim
+    if values.dtype.kind == "f":
+        return (_sums(values.astype(np.float64)) / count).astype(values.dtype)
+    # The nearest whole number, upwards from a half.
+    return ((_sums(values.astype(np.int64)) + count // 2) // count).astype(values.dtype)

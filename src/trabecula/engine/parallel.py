@@ -1,0 +1,148 @@
+"""Threads over tiles: a kernel that writes only its own tile gives the same result for any number
+of threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar, copy_context
+from functools import cache
+from itertools import pairwise
+from threading import Lock
+from typing import Any, TypeVar
+
+from trabecula.core.errors import InputError
+from trabecula.engine import memmap
+
+T = TypeVar("T")
+
+_threads: ContextVar[int | None] = ContextVar("trabecula_threads", default=None)
+
+
+def thread_count() -> int:
+    """Threads in use: set by `threads`, or by TRABECULA_THREADS, or every core that this process
+    may run on.
+    """
+    chosen = _threads.get()
+    if chosen is not None:
+        return chosen
+    named = os.environ.get("TRABECULA_THREADS")
+    if named:
+        if not named.isdecimal() or int(named) < 1:
+            raise InputError(f"TRABECULA_THREADS={named!r} should be a positive integer")
+        return int(named)
+    try:
+        return max(1, len(os.sched_getaffinity(0)))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Use `count` threads inside the block."""
+    if count < 1:
+        raise InputError(f"threads must be at least 1, got {count}")
+    token = _threads.set(count)
+    try:
+        yield
+    finally:
+        _threads.reset(token)
+
+
+@cache
+def _blas() -> Any:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Matrix products inside the block use one thread: their own threads fight with ours, and with
+    each other on small work.
+    """
+    return _blas().limit(limits=1)
+
+
+def for_slabs(
+    work: Callable[[int, int], object], length: int, *, least: int = 8, anywhere: bool = False
+) -> None:
+    """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
+
+    `work` must write nothing outside its slab and release the GIL. The slabs depend on the thread
+    count, and where arrays lie in scratch files on what may be resident of them; the result of a
+    kernel that honours the first sentence does not.
+
+    With `anywhere` it may run in another process, and more than once: it can be pickled, writes
+    nothing but its slab of arrays that `scratch` gave, and reads none of what it writes. Large
+    arrays in memory that it reads never change: they are sent once.
+    """
+    if anywhere and memmap.run_on_workers(work, length):
+        return
+    count = min(thread_count(), max(1, length // least))
+    with one_blas_thread():
+        _run(_by_thickness(work, length, count), length, count, least)
+
+
+def in_order(work: Callable[[int, int], object], length: int) -> None:
+    """Call `work(start, stop)` on slabs that cover `0..length` one after the other, the first one
+    first.
+    """
+    _by_thickness(work, length, 1)(0, length)
+
+
+def sum_slabs(work: Callable[[int, int], T], length: int, *, least: int = 8) -> T:
+    """The sum of `work(start, stop)` over slabs that cover `0..length` (at least 1), in as many
+    threads as are in use.
+
+    Of whole numbers, or arrays of them, so that no order matters; `work` writes nothing that is not
+    its own.
+    """
+    found: list[Any] = []
+    lock = Lock()
+
+    def add(start: int, stop: int) -> None:
+        part = work(start, stop)
+        with lock:
+            found[:] = [part if not found else found[0] + part]
+
+    for_slabs(add, length, least=least)
+    total: T = found[0]
+    return total
+
+
+def _by_thickness(
+    work: Callable[[int, int], object], length: int, count: int
+) -> Callable[[int, int], object]:
+    """The same work in slabs as thick as arrays in scratch files allow, handing pages back after
+    each.
+    """
+    if not memmap.is_active():
+        return work
+
+    def bounded(start: int, stop: int) -> None:
+        thick = memmap.thickness(length, count)
+        if thick >= length:  # all of them may stay
+            work(start, stop)
+            return
+        for first in range(start, stop, thick):
+            work(first, min(first + thick, stop))
+            memmap.release_pages()
+
+    return bounded
+
+
+def _run(work: Callable[[int, int], object], length: int, count: int, least: int) -> None:
+    if count == 1:
+        work(0, length)
+        return
+    # Four slabs a thread even out slabs of unequal cost.
+    pieces = min(4 * count, max(count, length // least))
+    bounds = [length * i // pieces for i in range(pieces + 1)]
+    with ThreadPoolExecutor(count) as pool:
+        # Each in a copy of the caller's context: threads inside obey the same settings, progress
+        # reaches its listener.
+        for future in [pool.submit(copy_context().run, work, a, b) for a, b in pairwise(bounds)]:
+            future.result()

@@ -1,0 +1,179 @@
+"""Where a store lies, and a folder as the one case: it grows under another name, and takes its own
+when it is whole.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from glob import escape
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from trabecula.core.errors import FileError
+from trabecula.engine.files import put_in_place, remove, replacing
+
+ROOTS = ("zarr.json", ".zgroup", ".zarray")
+"""Of which every Zarr store has one; ours have the first."""
+
+
+class Location(os.PathLike[str]):
+    """Where a store lies.
+
+    Names of its files are relative, with "/" between their parts.
+    """
+
+    name: str
+    """What it is called in messages."""
+
+    stem: str
+    """The last part of its name, without the suffix."""
+
+    whole: bool
+    """Whether a file that is there is always a whole one."""
+
+    memory: int
+    """Bytes that reaching it takes."""
+
+    @property
+    @abstractmethod
+    def folder(self) -> Path:
+        """A folder of this machine for what goes with it: that which it lies in, of an address the
+        working directory.
+        """
+
+    def beside(self, suffix: str) -> Path:
+        """Such as rock.zarr.scratch in that folder."""
+        return self.folder / (PurePosixPath(self.name).name + suffix)
+
+    @abstractmethod
+    def __fspath__(self) -> str: ...
+
+    def __str__(self) -> str:
+        return os.fspath(self)
+
+    @abstractmethod
+    def growing(self) -> Location:
+        """Where it lies until it is finished."""
+
+    @abstractmethod
+    def settle(self, grown: Location) -> None:
+        """Put what grew elsewhere in place, and remove what runs left that were killed while they
+        did so.
+        """
+
+    @abstractmethod
+    def appearing(self) -> AbstractContextManager[Path]:
+        """Yield a temporary folder; on success a store that was made there is here, on failure
+        nothing is left.
+        """
+
+    @abstractmethod
+    def is_there(self) -> bool:
+        """Whether anything lies there, a store or not."""
+
+    @abstractmethod
+    def is_store(self) -> bool:
+        """Whether a Zarr store lies there."""
+
+    @abstractmethod
+    def files(self) -> set[str]:
+        """The names of all its files."""
+
+    @abstractmethod
+    def missing(self, names: Sequence[str]) -> list[str]:
+        """Those names of which no file is there."""
+
+    @abstractmethod
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files; what is not there is no error."""
+
+    @abstractmethod
+    def sweep(self) -> None:
+        """Remove what a killed run was writing when it was killed."""
+
+    @abstractmethod
+    def zarr(self) -> Any:
+        """What zarr's functions take for it."""
+
+    def reached(self, hint: str = "") -> AbstractContextManager[None]:
+        """Turn what the way there raises into one line, with a hint at its end."""
+        return nullcontext()
+
+
+class Folder(Location):
+    """A store in a folder of this machine."""
+
+    whole = False  # a disk may have spoilt it
+    memory = 0
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name, self.stem = path.name, path.stem
+
+    def __fspath__(self) -> str:
+        return os.fspath(self.path)
+
+    @property
+    def folder(self) -> Path:
+        """See `Location`."""
+        return self.path.absolute().parent
+
+    def growing(self) -> Folder:
+        """Beside it, as rock.zarr.part of rock.zarr."""
+        return Folder(self.beside(".part"))
+
+    def settle(self, grown: Location) -> None:
+        """See `Location`."""
+        put_in_place(Path(grown), self.path)
+        for name in (self.name, Path(grown).name):
+            for left in self.path.parent.glob(f".{'[0-9a-f]' * 8}-{escape(name)}"):
+                remove(left)
+
+    def appearing(self) -> AbstractContextManager[Path]:
+        """See `Location`."""
+        self.check_replaceable()
+        return replacing(self.path)
+
+    def check_replaceable(self) -> None:
+        """Raise where something else than a store would be lost."""
+        path = self.path
+        if path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
+            raise FileError(
+                f"cannot write {path}: a folder that is no Zarr store is there; choose another name"
+            )
+
+    def is_there(self) -> bool:
+        """See `Location`."""
+        return self.path.exists()
+
+    def is_store(self) -> bool:
+        """See `Location`."""
+        return any((self.path / name).exists() for name in ROOTS)
+
+    def files(self) -> set[str]:
+        """See `Location`."""
+        found: set[str] = set()
+        for folder, _, names in os.walk(self.path):
+            inside = Path(folder).relative_to(self.path).as_posix()
+            found.update(names if inside == "." else (f"{inside}/{name}" for name in names))
+        return found
+
+    def missing(self, names: Sequence[str]) -> list[str]:
+        """See `Location`."""
+        return [name for name in names if not (self.path / name).exists()]
+
+    def remove(self, names: Iterable[str]) -> None:
+        """See `Location`."""
+        for name in names:
+            (self.path / name).unlink(missing_ok=True)
+
+    def sweep(self) -> None:
+        """See `Location`."""
+        self.remove(name for name in self.files() if name.endswith(".partial"))
+
+    def zarr(self) -> Any:
+        """See `Location`."""
+        return str(self.path)

@@ -1,0 +1,43 @@
+"""Where stores lie: in a folder, or at an address such as s3://bucket/rock.zarr. What writes and
+reads them is one code.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from urllib.request import url2pathname
+
+from trabecula.engine.storage.local import Folder, Location
+from trabecula.engine.storage.remote import Remote
+
+__all__ = ["AnyPath", "Folder", "Location", "Remote", "is_address", "located", "place_of"]
+
+AnyPath = str | os.PathLike[str]
+
+# two letters: one is a drive of Windows
+_ADDRESS = re.compile(r"(?P<protocol>[a-z][a-z0-9+.:-]+)://", re.IGNORECASE)
+
+
+def is_address(path: AnyPath) -> bool:
+    """Whether a path is an address beyond this machine's folders."""
+    found = _ADDRESS.match(os.fspath(path))
+    return found is not None and found["protocol"].lower() not in ("file", "local")
+
+
+def located(path: AnyPath) -> Location:
+    """The location that a path or an address names; file:// is a folder."""
+    if isinstance(path, Location):
+        return path
+    text = os.fspath(path)
+    if is_address(text):
+        return Remote(text)
+    found = _ADDRESS.match(text)
+    return Folder(Path(path) if found is None else Path(url2pathname(text[found.end() :])))
+
+
+def place_of(path: AnyPath) -> Path | Remote:
+    """The same, as who reads other files as well takes it: a path where it is one."""
+    found = located(path)
+    return found if isinstance(found, Remote) else Path(found)

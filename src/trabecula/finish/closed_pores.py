@@ -1,0 +1,166 @@
+"""Trapped: pores that no way leads out of, where powder or resin would stay."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image, with_values
+from trabecula.engine.parallel import in_order
+from trabecula.finish.connect import background_of
+from trabecula.finish.labels import repainted
+from trabecula.measure.labelling import label_components
+from trabecula.measure.phases import as_connectivity, indicator, members
+from trabecula.measure.runs import runs_of
+
+
+class _Pores(NamedTuple):
+    """The phase, the void around it, the void's components with their sizes, and which of them
+    touch no face.
+    """
+
+    image: Image
+    inside: np.ndarray
+    void: np.ndarray
+    labels: np.ndarray
+    sizes: np.ndarray
+    closed: np.ndarray
+
+
+def trapped(
+    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+) -> dict[str, Any]:
+    """Pores that do not reach a face of the image: what is in them cannot come out.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    phase : str or int, optional
+        The phase that walls them in. Default: "solid", which is every phase but "void" taken
+        together.
+    connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
+        Ways through the void. Default: through faces of voxels.
+
+    Returns
+    -------
+    figures : dict
+        `pores` (their number), `voxels`, `volume` (in unit**3, or unit**2 of a 2-D image), `share`
+        (of the void, 0..1), `largest` (voxels).
+
+    Raises
+    ------
+    InputError
+        No such phase, another connectivity.
+
+    Examples
+    --------
+    >>> ring = np.ones((5, 5), int); ring[2, 2] = 0; ring[0, 0] = 0
+    >>> trapped(ring)["pores"], trapped(ring)["share"]
+    (1, 0.5)
+    """
+    pores = _pores(image, phase, connectivity)
+    held = pores.sizes[pores.closed]
+    total = int(held.sum())
+    return {
+        "pores": len(held),
+        "voxels": total,
+        "volume": total * float(np.prod(pores.image.spacing)),
+        "share": total / max(1, int(np.count_nonzero(pores.void))),
+        "largest": int(held.max(initial=0)),
+    }
+
+
+def fill_trapped(
+    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+) -> Image:
+    """Fill the pores that do not reach a face of the image.
+
+    Parameters
+    ----------
+    image, phase, connectivity
+        As for `trapped`.
+
+    Returns
+    -------
+    image : Image
+        Filled voxels take the nearest label of the phase. The recipe's step holds a `report`:
+        `filled_pores`, `filled` (voxels).
+
+    Raises
+    ------
+    InputError
+        As `trapped`.
+    """
+    image = as_image(image)
+    background = background_of(image, phase)
+    values = np.array(image.values, order="C")
+    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
+    settings: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
+    if len(_present(lifted, image, phase)) <= 1:
+        report = fill_trapped_in_place(lifted, image, **settings)
+    else:
+        pores = _pores(image, phase, connectivity)
+        after = pores.inside | np.concatenate([[False], pores.closed])[pores.labels]
+        values = repainted(image, pores.inside, after, background)
+        report = {
+            "filled_pores": np.count_nonzero(pores.closed),
+            "filled": int(pores.sizes[pores.closed].sum()),
+        }
+    recipe = image.recipe.then(
+        "finish", values, operation="fill_trapped", settings=settings, report=report
+    )
+    return with_values(image, values, recipe=recipe)
+
+
+def fill_trapped_in_place(
+    values: np.ndarray, image: Image, *, phase: str | int | None, connectivity: int | None
+) -> dict[str, int]:
+    """As `fill_trapped`, of labels (Z, Y, X) that are written into; `image` tells what they mean.
+    The report.
+
+    Raises
+    ------
+    InputError
+        The phase has several labels here, of which the nearest would have to be found.
+    """
+    background = background_of(image, phase)
+    labels = _present(values, image, phase)
+    if len(labels) > 1:
+        names = ", ".join(image.phases[label] for label in labels)
+        raise InputError(
+            f"pores among {names} take the nearest of them, which needs the whole volume in memory: name one --phase, or "
+            "raise --memory"
+        )
+    void = np.arange(256) == background
+    runs = runs_of(values, void, as_connectivity(connectivity, image.ndim))
+    closed = ~runs.at_faces(tuple(range(3 - image.ndim, 3)))
+    if len(labels):
+        runs.write(values, closed, int(labels[0]))
+    return {"filled_pores": int(np.count_nonzero(closed)), "filled": int(runs.sizes[closed].sum())}
+
+
+def _present(values: np.ndarray, image: Image, phase: str | int | None) -> np.ndarray:
+    """The labels of a phase that occur in an array (Z, Y, X)."""
+    counts = np.zeros(256, np.int64)
+
+    def count(first: int, last: int) -> None:
+        for plane in values[first:last]:
+            counts[:] += np.bincount(plane.ravel(), minlength=256)
+
+    in_order(count, len(values))
+    return np.flatnonzero((counts > 0) & members(image, phase))
+
+
+def _pores(image: Image | ArrayLike, phase: str | int | None, connectivity: int | None) -> _Pores:
+    background = background_of(as_image(image), phase)
+    image, inside = indicator(image, phase)
+    void = image.values == background
+    labels, sizes = label_components(void, connectivity=connectivity)
+    closed = np.ones(len(sizes) + 1, bool)
+    for axis in range(labels.ndim):
+        for end in (0, -1):
+            closed[labels.take(end, axis=axis)] = False
+    return _Pores(image, inside, void, labels, sizes, closed[1:])

@@ -1,0 +1,159 @@
+"""Transport and stiffness at once, along every axis, with word on how far the figures can be
+trusted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from trabecula.core import progress
+from trabecula.core.image import Image, as_image, check_labels
+from trabecula.engine.parallel import for_slabs, thread_count, threads
+from trabecula.engine.plan import available_memory
+from trabecula.measure.centre_crop import box_sides, centre, check_memory
+from trabecula.measure.mechanics import Stiffness, homogenise, stiffness
+from trabecula.measure.percolation import AXES
+from trabecula.measure.phases import indicator
+from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, section
+from trabecula.measure.transport.conduction import CONDUCTION_BYTES
+from trabecula.measure.transport.permeability import FLOW_BYTES
+
+PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
+"""What `describe_physics` finds, by name."""
+
+
+def describe_physics(
+    image: Image | ArrayLike, *, box: int | None = None, halving: bool = False
+) -> dict[str, Any]:
+    """Transport through the void and the solid along every axis, and the solid's stiffness.
+
+    `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in
+    `stiffness` to the solid's own; `permeability` is in the square of the image's unit. 0 along an
+    axis where nothing spans the image: the tortuosity is infinite there, which is `None` here. 3-D
+    images only; `None` for others.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    box : int, optional
+        Edge of the centre box, voxels, that is solved. Default: the whole image.
+    halving : bool
+        Also solve a small box at half the voxel edge, and tell what changes.
+
+    Returns
+    -------
+    found : dict
+        `diffusivity`, `tortuosity`, `conductivity` and `permeability` by axis; `stiffness` with its
+        `matrix` (6, 6) and `moduli`; and `physics`, which tells of each `converged`, `imbalance`,
+        `iterations` and `halving`. Definitions and sources are those of the functions of these
+        names.
+
+    Raises
+    ------
+    InputError
+        Not labels, no phase named "void", or a box that is none.
+    MemoryBudgetError
+        The solvers would take more memory than there is: give a smaller `box`.
+    """
+    image = as_image(image)
+    check_labels(image)
+    if image.ndim != 3:
+        return dict.fromkeys(PHYSICS)
+    count = min(thread_count(), _fitting(image, box, halving))
+    carrying = {phase: float(phase != "void") for phase in image.phases}
+    # The longest first, so that threads end together.
+    solvers: dict[str, Callable[[int], Effective]] = {
+        "permeability": lambda axis: permeability(image, axis=axis, box=box, halving=halving),
+        "diffusivity": lambda axis: diffusivity(image, axis=axis, box=box, halving=halving),
+        "conductivity": lambda axis: conductivity(
+            image, conductivities=carrying, axis=axis, box=box, halving=halving
+        ),
+    }
+    told: dict[str, dict[str, Any]] = {name: {} for name in solvers}
+    jobs = [(name, axis) for name in solvers for axis in range(3)]
+
+    def solve(start: int, stop: int) -> None:
+        for name, axis in jobs[start:stop]:
+            told[name][AXES[axis]] = solvers[name](axis)
+
+    with threads(count):
+        for first in progress.track(
+            range(0, len(jobs), count), "transport", total=-(-len(jobs) // count)
+        ):
+            last = min(first + count, len(jobs))
+            for_slabs(lambda a, b, at=first: solve(at + a, at + b), last - first, least=1)  # type: ignore[misc]
+    for _ in progress.track([None], "stiffness"):
+        solid = stiffness(image, box=box, halving=halving)
+    return _plain(told, solid)
+
+
+def physics_notes(found: Mapping[str, Any]) -> list[str]:
+    """What has to be known of transport and stiffness: what is infinite, and what has not
+    converged.
+    """
+    notes = [
+        f"The void does not span the image along {axis}: nothing flows, its tortuosity is infinite."
+        for axis, value in (found.get("tortuosity") or {}).items()
+        if value is None
+    ]
+    for name, axes in (found.get("physics") or {}).items():
+        notes += [
+            f"The {name} ({axis}) has not converged: {_unsettled(name, result['imbalance'])}."
+            for axis, result in axes.items()
+            if not result["converged"]
+        ]
+    return notes
+
+
+def _unsettled(name: str, imbalance: float | None) -> str:
+    if imbalance is None:
+        return "no steady flux was found"
+    return f"its {'stress' if name == 'stiffness' else 'flux'} differs by {imbalance:.1%} between sections"
+
+
+def _plain(told: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        name: {axis: finite(told[name][axis].value) for axis in AXES}
+        for name in ("diffusivity", "conductivity", "permeability")
+    }
+    found["tortuosity"] = {
+        axis: result.fraction / result.value if result.value else None
+        for axis, result in ((axis, told["diffusivity"][axis]) for axis in AXES)
+    }
+    found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
+    found["physics"] = {name: {axis: _trust(told[name][axis]) for axis in AXES} for name in told}
+    found["physics"]["stiffness"] = {"all": _trust(solid)}
+    return found
+
+
+def _trust(result: Effective | Stiffness) -> dict[str, Any]:
+    return {
+        "converged": result.converged,
+        "imbalance": finite(result.imbalance),
+        "iterations": result.iterations,
+        "halving": result.halving,
+    }
+
+
+def _fitting(image: Image, box: int | None, halving: bool) -> int:
+    """How many solves of transport fit into memory at once, one at least; all are forecast before
+    the first begins.
+    """
+    void = indicator(image, None, default="void")[1]
+    void = centre(void, box_sides(box, image.shape))
+    split = 3 if halving else 0
+    flow = max(
+        section.needed(void, FLOW_BYTES, split=split),
+        section.needed(~void, CONDUCTION_BYTES, split=split),
+    )
+    check_memory(max(flow, homogenise.needed(~void, halving=halving)))
+    return max(1, available_memory() // flow)
+
+
+def finite(value: float) -> float | None:
+    """A number as JSON knows it: `None` where it is infinite."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,44 @@
+"""A window model as another process gets it, to make boxes of one request."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.recipe import versions
+from trabecula.core.request import Request
+from trabecula.engine.blocks import Box
+from trabecula.synth.api.method import Model
+from trabecula.synth.api.serialize import decoded, encoded
+from trabecula.synth.api.windows import WindowModel
+
+
+class Shipped:
+    """A model and a request as another process gets them: the model as its file's bytes, opened at
+    the first box.
+    """
+
+    def __init__(self, model: WindowModel, request: Request) -> None:
+        self.data = encoded(model, history=dict(model.history), versions=versions())
+        self.request = request
+        self.__setstate__(self.__getstate__())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"data": self.data, "request": self.request}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._model: Model | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self, box: Box) -> np.ndarray:
+        """The values of a box."""
+        with self._lock:  # a worker may make several boxes at once
+            if self._model is None:
+                self._model = decoded(self.data, Path("the model that was sent"))
+        if not isinstance(self._model, WindowModel):
+            raise TypeError("a model that makes no boxes was sent")
+        return self._model.values_of(self.request, box)

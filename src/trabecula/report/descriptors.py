@@ -1,0 +1,351 @@
+"""What is measured of an image, and how far two images are apart: one stick for labels, one for
+grey and colour.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.image import Image
+from trabecula.engine.lazy_volume import Slabs
+from trabecula.measure.blockwise import LEFT_OUT, count_slabs, fitting_depth
+from trabecula.measure.components import component_sizes, sizes_distance
+from trabecula.measure.correlation import covariance_form
+from trabecula.measure.correlation.lineal_path import segments_that_fit
+from trabecula.measure.describe import autocorrelation_lines, describe_curves, describe_numbers
+from trabecula.measure.effective_properties import describe_physics, finite
+from trabecula.measure.evenness import Evenness
+from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten_bins
+from trabecula.measure.orientation import orientation
+from trabecula.measure.phase_lists import phase_curves, phase_numbers
+from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.streaming import Lines
+from trabecula.measure.streaming.cells import CellMeans, CellSums, cells_of
+from trabecula.measure.streaming.lines import Crossings
+from trabecula.measure.thickness import mean_chord
+from trabecula.report.evenness import Windows, measure_evenness, phases_of
+from trabecula.report.metrics import FIGURES
+
+BINS = 64
+"""Of the histograms that are compared."""
+
+NOTHING = np.empty(0)
+
+_CURVE_STEMS = {
+    "two_point_cluster": "two_point_cluster_distance",
+    "two_point": "two_point_covariance",
+    "lineal_path": "lineal_path_distance",
+    "cross": "cross_correlation_distance",
+}
+"""Beginnings of the curves' names, each with that of its distance; an axis, a phase or a pair of
+phases follows.
+"""
+
+# None at level "quick": not measured, and not missing
+_SLOW = ("pore_size", "thickness", "anisotropy")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One image, measured."""
+
+    shape: tuple[int, ...]
+    numbers: Mapping[str, Any]
+    """By the names of the table of figures: a number, truth values by axis, or None where it does
+    not exist.
+    """
+    curves: Mapping[str, np.ndarray]
+    """By name; those along an axis end with its letter."""
+    sizes: np.ndarray
+    """Share of the volume that every component has; empty for grey and colour."""
+    details: Mapping[str, Any]
+    """What is told and not judged: the stiffness matrix, whether solvers converged."""
+    evenness: Mapping[str, Evenness] = field(default_factory=dict)
+    """Local figures of every phase by the suffix of their names; empty of parts."""
+    cells: CellMeans | None = None
+    """What the local figures are added up from."""
+    samples: float = 1.0
+    """Independent images of this shape that the figures are means of."""
+
+
+class Stick(Protocol):
+    """How images of one kind are measured and compared."""
+
+    def measure(self, image: Image, *, part: bool = False) -> Measured:
+        """Every number and curve of an image, or of a part of one."""
+
+    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
+        """Every distance of an image to the exemplar."""
+
+
+class LabelStick:
+    """Measures of phases."""
+
+    def __init__(
+        self,
+        *,
+        r_max: int,
+        level: str,
+        windows: Windows | None = None,
+        box: int | None = None,
+        memory: int | None = None,
+    ) -> None:
+        self.r_max, self.level, self.windows, self.box, self.memory = (
+            r_max,
+            level,
+            windows,
+            box,
+            memory,
+        )
+
+    def measure(self, image: Image | Slabs, *, part: bool = False) -> Measured:
+        """Measure numbers, curves and sizes of components; at level "full" transport and stiffness.
+
+        Of a part neither local figures nor what halving the voxel changes are measured. A volume in
+        slabs is measured at level "quick".
+        """
+        if isinstance(image, Slabs):
+            return self._measure_slabs(image)
+        found = describe_numbers(image, level=self.level)
+        curves = describe_curves(image, r_max=self.r_max, level=self.level)
+        physics = (
+            describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
+        )
+        lines = _Axes(image.ndim, self.r_max)
+        lines.add(image)
+        each_numbers: dict[str, Any] = {}
+        each_curves: dict[str, np.ndarray] = {}
+        if self.level != "quick":
+            each_numbers = phase_numbers(image, level=self.level)
+            each_curves = phase_curves(image, r_max=self.r_max)
+        local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
+        return Measured(
+            image.shape,
+            numbers_of(found, physics, self.level)
+            | lines.numbers(found["porosity"], image.spacing)
+            | each_numbers,
+            _curves_of(curves) | lines.curves(image.shape) | each_curves,
+            component_sizes(image) / image.values.size,
+            physics,
+            self._evenness(local, image),
+            local,
+        )
+
+    def _measure_slabs(self, volume: Slabs) -> Measured:
+        depth = fitting_depth(volume, r_max=self.r_max, memory=self.memory)
+        lines = _Axes(3, self.r_max)
+        sums = self.windows and CellSums(
+            volume.shape, volume.spacing, len(volume.phases), cell=self.windows.cell
+        )
+        tallies = [lines, *([sums] if sums else [])]
+        found, pieces = count_slabs(volume, r_max=self.r_max, depth=depth, tallies=tallies)
+        found |= dict.fromkeys(LEFT_OUT)
+        local = sums.result() if sums else None
+        return Measured(
+            volume.shape,
+            numbers_of(found, {}, "quick") | lines.numbers(found["porosity"], volume.spacing),
+            _curves_of(found) | lines.curves(volume.shape),
+            pieces.sizes() / math.prod(volume.shape),
+            {},
+            self._evenness(local, volume),
+            local,
+        )
+
+    def _evenness(self, local: CellMeans | None, image: Image | Slabs) -> dict[str, Evenness]:
+        if local is None or self.windows is None:
+            return {}
+        return measure_evenness(local, self.windows, phases_of(image))
+
+    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
+        """Return raw, relative and covariance-normalised distances of the curves, and of the
+        component sizes.
+        """
+        found = {
+            "porosity_error": abs(image.numbers["porosity"] / exemplar.numbers["porosity"] - 1),
+            "two_point_distance": float(
+                np.linalg.norm((image.curves["two_point"] - exemplar.curves["two_point"])[1:])
+            ),
+            "component_distance": sizes_distance(image.sizes, exemplar.sizes),
+        }
+        for name, own in exemplar.curves.items():
+            curve = image.curves[name]
+            stem = next(
+                (known for known in _CURVE_STEMS if name == known or name.startswith(f"{known}_")),
+                None,
+            )
+            if stem is None:
+                continue
+            ending = name[len(stem) :].replace("_axis_", "_")
+            if stem == "two_point":
+                if not ending:
+                    found["two_point_relative"] = _relative(curve[1:], own[1:])
+                curve, own = covariance_form(curve), covariance_form(own)
+            found[_CURVE_STEMS[stem] + ending] = _relative(curve, own)
+        return found
+
+
+class _Axes:
+    """Chords and lineal paths of every axis for itself, of the solid and of the void, plane after
+    plane.
+    """
+
+    def __init__(self, ndim: int, r_max: int) -> None:
+        self.ndim, self.r_max = ndim, r_max
+        self._lines = {"": Lines(r_max), "_void": Lines(r_max)}
+        self._crossings = Crossings()
+
+    def add(self, image: Image) -> None:
+        """Take the next planes of a volume, or the one of a 2-D image."""
+        inside = as_inside(indicator(image, None)[1])
+        self._crossings.add(inside)
+        self._lines[""].add(inside)
+        self._lines["_void"].add(~inside)
+
+    def numbers(self, porosity: float, spacing: tuple[float, ...]) -> dict[str, float | None]:
+        """Return the mean chord of the solid along every axis."""
+        rates = self._crossings.rates(spacing)
+        if len(rates) != self.ndim:
+            return {}
+        names = "zyx"[3 - self.ndim :]
+        chords = {
+            name: finite(mean_chord(1 - porosity, [rate]))
+            for name, rate in zip(names, rates, strict=True)
+        }
+        surfaces = {
+            f"specific_surface_{name}": 2 * rate for name, rate in zip(names, rates, strict=True)
+        }
+        return {f"chord_length_{name}": chord for name, chord in chords.items()} | surfaces
+
+    def curves(self, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+        """Return the lineal path of the void, and of both along every axis."""
+        sides = (1,) * (3 - self.ndim) + tuple(shape)
+        axes = range(3 - self.ndim, 3)
+        fits = {axis: segments_that_fit(sides, self.r_max, axis, False) for axis in axes}
+        found = {}
+        for suffix, lines in self._lines.items():
+            for axis in axes:
+                found[f"lineal_path{suffix}_axis_{'zyx'[axis]}"] = lines.segments[axis] / fits[axis]
+        total = sum(fits.values())
+        found["lineal_path_void"] = (
+            sum(self._lines["_void"].segments[axis] for axis in axes) / total
+        )
+        return found
+
+
+class TextureStick:
+    """Measures of grey values and colours as they are.
+
+    Parameters
+    ----------
+    exemplar : Image
+        Its range of values is cut into the bins of every histogram.
+    lags : int
+    windows : Windows, optional
+        Of the local figures. Default: none are measured.
+    """
+
+    def __init__(self, exemplar: Image, *, lags: int, windows: Windows | None = None) -> None:
+        self.lags, self.windows = lags, windows
+        self.bytes = exemplar.values.dtype == np.uint8
+        low, high = (
+            (0.0, 256.0)
+            if self.bytes
+            else (float(exemplar.values.min()), float(exemplar.values.max()))
+        )
+        self.edges = np.linspace(low, high if high > low else low + 1, BINS + 1)
+
+    def measure(self, image: Image, *, part: bool = False) -> Measured:
+        """First and second order statistics and local orientations."""
+        values = grey_values(image)
+        numbers = {
+            "mean": float(values.mean(dtype=np.float64)),
+            "standard_deviation": float(values.std(dtype=np.float64)),
+        }
+        curves = {
+            # Of a colour image the channels' one after another.
+            "histogram": histogram(image, bins=self.edges.tolist()).ravel(),
+            "orientation": orientation(image).shares.ravel(),
+        }
+        if self.bytes and image.values.dtype == np.uint8:
+            curves["ten_bins"] = ten_bins(image)
+        lines = autocorrelation_lines(image, lags=self.lags)
+        local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
+        return Measured(
+            image.shape,
+            numbers,
+            curves | {f"autocorrelation_{axis}": line for axis, line in lines.items()},
+            NOTHING,
+            {},
+            {}
+            if local is None or self.windows is None
+            else measure_evenness(local, self.windows, phases_of(image)),
+            local,
+        )
+
+    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
+        """As the 2014 paper compares textures (its section VI), and the 2017 paper's ten bins."""
+        ours, own = image.curves, exemplar.curves
+        found = {
+            "histogram_divergence": kullback_leibler(
+                ours["histogram"].reshape(-1, BINS), own["histogram"].reshape(-1, BINS)
+            ),
+            "autocorrelation_distance": max(
+                _relative(ours[name], own[name])
+                for name in own
+                if name.startswith("autocorrelation")
+            ),
+        }
+        if ours["orientation"].any() and own["orientation"].any():
+            found["orientation_divergence"] = kullback_leibler(
+                ours["orientation"], own["orientation"]
+            )
+        if "ten_bins" in ours and "ten_bins" in own:
+            found["ten_bins_distance"] = float(np.abs(ours["ten_bins"] - own["ten_bins"]).max())
+        return found
+
+
+def numbers_of(found: Mapping[str, Any], physics: Mapping[str, Any], level: str) -> dict[str, Any]:
+    """Flat: one name a number. A property that has one value an axis gives its mean and each of
+    them.
+    """
+    numbers = {figure.name: found[figure.name] for figure in FIGURES if figure.name in found}
+    if level == "quick":
+        numbers = {name: value for name, value in numbers.items() if name not in _SLOW}
+    if len(found["fractions"]) > 2:
+        numbers |= {f"fraction_{phase}": share for phase, share in found["fractions"].items()}
+    numbers["percolating_fraction"] = float(np.mean(list(found["percolating_fraction"].values())))
+    if found["morphometry"]:
+        numbers["trabecular_number"] = found["morphometry"]["Tb.N"]
+    along = {name: physics.get(name) for name in ("diffusivity", "conductivity", "permeability")}
+    along["stiffness"] = physics["stiffness"]["moduli"] if physics.get("stiffness") else None
+    for name, axes in along.items():
+        if axes:
+            numbers[name] = float(np.mean(list(axes.values())))
+            numbers |= {f"{name}_{axis}": value for axis, value in axes.items()}
+    return numbers
+
+
+def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    curves = {
+        "two_point": np.array(found["two_point"]["radial"]),
+        "lineal_path": np.array(found["lineal_path"]),
+    }
+    if found["two_point_cluster"] is not None:
+        curves["two_point_cluster"] = np.array(found["two_point_cluster"])
+    along = {
+        f"two_point_axis_{axis}": np.array(c)
+        for axis, c in found["two_point"].items()
+        if axis != "radial"
+    }
+    return curves | along
+
+
+def _relative(curve: ArrayLike, reference: ArrayLike) -> float:
+    reference = np.asarray(reference)
+    return float(np.linalg.norm(np.asarray(curve) - reference) / np.linalg.norm(reference))

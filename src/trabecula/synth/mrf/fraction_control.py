@@ -1,0 +1,201 @@
+"""The one owner of the levels' shares: every class of sites is drawn with the shares that are
+wanted.
+
+A density that confirms itself is like a magnet: whichever level has more voxels grows until it has
+all, and a bias that learns from sweep to sweep only drives it from one side to the other. So the
+scores of each class are shifted, group of levels by group, just so far that the expected shares of
+the class are the wanted ones, before anything is drawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.engine.compile import kernel
+from trabecula.synth.mrf.decision_rules import COLD
+from trabecula.synth.mrf.site_class import over_rows, room_for_rows, sum_over_rows
+from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
+
+SITE = 1 << 31
+"""Steps of an expected number of sites."""
+
+# through the groups, from the shifts of the class before; two groups are settled in one
+_ROUNDS = 2
+_NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30
+_FINE = 1 << 8
+_MOST = 16 * UNIT
+_LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at most
+
+
+def shifts_for(
+    energy: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
+) -> np.ndarray:
+    """Shifts (G,) int64 of the groups' scores, in units, the largest 0.
+
+    Parameters
+    ----------
+    energy : (S, G) int64
+        Scores of the groups (`of_groups`) at the sites of a class, in units.
+    wanted : (G,) float64
+        Shares that the class is to have, sum 1.
+    coldness : int
+        1 / temperature in whole 4096ths.
+    start : (G,) int64
+        The shifts of the class before.
+    """
+    shift, lead = start.copy(), room_for_rows(len(energy))
+    first, rounds = (1, 1) if len(wanted) == 2 else (0, _ROUNDS)
+    for _ in range(rounds):
+        for group in range(first, len(wanted)):
+
+            def work(begin: int, end: int, group: int = group) -> None:
+                leads(energy[begin:end], shift, group, coldness, LOGS, POWERS, lead[begin:end])
+
+            over_rows(work, len(lead))
+            shift[group] = _settled(lead, float(wanted[group]), coldness, int(shift[group]))
+    return shift - shift.max()
+
+
+def moved_levels(
+    taken: np.ndarray,
+    groups: np.ndarray,
+    wanted: np.ndarray,
+    *,
+    count: int,
+    coldness: int,
+    shift: np.ndarray,
+) -> np.ndarray:
+    """Shifts (L,) int64 of the levels within their groups for the next class, from those of this
+    one.
+
+    Many levels are not settled class by class: each is moved once, by the logarithm of its wanted
+    share over its expected one.
+
+    Parameters
+    ----------
+    taken : (L,) float64
+        How many of the class's `count` sites every level is expected to take (`shares_of`), with
+        all shifts.
+    groups : (L,) uint8
+    wanted : (L,) float64
+    count : int
+    coldness : int
+    shift : (L,) int64
+    """
+    ratio = np.log2((wanted * count + 0.5) / (taken + 0.5))
+    step = np.rint(np.clip(ratio, -_LEVEL_STEP, _LEVEL_STEP) * (UNIT * COLD / coldness)).astype(
+        np.int64
+    )
+    moved = np.clip(shift + step, -_MOST, _MOST)
+    for group in range(int(groups.max()) + 1):  # what all of a group have in common is the group's
+        moved[groups == group] -= int(np.median(moved[groups == group]))
+    return moved
+
+
+def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
+    """The shift of a group at which its expected share is `wanted`, found by halving an interval
+    around the last one.
+    """
+
+    def taken(shift: int) -> int:
+        return int(
+            sum_over_rows(lambda a, b: expected(lead[a:b], shift, coldness, POWERS), len(lead))
+        )
+
+    aim, room = wanted * len(lead) * SITE, int(_NARROW)
+    low, high = near - room, near + room
+    while low > -_WIDE and taken(low) > aim:
+        low, high, room = low - 4 * room, low, 4 * room
+    while high < _WIDE and taken(high) < aim:
+        low, high, room = high, high + 4 * room, 4 * room
+    while high - low > _FINE:
+        middle = (low + high) // 2
+        if taken(middle) < aim:
+            low = middle
+        else:
+            high = middle
+    return int(np.clip((low + high) // 2, -_WIDE, _WIDE))
+
+
+@kernel
+def of_groups(score, kept, added, groups, coldness, logs, powers, energy):
+    """Scores of the groups (S', G) int64: the logarithm of the sum of their levels' weights, at
+    this coldness.
+
+    Of the S' sites that are `kept` (S,) bool; `added` (L,) int64 comes on top of the score (S, L)
+    int32.
+    """
+    G = energy.shape[1]
+    top = np.empty(G, np.int64)
+    total = np.empty(G, np.float64)
+    row = 0
+    for s in range(len(score)):
+        if not kept[s]:
+            continue
+        top[:] = -(1 << 40)
+        # one step of 2^-31: what has no level is far below, and not below everything
+        total[:] = 1.0
+        for level in range(len(groups)):
+            top[groups[level]] = max(top[groups[level]], score[s, level] + added[level])
+        for level in range(len(groups)):
+            fall = ((score[s, level] + added[level] - top[groups[level]]) * coldness) >> 12
+            total[groups[level]] += np.float64(power_of(fall, powers))
+        bits = total.view(np.int64)
+        for g in range(G):
+            energy[row, g] = top[g] + ((log_of(bits[g], logs) - (31 << 16)) << 12) // coldness
+        row += 1
+
+
+@kernel
+def leads(energy, shift, group, coldness, logs, powers, lead):
+    """By how much a group's shifted score, its own shift left out, lies above all others' together,
+    (S,) int64.
+    """
+    total = np.empty(1, np.float64)
+    bits = total.view(np.int64)
+    for s in range(len(energy)):
+        top = np.int64(-(1 << 60))
+        for g in range(len(shift)):
+            if g != group:
+                top = max(top, energy[s, g] + shift[g])
+        total[0] = 0.0
+        for g in range(len(shift)):
+            if g != group:
+                total[0] += np.float64(
+                    power_of(((energy[s, g] + shift[g] - top) * coldness) >> 12, powers)
+                )
+        lead[s] = energy[s, group] - top - ((log_of(bits[0], logs) - (31 << 16)) << 12) // coldness
+
+
+@kernel
+def expected(lead, shift, coldness, powers):
+    """How many of the sites a group that leads by `lead` + `shift` is expected to take, in steps of
+    1 / `SITE`: whole numbers, so that they may be summed in any order."""
+    total = np.int64(0)
+    for s in range(len(lead)):
+        above = ((lead[s] + shift) * coldness) >> 12
+        odds = np.float64(power_of(-abs(above), powers)) * 2.0**-31
+        total += np.int64((1.0 if above >= 0 else odds) / (1.0 + odds) * 2.0**31 + 0.5)
+    return total
+
+
+@kernel
+def shares_of(score, kept, added, coldness, powers, total):
+    """Adds the expected number of sites of every level (L,) to `total`; of sites and scores as of
+    `of_groups`.
+    """
+    weight = np.empty(score.shape[1], np.float64)
+    for s in range(len(score)):
+        if not kept[s]:
+            continue
+        top = score[s, 0] + added[0]
+        for level in range(len(weight)):
+            top = max(top, score[s, level] + added[level])
+        whole = 0.0
+        for level in range(len(weight)):
+            weight[level] = np.float64(
+                power_of(((score[s, level] + added[level] - top) * coldness) >> 12, powers)
+            )
+            whole += weight[level]
+        for level in range(len(weight)):
+            total[level] += weight[level] / whole

@@ -1,0 +1,43 @@
+"""What is filled: a request's box in three axes, whether it is a volume or a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from trabecula.core.request import Request
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Shape, periods and seed of a request along z, y, x; a picture is one voxel thick.
+
+    Attributes
+    ----------
+    shape : three ints
+    periodic : three bools
+    seed : int
+    flat : bool
+        Whether a picture was asked for.
+    """
+
+    shape: tuple[int, ...]
+    periodic: tuple[bool, ...]
+    seed: int
+    flat: bool
+
+
+def domain_of(request: Request) -> Domain:
+    """The domain of a request, 2-D or 3-D."""
+    missing = 3 - len(request.shape)
+    return Domain(
+        (1,) * missing + request.shape,
+        (False,) * missing + request.periodic,
+        request.seed,
+        flat=bool(missing),
+    )
+
+
+def lifted(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """A box in three axes."""
+    return ((0, 1),) * (3 - len(box)) + tuple(box)

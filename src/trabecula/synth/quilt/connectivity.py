@@ -1,0 +1,254 @@
+"""Connectivity by construction (section 4.3): bodies of the phases that are to hang together,
+followed while the output grows.
+
+A *body* is a connected set of voxels of one class (the solid, or the void). It may still grow as
+long as it has *ends*: faces towards voxels that are not made yet. A piece is taken if
+1. whatever hung together outside its box still does (seen in a window with a margin around the
+box), and
+2. no body is closed, that is without an end, while there is another of its class.
+So there is one body of a class in the end, beside islands of a few voxels, which may be closed and
+are painted over when all is made. Void that reaches a face of the volume or of the form is out: all
+of it is body 0, which never closes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs
+from trabecula.synth.quilt.component_kernels import (
+    first_ends,
+    flooded,
+    islands,
+    largest,
+    renumbered,
+)
+from trabecula.synth.quilt.components import parts_of, slabs_of
+from trabecula.synth.quilt.connectivity_kernels import (
+    ENDS,
+    LINK,
+    SHUT_NOW,
+    WHOLE,
+    Book,
+    Sight,
+    entered,
+    judged,
+    led,
+)
+from trabecula.synth.quilt.voxel_codes import FIXED, OUT
+
+FINE, TORN, CLOSED = 0, 1, 2
+"""Verdicts on a piece."""
+
+SOLID, VOID = 1, 2
+_ALWAYS = 1 << 40  # ends of what is out
+_MORE = 4096  # bodies by which the book grows
+
+
+def classes_for(connected: str, void: int, labels: int) -> np.ndarray:
+    """(256,) uint8: class of every value of a voxel; 0 where it does not matter what hangs
+    together.
+    """
+    table = np.zeros(256, np.uint8)
+    for label in range(labels):
+        kind = VOID if label == void else SOLID
+        if connected == "both" or connected == ("void" if kind == VOID else "solid"):
+            table[label] = table[label + FIXED] = kind
+    if connected in ("void", "both"):
+        table[OUT] = VOID
+    return table
+
+
+class Bodies:
+    """The bodies of an output: the number of every voxel's, and a book of which are one, with their
+    ends.
+
+    Attributes
+    ----------
+    of : (Z, Y, X) int32
+        A voxel's body; what counts is the root of it in the book.
+    alive : (2, 3) int64
+        Bodies of every class that have ends, body 0 among them where void is followed; and those
+        that were closed as the only one, after which none may begin.
+    """
+
+    def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
+        self.classes = classes
+        self.of = memmap.zeros(canvas.shape, np.int32)
+        self.parent = memmap.zeros(_MORE, np.int32)
+        self.ends = memmap.zeros(_MORE, np.int64)
+        self.sizes = memmap.zeros(_MORE, np.int64)
+        self.mark = memmap.zeros(_MORE, np.int32)
+        self.ends[0] = _ALWAYS
+        self.count = 1
+        self.alive = np.zeros((2, 3), np.int64)
+        self.alive[0, VOID] = int(classes[OUT] == VOID)
+        if any(canvas[first:last].min() < OUT for first, last in slabs_of(canvas.shape)):
+            self._begin(canvas, wraps)
+
+    def _begin(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
+        """Bodies of what is there from the start; those without an end are nobody's business."""
+        for kind in (SOLID, VOID):
+            member = self.classes == kind
+            part, sizes = parts_of(canvas, member, wraps, into=self.of)
+            self.make_room(len(sizes))
+            used = slice(self.count, self.count + len(sizes))
+            ends, out = np.zeros(len(sizes), np.int64), np.zeros(len(sizes), np.bool_)
+            for first, last in slabs_of(canvas.shape):
+                first_ends(canvas, member, self.of, part, wraps, first, last, ends, out)
+            numbers = np.arange(used.start, used.stop, dtype=np.int32)
+            if kind == VOID:
+                numbers[out] = 0
+            self.parent[used], self.sizes[used], self.ends[used] = numbers, sizes, ends
+            self.alive[0, kind] += np.count_nonzero((ends > 0) & (numbers > 0))
+            body = np.concatenate([np.zeros(1, np.int32), numbers])[part]
+            for first, last in slabs_of(canvas.shape):
+                renumbered(canvas[first:last], member, body, self.of[first:last])
+            self.count += len(sizes)
+
+    @property
+    def book(self) -> Book:
+        """What the kernels take of it."""
+        return Book(self.parent, self.ends, self.sizes, self.mark, self.alive)
+
+    def page(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What the book says of these bodies, and how many there are."""
+        kept = numbers.copy()
+        return (
+            kept,
+            self.parent[kept],
+            self.ends[kept],
+            self.sizes[kept],
+            self.alive.copy(),
+            np.array(self.count),
+        )
+
+    def restore(self, page: tuple[np.ndarray, ...]) -> None:
+        """Let the book say again what it said."""
+        numbers, parents, ends, sizes, alive, count = page
+        self.parent[numbers], self.ends[numbers], self.sizes[numbers] = parents, ends, sizes
+        self.alive[:], self.count = alive, int(count)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it, for a checkpoint."""
+        used = slice(self.count)
+        return {
+            "of": self.of,
+            "parent": self.parent[used],
+            "ends": self.ends[used],
+            "sizes": self.sizes[used],
+            "alive": self.alive,
+        }
+
+    def take_over(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take what `arrays` gave."""
+        self.of, self.alive[:], self.count = arrays["of"], arrays["alive"], 0
+        self.make_room(len(arrays["parent"]))
+        self.count = len(arrays["parent"])
+        for name in ("parent", "ends", "sizes"):
+            _copy(arrays[name], getattr(self, name))
+
+    def islands(self, most: int) -> np.ndarray:
+        """(count,) bool: numbers of bodies of at most so many voxels; the largest and what is out
+        are none.
+        """
+        found, parent = memmap.zeros(self.count, np.bool_), self.parent[: self.count]
+        kept = 0
+        # Of void all is out; of solid the largest is what the others should have joined.
+        if (self.classes == SOLID).any():
+            for first, last in slabs_of(parent.shape):
+                kept = int(largest(parent, self.sizes, first, last, kept))
+        for first, last in slabs_of(parent.shape):
+            islands(parent, self.sizes, most, kept, first, last, found)
+        return found
+
+    def make_room(self, more: int) -> None:
+        """Let the book hold so many more bodies."""
+        while self.count + more > len(self.parent):
+            for name in ("parent", "ends", "sizes", "mark"):  # marks are 0 between judgements
+                before = getattr(self, name)
+                longer = memmap.zeros(2 * len(before), before.dtype)
+                _copy(before, longer)
+                setattr(self, name, longer)
+
+
+def _copy(table: np.ndarray, into: np.ndarray) -> None:
+    """Copy a table to the beginning of a longer one."""
+
+    def copy(first: int, last: int) -> None:
+        into[first:last] = table[first:last]
+
+    for_slabs(copy, len(table))
+
+
+class Judge:
+    """What one size of window needs for judging, held for all windows of a run."""
+
+    def __init__(self, window: tuple[int, ...], margin: tuple[int, ...], *, island: int) -> None:
+        self.margin, self.island = margin, island
+        count = int(np.prod(window))
+        self.sight = Sight(
+            before=np.empty(window, np.int32),
+            after=np.empty(window, np.int32),
+            parts=np.empty((8, count + 1), np.int64),
+            seen=np.empty(count + 1, np.int64),
+            stack=np.empty(count, np.int32),
+            tally=np.zeros((4, 3), np.int64),
+        )
+        self.count = 0
+        self.old_seen: np.ndarray | None = None
+        self.new_seen: np.ndarray | None = None
+
+    @property
+    def growth(self) -> int:
+        """Bodies that the window judged last adds to those that may still grow; one that it ends
+        counts as two.
+        """
+        tally = self.sight.tally
+        return int((tally[1] - tally[0] + 2 * tally[2]).sum())
+
+    def verdict(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
+        """Whether `new` may stand in place of the window `old`, whose bodies are `of` (uint8, and
+        int32, of one shape).
+        """
+        sight = self.sight
+        if old is not self.old_seen:
+            flooded(old, bodies.classes, sight.before, sight.stack)
+            self.old_seen = old
+        self.count = count = int(flooded(new, bodies.classes, sight.after, sight.stack))
+        sight.parts[:, : count + 1] = 0
+        self.new_seen = new
+        return int(
+            judged(
+                old, new, of, self.margin, bodies.classes, bodies.book, sight, count, self.island
+            )
+        )
+
+    def enter(
+        self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Write a window into the book whatever the verdict, and its bodies into `of`; returns what
+        `Bodies.restore` takes.
+        """
+        if new is not self.new_seen or old is not self.old_seen:
+            self.verdict(bodies, old, new, of)
+        bodies.make_room(self.count)
+        seen = self.sight.seen
+        before = bodies.page(seen[1 : 1 + seen[0]])
+        bodies.count = int(
+            entered(new, of, self.margin, bodies.classes, bodies.book, self.sight, bodies.count)
+        )
+        return before
+
+    def shut(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the window judged last: the leader of every voxel's part (int32), the leaders that
+        would be shut, the smallest body first, and by number (bool) which leaders are more than
+        islands.
+        """
+        parts = self.sight.parts[:, : self.count + 1]
+        leaders = np.empty(self.sight.after.shape, np.int32)
+        led(self.sight.after, self.sight.parts, leaders)
+        first = np.flatnonzero((parts[SHUT_NOW] > 0) & (parts[LINK] == 0))
+        kept = (parts[ENDS] > 0) | (parts[WHOLE] > self.island)
+        return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept

@@ -1,0 +1,273 @@
+"""The kernels of `bodies`: what a piece would do to the bodies that the parts of its window belong
+to.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trabecula.engine.compile import inline, kernel
+from trabecula.synth.quilt.component_kernels import root_of
+from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED
+
+
+@inline
+def _in_box(z, y, x, shape, margin):
+    return (
+        margin[0] <= z < shape[0] - margin[0]
+        and margin[1] <= y < shape[1] - margin[1]
+        and margin[2] <= x < shape[2] - margin[2]
+    )
+
+
+@inline
+def _ends_at(window, z, y, x):
+    """Faces of a voxel towards voxels that are not made."""
+    depth, height, width = window.shape
+    count = 0
+    if z > 0 and window[z - 1, y, x] == EMPTY:
+        count += 1
+    if z < depth - 1 and window[z + 1, y, x] == EMPTY:
+        count += 1
+    if y > 0 and window[z, y - 1, x] == EMPTY:
+        count += 1
+    if y < height - 1 and window[z, y + 1, x] == EMPTY:
+        count += 1
+    if x > 0 and window[z, y, x - 1] == EMPTY:
+        count += 1
+    if x < width - 1 and window[z, y, x + 1] == EMPTY:
+        count += 1
+    return count
+
+
+class Book(NamedTuple):
+    """What is known of every body, by its number; arrays as in `bodies.Bodies`."""
+
+    parent: np.ndarray
+    ends: np.ndarray
+    sizes: np.ndarray
+    mark: np.ndarray
+    alive: np.ndarray
+
+
+class Sight(NamedTuple):
+    """What is seen in one window.
+
+    before, after : (z, y, x) int32
+        Parts of the old and of the new window, from 1.
+    parts : (8, .) int64
+        Rows below; columns are the parts of the new window. Parts of one body follow one leader,
+        which holds all there is.
+    seen : (.,) int64
+        How many bodies the window has, then their numbers.
+    stack : (.,) int32
+        Room to work in.
+    tally : (4, 3) int64
+        Per class the bodies that were alive here, those that will be, those that would be shut, and
+        those that were.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    parts: np.ndarray
+    seen: np.ndarray
+    stack: np.ndarray
+    tally: np.ndarray
+
+
+# Rows of `parts`. BODY is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies
+# that had no end already.
+LINK, BODY, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
+_ALIVE, _COMING, _SHUT, _WAS_SHUT = 0, 1, 2, 3
+# instead of ends: no longer growing, and the one body of its class; 0: an island, or given, or
+# given up
+_CLOSED = -1
+_GONE = -1  # instead of a part: the body was in the box alone, and the new window has nothing of it
+
+
+@inline
+def _leader(parts, k):
+    while parts[LINK, k] > 0:
+        k = parts[LINK, k]
+    return k
+
+
+@inline
+def _joined(parts, a, b):
+    a, b = _leader(parts, a), _leader(parts, b)
+    if a != b:
+        parts[LINK, max(a, b)] = min(a, b)
+
+
+@kernel
+def judged(old, new, of, margin, classes, book, sight, count, island):
+    """Whether `new` may stand in place of `old`: 0, or 1 where it tears what hangs together, or 2
+    where it closes a body beside others. `of`: bodies of the old window; `count`: parts of the new
+    one; `island`: voxels that may be closed. `book.mark` is 0 before and after.
+    """
+    sight.tally[:] = 0
+    known, torn = _matched(old, new, of, margin, classes, book, sight)
+    known = _weighed(old, new, of, margin, classes, book, sight, known)
+    sight.seen[0] = known
+    _carried_over(book, sight)
+    _counted(sight, count, island)
+    for n in range(1, known + 1):
+        book.mark[sight.seen[n]] = 0
+    if torn:
+        return 1
+    return 2 if _closes_beside_others(book.alive, sight.tally) else 0
+
+
+@inline
+def _matched(old, new, of, margin, classes, book, sight):
+    """Which bodies every new part goes on; returns how many there are, and whether one is torn."""
+    shape, parts, sent = new.shape, sight.parts, sight.stack
+    torn, known = False, 0
+    sent[: old.size] = 0
+    for z in range(shape[0]):
+        for y in range(shape[1]):
+            for x in range(shape[2]):
+                mine, was = sight.after[z, y, x], sight.before[z, y, x]
+                inside = _in_box(z, y, x, shape, margin)
+                if mine > 0:
+                    parts[SIZE, mine] += inside
+                    parts[KIND, mine] = classes[new[z, y, x]]
+                if was == 0 or (inside and old[z, y, x] < FIXED):
+                    continue
+                # Nothing changes here: what hung together by the old window has to by the new.
+                if sent[was - 1] == 0:
+                    sent[was - 1] = mine
+                elif sent[was - 1] != mine:
+                    torn = True
+                body = root_of(book.parent, of[z, y, x])
+                if book.mark[body] == 0:
+                    book.mark[body] = mine
+                    known += 1
+                    sight.seen[known] = body
+                elif book.mark[body] != mine:
+                    _joined(parts, book.mark[body], mine)
+    return known, torn
+
+
+@inline
+def _weighed(old, new, of, margin, classes, book, sight, known):
+    """Voxels and ends that every leader gains or loses in the window; returns how many bodies there
+    are with those that go.
+    """
+    shape, parts = new.shape, sight.parts
+    for z in range(shape[0]):
+        for y in range(shape[1]):
+            for x in range(shape[2]):
+                inside = _in_box(z, y, x, shape, margin)
+                if sight.after[z, y, x] > 0:
+                    k = _leader(parts, sight.after[z, y, x])
+                    parts[ENDS, k] += _ends_at(new, z, y, x)
+                    parts[WHOLE, k] += inside
+                if sight.before[z, y, x] == 0:
+                    continue
+                body = root_of(book.parent, of[z, y, x])
+                if book.mark[body] == 0:
+                    book.mark[body] = _GONE
+                    known += 1
+                    sight.seen[known] = body
+                    sight.tally[_ALIVE, classes[old[z, y, x]]] += book.ends[body] > 0
+                    sight.tally[_WAS_SHUT, classes[old[z, y, x]]] += book.ends[body] == _CLOSED
+                elif book.mark[body] > 0:
+                    k = _leader(parts, book.mark[body])
+                    parts[ENDS, k] -= _ends_at(old, z, y, x)
+                    parts[WHOLE, k] -= inside
+    return known
+
+
+@inline
+def _carried_over(book, sight):
+    """What leaders take over from the bodies that they go on."""
+    parts, tally = sight.parts, sight.tally
+    for n in range(1, sight.seen[0] + 1):
+        body = sight.seen[n]
+        if book.mark[body] == _GONE:
+            continue
+        k = _leader(parts, book.mark[body])
+        parts[ENDS, k] += max(book.ends[body], 0)
+        parts[WHOLE, k] += book.sizes[body]
+        tally[_ALIVE, parts[KIND, k]] += book.ends[body] > 0
+        tally[_WAS_SHUT, parts[KIND, k]] += book.ends[body] == _CLOSED
+        if book.ends[body] == 0:  # it was shut before, which is nobody's fault now
+            parts[SHUT_BEFORE, k] += book.sizes[body]
+        if parts[BODY, k] == 0 or body + 1 < parts[BODY, k]:
+            parts[BODY, k] = body + 1
+
+
+@inline
+def _counted(sight, count, island):
+    """How many leaders may go on growing, and how many would be shut."""
+    parts = sight.parts
+    for k in range(1, count + 1):
+        if parts[LINK, k] > 0:
+            continue
+        if parts[ENDS, k] > 0:
+            sight.tally[_COMING, parts[KIND, k]] += 1
+        elif parts[WHOLE, k] > max(island, parts[SHUT_BEFORE, k]):
+            sight.tally[_SHUT, parts[KIND, k]] += 1
+            parts[SHUT_NOW, k] = 1
+
+
+@inline
+def _closes_beside_others(alive, tally):
+    for kind in range(1, 3):
+        shut = alive[1, kind] - tally[_WAS_SHUT, kind] + tally[_SHUT, kind]
+        if shut > 0 and alive[0, kind] - tally[_ALIVE, kind] + tally[_COMING, kind] + shut > 1:
+            return True
+    return False
+
+
+@kernel
+def led(after, parts, found):
+    """The leader of every voxel's part."""
+    for z in range(after.shape[0]):
+        for y in range(after.shape[1]):
+            for x in range(after.shape[2]):
+                k = after[z, y, x]
+                found[z, y, x] = _leader(parts, k) if k > 0 else 0
+
+
+@kernel
+def entered(new, of, margin, classes, book, sight, count):
+    """The parts as bodies; `count` numbers are in use before, and what it returns after."""
+    shape, parts, tally = new.shape, sight.parts, sight.tally
+    for n in range(1, sight.seen[0] + 1):
+        if sight.seen[n] > 0:
+            book.ends[sight.seen[n]] = 0  # what goes on gets its ends below
+            book.sizes[sight.seen[n]] = 0
+    given_up = np.zeros(3, np.bool_)
+    for kind in range(1, 3):
+        book.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
+        book.alive[1, kind] -= tally[_WAS_SHUT, kind]
+        given_up[kind] = book.alive[0, kind] + book.alive[1, kind] + tally[_SHUT, kind] > 1
+        if not given_up[kind]:
+            book.alive[1, kind] += tally[_SHUT, kind]
+    for z in range(shape[0]):
+        for y in range(shape[1]):
+            for x in range(shape[2]):
+                if sight.after[z, y, x] == 0:
+                    continue
+                k = _leader(parts, sight.after[z, y, x])
+                if parts[BODY, k] == 0:
+                    book.parent[count] = count
+                    count += 1
+                    parts[BODY, k] = count
+                body = parts[BODY, k] - 1
+                if body > 0:
+                    book.ends[body] = max(parts[ENDS, k], 0)
+                    if parts[SHUT_NOW, k] > 0 and not given_up[parts[KIND, k]]:
+                        book.ends[body] = _CLOSED
+                    book.sizes[body] = parts[WHOLE, k]
+                if _in_box(z, y, x, shape, margin):
+                    of[z, y, x] = body
+                else:
+                    root = root_of(book.parent, of[z, y, x])
+                    if root != body:
+                        book.parent[root] = body
+    return count

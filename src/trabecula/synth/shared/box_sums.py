@@ -1,0 +1,122 @@
+"""Sums over the windows around every voxel: running sums along one axis after the other, in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.parallel import for_slabs, sum_slabs
+
+
+def sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
+    """(Z, Y, X) int32: sums over the windows of `width` voxels around every voxel; beyond an open
+    face lies nothing.
+    """
+    return summed(lambda z: values[z], values.shape, width, wraps)[0]
+
+
+def summed(
+    values: Callable[[int], np.ndarray], shape: tuple[int, ...], width: int, wraps: tuple[bool, ...]
+) -> tuple[np.ndarray, int]:
+    """The same for a volume whose plane z is `values(z)`, and the sum of all of it."""
+    total = memmap.empty(shape, np.int32)
+
+    def work(start: int, stop: int) -> int:
+        found = 0
+        for z in range(start, stop):
+            total[z] = values(z)
+            found += int(total[z].sum(dtype=np.int64))
+        _slide_in_planes(total, width, wraps, start, stop)
+        return found
+
+    found = sum_slabs(work, len(total))
+    _slide_across(total, width, wraps)
+    return total, found
+
+
+def summed_again(
+    total: np.ndarray, width: int, wraps: tuple[bool, ...], change: Callable[[int, int], None]
+) -> None:
+    """Sums over windows of what `change(start, stop)` makes of planes of `total`, in place."""
+
+    def work(start: int, stop: int) -> None:
+        change(start, stop)
+        _slide_in_planes(total, width, wraps, start, stop)
+
+    for_slabs(work, len(total))
+    _slide_across(total, width, wraps)
+
+
+def _slide_in_planes(
+    total: np.ndarray, width: int, wraps: tuple[bool, ...], start: int, stop: int
+) -> None:
+    """Sums along y and x, in place."""
+    _slide(total, False, width, wraps[1], start, stop)
+    _slide_last(total, width, wraps[2], start, stop)
+
+
+def _slide_across(total: np.ndarray, width: int, wraps: tuple[bool, ...]) -> None:
+    """Sums along z, in place: whole columns, by rows of them."""
+    for_slabs(lambda start, stop: _slide(total, True, width, wraps[0], start, stop), total.shape[1])
+
+
+@inline
+def _row(lines, along_first, n, k):
+    return lines[k, n] if along_first else lines[n, k]
+
+
+@kernel
+def _slide(lines, along_first, width, wraps, start, stop):
+    """Running sums in place along the first axis, or the second, for start..stop of the other; all
+    of a row at once.
+    """
+    # of the voxels beside a voxel: itself counts to those after
+    before, after = width // 2, width - width // 2
+    side, across = lines.shape[0] if along_first else lines.shape[1], lines.shape[2]
+    kept, total = np.empty((side, across), np.int32), np.empty(across, np.int32)
+    for n in range(start, stop):
+        total[:] = 0
+        for k in range(side):
+            kept[k] = _row(lines, along_first, n, k)
+        for k in range(-before, after):
+            if wraps or 0 <= k < side:
+                total += kept[k % side]
+        for k in range(side):
+            row = _row(lines, along_first, n, k)
+            low, high = k - before, k + after
+            for x in range(across):
+                row[x] = total[x]
+            if wraps or high < side:
+                entering = kept[high % side]
+                for x in range(across):
+                    total[x] += entering[x]
+            if wraps or low >= 0:
+                leaving = kept[low % side]
+                for x in range(across):
+                    total[x] -= leaving[x]
+
+
+@kernel
+def _slide_last(lines, width, wraps, start, stop):
+    """Running sums in place along the last axis."""
+    before, after = width // 2, width - width // 2
+    side = lines.shape[2]
+    line = np.empty(side, np.int32)
+    for n in range(start, stop):
+        for m in range(lines.shape[1]):
+            row = lines[n, m]
+            line[:] = row
+            total = np.int32(0)
+            for k in range(-before, after):
+                total += line[k % side] if wraps else (line[k] if 0 <= k < side else 0)
+            for k in range(side):
+                row[k] = total
+                low, high = k - before, k + after
+                if wraps:
+                    total += line[high % side] - line[low % side]
+                else:
+                    total += line[high] if high < side else 0
+                    total -= line[low] if low >= 0 else 0

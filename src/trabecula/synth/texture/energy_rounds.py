@@ -1,0 +1,127 @@
+"""One round's vote as the paper takes it: both terms of equation (1), the weights of equation (2),
+and the energy's trace.
+
+The plain vote of `optimise` is the special case without a gradient term, with weights from the
+distances of features.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.shared.matching.grid import Grid, wrapped
+from trabecula.synth.texture.config import TextureConfig
+from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch, total
+from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
+from trabecula.synth.texture.poisson import solve_votes
+
+_UNIT = 64  # the integer weight that stands for 1
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The feedback of one grid, and the distance that weights are relative to (that of its first
+    round).
+    """
+
+    feedback: Feedback
+    reference: float | None = None
+
+    @classmethod
+    def at_first(cls, config: TextureConfig, rounds: int) -> Balance:
+        """Before the first round."""
+        rise, fall = (config.increase, config.decrease) if config.adaptive else (0.0, 0.0)
+        return cls(Feedback(tolerance=config.tolerance, most=rounds, increase=rise, decrease=fall))
+
+    def trace(self) -> list[dict[str, Any]]:
+        """Every round's energies, as plain JSON."""
+        return [asdict(round_) for round_ in self.feedback.trace]
+
+
+def round_bytes(voxels: int, sites: int, *, channels: int) -> int:
+    """Memory of a round on so many covered voxels: the votes, the solver's arrays, the state
+    before.
+    """
+    return voxels * (13 * channels + 30) + 16 * sites
+
+
+def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
+    """What a thread takes of a round whose arrays lie in scratch files: some planes, of `plane`
+    voxels and `sites` sites.
+
+    A plane of sites reads `width` planes of the field; numbers of its energies are added as those
+    of Python.
+    """
+    return plane * (2 * width * channels + 20 * channels + 60) + 120 * sites
+
+
+def balanced(
+    grid: Grid,
+    field: np.ndarray,
+    match: np.ndarray,
+    balance: Balance,
+    config: TextureConfig,
+    *,
+    trim: int,
+) -> tuple[np.ndarray, Balance]:
+    """The votes (C, Z, Y, X) int16 for matches found on `field`, and the balance after them."""
+    candidates = grid.candidates
+    where: dict[str, Any] = {
+        "shape": candidates.shape,
+        "stride": candidates.stride,
+        "step": candidates.step,
+        "width": candidates.basis.width,
+    }
+    exemplar = candidates.stack.field
+    squared, _ = mismatch(
+        wrapped(grid, field), exemplar, match, gradient=False, active=grid.active, **where
+    )
+    floor = float(len(exemplar) * candidates.basis.width**3)  # one unit of the field per voxel
+    reference = balance.reference or math.sqrt(_mean(squared, grid.active) + floor)
+    settings = {"robustness": config.robustness, "reference": reference, "floor": floor}
+    weights = _weights(squared, grid.active, settings)
+    del squared
+    scale = balance.feedback.scale
+    # lambda W + mu L = lambda (W + (mu / lambda) L): only their ratio moves the field.
+    solved = solve_votes(
+        fold_votes(_cast(grid, match, weights, where, trim), field.shape[1:]),
+        mu=config.gradient / scale,
+        unit=_UNIT,
+    )
+    after = mismatch(wrapped(grid, solved), exemplar, match, active=grid.active, **where)
+    found = energy(after[0], after[1], weights, mu=config.gradient, unit=scale / _UNIT, **settings)
+    return solved, Balance(balance.feedback.after(found), reference)
+
+
+def _mean(squared: np.ndarray, active: np.ndarray) -> float:
+    """Over the sites that are active; 0 where none is."""
+    count = sum_slabs(lambda a, b: np.count_nonzero(active[a:b]), len(active))
+    return total(lambda z: squared[z][active[z]], len(squared)) / max(1, count)
+
+
+def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]) -> np.ndarray:
+    """Those of equation (2) in integers; 0 where a site is not active."""
+    weights = memmap.empty(squared.shape, np.int32)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            own = np.clip(np.rint(_UNIT * adaptive_weights(squared[z], **settings)), 1, 1023)
+            weights[z] = np.where(active[z], own, 0)
+
+    for_slabs(work, len(weights))
+    return weights
+
+
+def _cast(
+    grid: Grid, match: np.ndarray, weights: np.ndarray, where: dict[str, Any], trim: int
+) -> Votes:
+    exemplar = grid.candidates.stack.field
+    votes = no_votes(grid.reach, channels=len(exemplar))
+    add_votes(votes, exemplar, match, weights, trim=trim, wraps=grid.region.wraps, **where)
+    return votes

@@ -1,0 +1,250 @@
+"""A porosity that varies from place to place: what neighbourhoods are guided by, and what the field
+leans to.
+
+Two means together. The search prefers neighbourhoods from places of the exemplar that are as dense
+as is asked for (one more feature: the share of the phase around them), and after every vote the
+field is shifted, smoothly, until the share around every voxel is the one asked for: struts grow or
+thin where the exemplar holds nothing dense or sparse enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.shared.box_sums import summed, summed_again, sums
+from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.matching.grid import Grid, with_guide
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.texture.volume_fraction import share_in
+
+# voxels a side in which a share is taken: of the finest level, and of any at least
+_WINDOW, _LEAST = 24, 6
+_WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar
+_UNIT = 4096  # of a share, in whole numbers
+_PULL = 16_000  # features between a share of 0 and one of 1
+_NEAR = 32  # values of the field that count as near the interface: about a voxel
+_MOST = 40  # by which a field is shifted in one step
+_HASTE = 1.5  # of a step; from 3 on they would swing
+_LAST = 16  # steps at the end
+BYTES = 32
+"""Of a voxel: the windows' sums, and what a step takes."""
+_AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
+
+
+@dataclass(frozen=True)
+class Leaning:
+    """What one level's grid is asked for: the share of the phase around every voxel of its region."""
+
+    region: Region
+    wanted: np.ndarray
+    """(Z, Y, X) int32: sums over the windows of what is asked for, in `_UNIT`."""
+    counted: np.ndarray
+    """(Z, Y, X) int32: voxels of the windows that count."""
+    width: int
+    mean: float
+    """The share of all that counts."""
+
+    @classmethod
+    def of(cls, region: Region, shares: np.ndarray, width: int) -> Leaning:
+        """For a region that is covered, with shares (z, y, x) float32 of its beginning."""
+        places = [
+            np.arange(side).clip(max=have - 1)
+            for side, have in zip(region.shape, shares.shape, strict=True)
+        ]
+        free, wraps = region.free, region.wraps
+
+        everywhere = np.ones(region.shape[1:], bool)
+
+        def counts(z: int) -> np.ndarray:
+            return everywhere if free is None else free[z]
+
+        def whole(z: int) -> np.ndarray:
+            near = shares[places[0][z]][np.ix_(*places[1:])]
+            return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
+
+        wanted, asked = summed(whole, region.shape, width, wraps)
+        counted, voxels = summed(counts, region.shape, width, wraps)
+        return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
+
+    def guide(self, grid: Grid) -> np.ndarray:
+        """What is asked for around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
+        box, steps = grid.candidates.basis.box, grid.candidates.steps
+        at = [
+            (np.arange(count) * step + w // 2) % side
+            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
+        ]
+        guide = memmap.empty((*grid.shape, 1), np.int16)
+
+        def work(start: int, stop: int) -> None:
+            for sz in range(start, stop):
+                mesh = (at[0][sz], *np.ix_(*at[1:]))
+                guide[sz, ..., 0] = _feature(self.wanted[mesh], self.counted[mesh])
+
+        for_slabs(work, len(guide))
+        return guide
+
+    def leaned(self, field: np.ndarray) -> np.ndarray:
+        """A field (1, Z, Y, X) int8, shifted towards what is asked for."""
+        leaned = memmap.empty(field.shape, np.int8)
+
+        def add(z: int, shift: np.ndarray) -> None:
+            leaned[0, z] = np.clip(field[0, z] + shift, -127, 127)
+
+        self.step(lambda z: field[0, z], add)
+        return leaned
+
+    def step(
+        self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
+    ) -> None:
+        """A step of Newton's method on the shares around every voxel.
+
+        Parameters
+        ----------
+        field : callable
+            Plane z (Y, X) of the field, in units of an int8 one.
+        use : callable
+            Takes z and what has to be added there, (Y, X) int16; called once a plane, when no plane
+            is asked for any more.
+        """
+        region, width = self.region, self.width
+
+        def inside(z: int) -> np.ndarray:
+            return np.asarray(
+                field(z) > 0 if region.free is None else (field(z) > 0) & region.free[z]
+            )
+
+        def beside(z: int) -> np.ndarray:
+            near = np.abs(field(z).astype(np.int16)) <= _NEAR
+            return np.asarray(near if region.free is None else near & region.free[z])
+
+        near, _ = summed(beside, region.shape, width, region.wraps)
+        missing, _ = summed(inside, region.shape, width, region.wraps)
+        # Taken back through the same windows: a step at every voxel for its own window alone would
+        # overshoot and swing.
+        summed_again(
+            missing,
+            width,
+            region.wraps,
+            lambda a, b: _miss(self.wanted, self.counted, missing, a, b),
+        )
+
+        def work(start: int, stop: int) -> None:
+            shift = np.empty(missing.shape[1:], np.int16)
+            for z in range(start, stop):
+                _shift(missing[z], near[z], self.counted[z], shift)
+                use(z, shift)
+
+        for_slabs(work, len(missing))
+
+
+def slab_bytes(shape: tuple[int, ...]) -> int:
+    """What a thread takes where arrays lie in scratch files: some planes, and a row of whole
+    columns along z.
+    """
+    return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
+
+
+def leaning_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Leaning]:
+    """A grid of level `index` whose search is guided, and what its field leans to; shares are those
+    of that level.
+    """
+    even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
+    width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
+    leaning = Leaning.of(grid.region, shares, width)
+    own, mean = share_in(grid.candidates.stack), float(leaning.mean)
+    targets = tuple(Histogram.leaning(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
+    grid = replace(grid, candidates=guided(grid.candidates, width))
+    return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
+
+
+def guided(candidates: Candidates, width: int) -> Candidates:
+    """Candidates with one more feature: the share of the phase in the window around them."""
+    stack = candidates.stack
+    inside = np.zeros(stack.field.shape[1:], np.int32)
+    counts = np.zeros_like(inside)
+    for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True):
+        at = (slice(start, start + z), slice(0, y), slice(0, x))
+        inside[at] = sums(stack.field[0][at] > 0, width, (False,) * 3)
+        counts[at] = sums(np.ones((z, y, x), bool), width, (False,) * 3)
+    middle = [
+        np.arange(count) * stride + w // 2
+        for count, stride, w in zip(
+            candidates.shape, candidates.strides, candidates.basis.box, strict=True
+        )
+    ]
+    mesh = np.ix_(*middle)
+    share = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
+    return replace(candidates, features=with_guide(candidates.features >> 1, share.reshape(-1, 1)))
+
+
+def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Sums of shares over windows of some voxels, as a feature."""
+    return np.asarray(
+        sums_.astype(np.int64) * _PULL // (np.maximum(counts, 1).astype(np.int64) * _UNIT), np.int16
+    )
+
+
+def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
+    """The last votes (1, Z, Y, X) int16, shifted until the shares are those asked for."""
+    field = memmap.empty(votes.shape[1:], np.int32)
+    for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
+    _settle(field, leaning)
+    result = memmap.empty(votes.shape, np.int16)
+
+    def end(start: int, stop: int) -> None:
+        np.clip(
+            field[start:stop],
+            -(1 << 15) + 1,
+            (1 << 15) - 1,
+            out=result[0, start:stop],
+            casting="unsafe",
+        )
+
+    for_slabs(end, len(field))
+    return result
+
+
+def _settle(field: np.ndarray, leaning: Leaning) -> None:
+    """Steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
+    moved = memmap.zeros(field.shape, np.int16)
+
+    def rounded(z: int) -> np.ndarray:
+        return np.clip((field[z] + 128) >> 8, -127, 127)
+
+    def move(z: int, shift: np.ndarray) -> None:
+        moved[z] >>= 1  # half of the last step again: what varies within a window is slow to come
+        # 16 bits hold it: a step is at most 40, so that all of them are at most 80
+        moved[z] += shift * np.int16(256)
+        field[z] += moved[z]
+
+    for _ in range(_LAST):
+        leaning.step(rounded, move)
+
+
+@kernel
+def _miss(wanted, counted, have, start, stop):
+    """What is missing from the share around every voxel, in `_UNIT`, written over what is there."""
+    for z in range(start, stop):
+        for y in range(have.shape[1]):
+            for x in range(have.shape[2]):
+                missing = wanted[z, y, x] - np.int64(have[z, y, x]) * _UNIT
+                have[z, y, x] = missing // max(counted[z, y, x], 1)
+
+
+@kernel
+def _shift(missing, near, counted, shift):
+    """Of a plane: what is missing, averaged over a window, over what a shift by 1 would add."""
+    for y in range(shift.shape[0]):
+        for x in range(shift.shape[1]):
+            # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that
+            # some can come.
+            slope = max(near[y, x], counted[y, x] / 50.0) / (2 * _NEAR + 1)
+            step = _HASTE * (missing[y, x] / _UNIT) / slope if slope > 0.0 else 0.0
+            shift[y, x] = np.int16(np.rint(min(max(step, -_MOST), _MOST)))
