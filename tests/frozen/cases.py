@@ -13,7 +13,6 @@ import gzip
 import hashlib
 import json
 import math
-import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -243,7 +242,7 @@ def model(method: str, preset: str | None = None) -> Any:
 def _add_method(method: str) -> None:
     case(f"{method}-quick")(lambda: model(method).generate(SHAPE, seed=3))
     for preset in PRESETS[method]:
-        shape = (24, 26, 28) if method == "bubbles" else SHAPE
+        shape = (24, 26, 28) if method == "bubbles" else (12, 13, 14) if preset == "best" else SHAPE
         case(f"{method}-preset-{preset}")(
             lambda p=preset, s=shape: model(method, p).generate(s, seed=3)
         )
@@ -441,7 +440,7 @@ def in_blocks(method: str, *words: str) -> tb.Image:
     """Generate into a store in blocks of 16 voxels, with every array in a scratch file."""
     with new_folder(), patch.object(scratch, "LEAST", 256):
         tb.write(exemplar_of(method), "exemplar.tif")
-        size = ("--shape", "18", "20", "34", "--seed", "3", "--chunks", "16")
+        size = ("--shape", "16", "18", "20", "--seed", "3", "--chunks", "16")
         chosen = ("--method", method, *options_of(QUICK[method]))
         command("generate", "exemplar.tif", *chosen, *size, "--out", "made.zarr", *words)
         return tb.read("made.zarr")
@@ -450,7 +449,7 @@ def in_blocks(method: str, *words: str) -> tb.Image:
 for _name in HONOURS:
     case(f"{_name}-in-blocks")(lambda method=_name: in_blocks(method))
 
-for _name in ("texture", "quilt", "mrf"):
+for _name in ("texture", "quilt"):
     case(f"{_name}-in-blocks-periodic")(lambda method=_name: in_blocks(method, "--periodic", "z"))
     case(f"{_name}-in-blocks-target")(
         lambda method=_name: in_blocks(method, "--target", "porosity=0.8")
@@ -523,6 +522,13 @@ for _name in HONOURS:
         with new_folder():
             model(method).save("one.model")
             return tb.load_model("one.model").generate(SHAPE, seed=3)
+
+
+# Model files that version 0.1 wrote
+
+
+for _path in sorted(FILES.glob("*.model")):
+    case(f"{_path.stem}-old-model")(lambda path=_path: tb.load_model(path).generate(SHAPE, seed=3))
 
 
 # Trained models need PyTorch

@@ -17,6 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import trabecula as tb
 from frozen.cases import (
     FILES,
     HONOURS,
@@ -32,8 +33,6 @@ from frozen.cases import (
     ramp,
 )
 
-import trabecula as tb
-
 SIZE = ("--shape", "16", "18", "20", "--seed", "3")
 
 
@@ -43,7 +42,9 @@ def write(name: str, make: Callable[[str], object]) -> None:
         make(name)
 
 
-def generate(name: str, *words: str, method: str | None = None, size: tuple[str, ...] = SIZE) -> None:
+def generate(
+    name: str, *words: str, method: str | None = None, size: tuple[str, ...] = SIZE
+) -> None:
     """Generate a file by the command line unless it is there."""
     settings = [] if method is None else ["--method", method, *options_of(QUICK[method])]
     write(name, lambda out: command("generate", *words, *settings, *size, "--out", out))
@@ -65,8 +66,10 @@ def write_inputs() -> None:
     write("mask.nrrd", lambda out: tb.write(mask, out))
     write("known.nrrd", lambda out: tb.write(mask, out))
     values = np.pad(bone(24).values[:12, :18, :20], ((0, 4), (0, 0), (0, 0)))
-    write("fixed.nrrd", lambda out: tb.write(
-        tb.Image(values, "labels", (40.0,) * 3, "um", ("void", "solid")), out))
+    write(
+        "fixed.nrrd",
+        lambda out: tb.write(tb.Image(values, "labels", (40.0,) * 3, "um", ("void", "solid")), out),
+    )
     write("field.npy", lambda out: np.save(out, ramp(0.12, 0.3)))
 
 
@@ -79,8 +82,14 @@ def write_models() -> None:
     two = tb.method("kopf", **QUICK["kopf"], views=("yx", "zx"))
     pictures = [picture(bone(32)), picture(bone(32), 1)]
     write("kopf-views.model", lambda out: two.fit(pictures).save(out))
-    write("mrf-colour.model", lambda out: tb.method("mrf", **QUICK["mrf"]).fit(picture(colour(28))).save(out))
-    write("texture-grey.model", lambda out: tb.method("texture", **QUICK["texture"]).fit(grey(20)).save(out))
+    write(
+        "mrf-colour.model",
+        lambda out: tb.method("mrf", **QUICK["mrf"]).fit(picture(colour(28))).save(out),
+    )
+    write(
+        "texture-grey.model",
+        lambda out: tb.method("texture", **QUICK["texture"]).fit(grey(20)).save(out),
+    )
 
 
 def write_generated() -> None:
@@ -91,31 +100,91 @@ def write_generated() -> None:
     for method in ("mrf", "kopf", "chen", "sliced"):
         generate(f"{method}.nrrd", "slice.png", method=method)
     for method in ("kopf", "quilt", "texture"):
-        exemplars = ("slice.png", "across.png") if method == "kopf" else ("sample:bone", "sample:bone", "--crop", "20")
+        exemplars = (
+            ("slice.png", "across.png")
+            if method == "kopf"
+            else ("sample:bone", "sample:bone", "--crop", "20")
+        )
         generate(f"{method}-several.nrrd", *exemplars, method=method)
     generate("texture-grey.npy", "grey.nrrd", "--threshold", "none", method="texture")
     generate("texture-segmented.nrrd", "grey.nrrd", "--threshold", "otsu", method="texture")
     generate("mrf-grey.nrrd", "grey.png", "--threshold", "none", method="mrf")
     generate("chen-colour.nrrd", "colour.png", method="chen")
     generate("mrf-colour.tif", "colour.png", method="mrf")
-    generate("bubbles-preset.tif", "--preset", "stone", "--spacing", "2", "--unit", "um", "--method", "bubbles")
-    generate("noise-alone.mha", "--method", "noise", "--set", "kind=voronoi", "--set", "porosity=0.6")
-    generate("quilt-flat.png", "slice.png", method="quilt", size=("--shape", "40", "44", "--seed", "3"))
+    generate(
+        "bubbles-preset.tif",
+        "--preset",
+        "stone",
+        "--spacing",
+        "2",
+        "--unit",
+        "um",
+        "--method",
+        "bubbles",
+    )
+    generate(
+        "noise-alone.mha", "--method", "noise", "--set", "kind=voronoi", "--set", "porosity=0.6"
+    )
+    generate(
+        "quilt-flat.png", "slice.png", method="quilt", size=("--shape", "40", "44", "--seed", "3")
+    )
     generate("texture-preset.nii.gz", *sample, "--preset", "fast", "--method", "texture")
 
     generate("texture-periodic.nrrd", *sample, "--periodic", "z", "x", method="texture")
     generate("texture-mask.nrrd", *sample, "--mask", "mask.nrrd", method="texture")
     generate("bubbles-mesh.nrrd", *sample, "--mask", "form.stl", method="bubbles")
-    generate("noise-mesh-unit.nrrd", *sample, "--mask", "form.3mf", method="noise", size=("--seed", "3"))
-    generate("texture-mesh-scale.nrrd", *sample, "--mask", "form.stl", "--mask-scale", "0.9",
-             method="texture", size=("--seed", "3"))
+    generate(
+        "noise-mesh-unit.nrrd", *sample, "--mask", "form.3mf", method="noise", size=("--seed", "3")
+    )
+    generate(
+        "bubbles-mesh-scale.nrrd",
+        *sample,
+        "--mask",
+        "form.stl",
+        "--mask-scale",
+        "1.5",
+        method="bubbles",
+        size=("--seed", "3"),
+    )
     generate("texture-target.nrrd", *sample, "--target", "porosity=0.8", method="texture")
-    generate("quilt-target-field.nrrd", *sample, "--target", "volume_fraction=field.npy", method="quilt")
-    generate("texture-fixed-at.nrrd", *sample, "--fixed", "scan.npy", "--at", "0", "0", "0", method="texture",
-             size=("--shape", "16", "24", "24", "--seed", "3"))
-    generate("quilt-fixed-known.nrrd", *sample, "--fixed", "fixed.nrrd", "--known", "known.nrrd", method="quilt")
-    generate("kopf-fixed-slice.nrrd", "slice.png", "--fixed", "slice.png", "--at", "8", "0", "0", "--view", "yx",
-             method="kopf", size=("--shape", "16", "24", "24", "--seed", "3"))
+    generate(
+        "quilt-target-field.nrrd", *sample, "--target", "volume_fraction=field.npy", method="quilt"
+    )
+    generate(
+        "texture-fixed-at.nrrd",
+        *sample,
+        "--fixed",
+        "scan.npy",
+        "--at",
+        "0",
+        "0",
+        "0",
+        method="texture",
+        size=("--shape", "16", "24", "24", "--seed", "3"),
+    )
+    generate(
+        "quilt-fixed-known.nrrd",
+        *sample,
+        "--fixed",
+        "fixed.nrrd",
+        "--known",
+        "known.nrrd",
+        method="quilt",
+    )
+    generate(
+        "kopf-fixed-slice.nrrd",
+        "slice.png",
+        "--fixed",
+        "slice.png",
+        "--at",
+        "8",
+        "0",
+        "0",
+        "--view",
+        "yx",
+        method="kopf",
+        size=("--shape", "16", "24", "24", "--seed", "3"),
+    )
 
     generate("noise-from-model.nrrd", "--model", "noise.model")
     generate("texture-from-model.nrrd", "--model", "texture.model")
@@ -131,7 +200,10 @@ def write_others() -> None:
     write("slice-step.nrrd", lambda out: tb.write(sample[10:50:3, ::6, 20:40], out))
     read = tb.read("grey.nrrd", spacing=3.0, unit="um")
     write("segment.nrrd", lambda out: tb.write(tb.segment(read, "dual"), out))
-    write("segment-pair.nrrd", lambda out: tb.write(tb.segment(read, (40, 120), phases=("pore", "grain")), out))
+    write(
+        "segment-pair.nrrd",
+        lambda out: tb.write(tb.segment(read, (40, 120), phases=("pore", "grain")), out),
+    )
     form = tb.voxelise(tb.read_mesh("form.stl", unit="mm"), spacing=0.05)
     write("voxelised.nrrd", lambda out: tb.write(form, out))
     rough = tb.crop(sample, 24)
@@ -146,7 +218,10 @@ def write_others() -> None:
     for name, image in steps.items():
         write(f"finish-{name}.nrrd", lambda out, image=image: tb.write(image, out))
     command_steps = ("--prune", "--connect", "--thicken", "100", "--fill")
-    write("finish-command.nrrd", lambda out: command("finish", "texture-mask.nrrd", *command_steps, "--out", out))
+    write(
+        "finish-command.nrrd",
+        lambda out: command("finish", "texture-mask.nrrd", *command_steps, "--out", out),
+    )
     fields = {
         "ramp": tb.fields.ramp((9, 8, 7), start=0.1, end=0.4),
         "radial": tb.fields.radial((9, 8, 7), inside=0.4, outside=0.1),
@@ -160,6 +235,11 @@ def write_others() -> None:
     }
     for name, image in fields.items():
         write(f"field-{name}.nrrd", lambda out, image=image: tb.write(image, out))
+    Path("array").mkdir(exist_ok=True)
+    plain = tb.Image(bone(20).values, "labels")
+    write("array/exemplar.npy", lambda out: np.save(out, plain.values))
+    learned = tb.method("texture", **QUICK["texture"])
+    write("array/texture.nrrd", lambda out: tb.write(learned.fit(plain).generate(16, seed=3), out))
     write("render.png", lambda out: tb.render(tb.read("texture.nrrd"), out, size=(64, 48)))
 
 
