@@ -1,8 +1,8 @@
 """Small cases of everything that the package does, whose results must not change.
 
-A case is a function without arguments. What it returns is hashed: an Image by its kind, spacing, unit,
-phases, type, shape and values, other results by what they hold (`digest`). A case's name begins with its
-method or its room, so that `pytest -k texture` picks those of `texture`.
+A case is a function without arguments. What it returns is hashed: an Image by its kind, spacing,
+unit, phases, type, shape and values, other results by what they hold (`digest`). A case's name
+begins with its method or its room, so that `pytest -k texture` picks those of `texture`.
 
 The modules below that are not public are the only ones that the cases name.
 """
@@ -126,7 +126,7 @@ def three_phase(size: int = 24) -> tb.Image:
 
 @cache
 def grey(size: int = 24) -> tb.Image:
-    """Return a cube of grey values: sums of bone over boxes of 5 voxels a side, foam, and a slope."""
+    """Return a cube of grey values: bone summed over boxes of 5 voxels a side, foam, a slope."""
     total = 20 * foam(size).values.astype(np.uint8) + 2 * np.arange(size, dtype=np.uint8)
     padded = np.pad(bone(size).values, 2, mode="edge")
     for z, y, x in np.ndindex(5, 5, 5):
@@ -459,8 +459,10 @@ for _name in ("texture", "quilt"):
 @case("noise-levels")
 def _noise_levels() -> list[Any]:
     with new_folder():
-        command("generate", "--method", "noise", "--set", "porosity=0.6", "--shape", "40", "--chunks", "16",
-                "--out", "made.zarr")  # fmt: skip
+        size = ("--shape", "40", "--chunks", "16")
+        command(
+            "generate", "--method", "noise", "--set", "porosity=0.6", *size, "--out", "made.zarr"
+        )
         return [tb.read("made.zarr", level=1), tb.read("made.zarr", level=0)]
 
 

@@ -2,8 +2,8 @@
 
     python tests/frozen/freeze.py [--dry-run] [WORD ...]
 
-Words pick the cases whose names contain one of them. Cases that need a package which is not installed keep
-their hashes.
+Words pick the cases whose names contain one of them. Cases that need a package that is not
+installed keep their hashes.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python tests/frozen/write_files.py
 
-A file that is there is left alone: the files stand for what version 0.1 wrote, and later versions must read
-them and repeat them. Paths in recipes are names of files beside the result, and samples.
+A file that is there is left alone: the files stand for what version 0.1 wrote, and later versions
+must read them and repeat them. Paths in recipes are names of files beside the result, and samples.
 """
 
 from __future__ import annotations
