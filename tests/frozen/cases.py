@@ -556,6 +556,7 @@ def _gan_shipped_periodic() -> tb.Image:
 
 @case("gan-shipped-in-blocks")
 def _gan_in_blocks() -> tb.Image:
+    tb.load_model("cement")  # raises MissingExtraError, which the command line only prints
     with new_folder():
         size = ("--shape", "18", "20", "34", "--seed", "3", "--chunks", "16")
         command("generate", "--model", "cement", *size, "--out", "made.zarr")
