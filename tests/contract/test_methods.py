@@ -19,7 +19,7 @@ import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.engine import checkpoint, memmap, parallel, store
-from trabecula.engine.plan import GIB
+from trabecula.engine.memory import GIB
 from trabecula.errors import (
     FileError,
     InputError,

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 import trabecula as tb
 from trabecula.engine.lazy_volume import Slabs, depth_within, slabs_of
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
 from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
 from trabecula.measure.labelling import label_components

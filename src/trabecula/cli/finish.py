@@ -180,7 +180,7 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
         It does not, and one of the steps needs it so, or what is written.
     """
     from trabecula.core.errors import MemoryBudgetError
-    from trabecula.engine.plan import available_memory, format_bytes
+    from trabecula.engine.memory import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
     from trabecula.pipeline.demo import volume_shape
 

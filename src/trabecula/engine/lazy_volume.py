@@ -17,7 +17,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, check_labels, outline
 from trabecula.core.recipe import Recipe
 from trabecula.engine.chunking import Box, slices_of
-from trabecula.engine.plan import Plan, available_memory, check_budget
+from trabecula.engine.memory import Plan, available_memory, check_budget
 
 
 @dataclass(frozen=True, eq=False)

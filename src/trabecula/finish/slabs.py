@@ -31,7 +31,7 @@ from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.files import remove
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, available_memory, check_budget
+from trabecula.engine.memory import Plan, available_memory, check_budget
 from trabecula.engine.storage.location import Folder, Location, located
 from trabecula.engine.store import CHUNK
 from trabecula.finish.bridges import search_bytes

@@ -17,7 +17,7 @@ from trabecula.core.recipe import Recipe, digest_of
 from trabecula.engine import store
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.plan import available_memory, format_bytes
+from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.engine.storage.location import Remote, located, place_of
 from trabecula.io.guard import check_there, damaged
 from trabecula.io.meaning import interpret

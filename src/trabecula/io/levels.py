@@ -9,7 +9,7 @@ from contextlib import suppress
 from trabecula.core.errors import InputError
 from trabecula.core.progress import notify
 from trabecula.engine import store
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.storage.location import located, place_of
 from trabecula.io.guard import damaged
 from trabecula.io.lazy import spatial_shape

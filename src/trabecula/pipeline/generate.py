@@ -21,7 +21,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Box, StoredVolume, stream
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.storage.location import (
     Folder,
     Location,

@@ -20,7 +20,7 @@ from trabecula.engine import checkpoint, memmap
 from trabecula.engine.blocks import Box, part_bytes, slices_of
 from trabecula.engine.files import remove, replacing
 from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, format_bytes
+from trabecula.engine.memory import Plan, format_bytes
 from trabecula.synth.api.method import Model
 
 _FULL = 3

@@ -28,7 +28,7 @@ from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, resumed
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.config import MrfConfig

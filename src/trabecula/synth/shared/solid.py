@@ -22,7 +22,7 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import memmap
 from trabecula.engine.checkpoint import resumed
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, mean_edge, quantise

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.engine import plan as plans
-from trabecula.engine.plan import (
+from trabecula.engine import memory as plans
+from trabecula.engine.memory import (
     GIB,
     Plan,
     available_memory,
