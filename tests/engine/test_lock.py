@@ -11,7 +11,7 @@ import pytest
 
 from commands import refused
 from trabecula.engine.checkpoint import kept_at
-from trabecula.engine.lock import locked
+from trabecula.engine.lock import hold_lock
 from trabecula.errors import FileError
 
 try:
@@ -22,9 +22,9 @@ except ImportError:  # Windows
 HOLD = """
 import sys
 from pathlib import Path
-from trabecula.engine.lock import locked
+from trabecula.engine.lock import hold_lock
 
-with locked(Path(sys.argv[1])):
+with hold_lock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -47,15 +47,15 @@ def other(tmp_path):
 
 def test_another_process_is_refused_until_this_one_ends(tmp_path, other):
     told = rf"x.zarr.part is being written by another run \(process {other.pid} on .*wait"
-    with pytest.raises(FileError, match=told), locked(tmp_path / "x.zarr.part"):
+    with pytest.raises(FileError, match=told), hold_lock(tmp_path / "x.zarr.part"):
         pass
     with pytest.raises(FileError, match="another run"), kept_at(tmp_path / "x.zarr.part"):
         pass
-    with locked(tmp_path / "y.part"):  # of something else it knows nothing
+    with hold_lock(tmp_path / "y.part"):  # of something else it knows nothing
         pass
     other.communicate("")
     assert not list(tmp_path.iterdir())
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         assert [path.name for path in tmp_path.iterdir()] == [".x.zarr.part.lock"]
     assert not list(tmp_path.iterdir())
 
@@ -74,7 +74,7 @@ def test_what_a_killed_process_left_means_nothing(tmp_path, other):
     other.kill()
     other.wait()
     assert (tmp_path / ".x.zarr.part.lock").exists()
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         pass
     assert not list(tmp_path.iterdir())
 
@@ -84,13 +84,13 @@ def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_pat
 
     def elsewhere():
         try:
-            with locked(tmp_path / "x.zarr.part"):
+            with hold_lock(tmp_path / "x.zarr.part"):
                 found.append("locked")
         except FileError:
             found.append("refused")
 
-    with locked(tmp_path / "x.zarr.part"):
-        with locked(tmp_path / "." / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
+        with hold_lock(tmp_path / "." / "x.zarr.part"):
             pass
         context = copy_context()
         # the second as threads over slabs are started
@@ -104,9 +104,9 @@ def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_pat
 
 
 def test_an_error_gives_the_lock_back(tmp_path):
-    with pytest.raises(ZeroDivisionError), locked(tmp_path / "x.zarr.part"):
+    with pytest.raises(ZeroDivisionError), hold_lock(tmp_path / "x.zarr.part"):
         raise ZeroDivisionError
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         pass
 
 
@@ -119,7 +119,7 @@ def test_where_nothing_can_be_locked_the_work_goes_on(tmp_path, monkeypatch, whe
         raise OSError(errno.EROFS if where == "open" else errno.ENOSYS, "no")
 
     monkeypatch.setattr(os if where == "open" else fcntl, where, cannot)
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         done = True
     assert done
 
@@ -137,7 +137,7 @@ def test_a_file_that_was_removed_between_opening_and_locking_is_not_taken_for_th
         real(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         assert len(seen) == 2
         assert (tmp_path / ".x.zarr.part.lock").exists()
 
@@ -148,7 +148,7 @@ def test_two_threads_never_have_it_both(tmp_path):
     def work():
         while len(done) < 60:
             try:
-                with locked(tmp_path / "x.zarr.part"):
+                with hold_lock(tmp_path / "x.zarr.part"):
                     inside.append(1)
                     most.append(len(inside))
                     inside.pop()

@@ -39,7 +39,8 @@ def test_a_run_over_its_budget_is_refused():
     with pytest.raises(MemoryBudgetError) as caught:
         check_budget(PLAN, budget=4 * GIB - 1, advice="render a crop")
     assert str(caught.value) == (
-        "this run needs about 4.0 GiB of memory, 4.0 GiB may be used: render a crop, or raise --memory"
+        "this run needs about 4.0 GiB of memory, 4.0 GiB may be used: render a crop, or raise "
+        "--memory"
     )
 
 

@@ -141,7 +141,7 @@ def test_mapped_arrays_count_as_files_and_slabs(count):
 
 def test_arrays_are_files_where_large_arrays_are_mapped(tmp_path):
     work = Workspace([Stage("all", {"large": Array((64, 64, 64), np.uint8)}), Stage("end", {})])
-    with memmap.spilled(tmp_path, memory=1 << 20):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 20):
         work.enter("all")
         assert not work.zeros("large").any() and len(list(tmp_path.glob("*.raw"))) == 1
         with check_releases():

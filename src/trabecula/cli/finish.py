@@ -145,13 +145,13 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     """
     from trabecula.core.errors import TrabeculaError
     from trabecula.core.progress import notify
-    from trabecula.engine.storage.location import located
+    from trabecula.engine.storage.location import location_of
     from trabecula.finish import mask_steps
     from trabecula.pipeline.demo import form_of, load_mask
 
     if not (options.prune or options.connect) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
-    folder = located(options.file).folder
+    folder = location_of(options.file).folder
     if options.mask is not None:
         known = mask_steps(part.recipe) is not None
         return (

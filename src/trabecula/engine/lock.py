@@ -25,7 +25,7 @@ _held: ContextVar[frozenset[Path]] = ContextVar("trabecula_locks", default=froze
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def hold_lock(path: Path) -> Iterator[None]:
     """Keep other runs from writing to `path` while the block lasts.
 
     The lock is on a file beside it, .NAME.lock, which is removed at the end; one that a killed
@@ -41,7 +41,7 @@ def locked(path: Path) -> Iterator[None]:
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with locked(Path(folder) / "rock.zarr.part"):
+    ...     with hold_lock(Path(folder) / "rock.zarr.part"):
     ...         print([entry.name for entry in Path(folder).iterdir()])
     ['.rock.zarr.part.lock']
     """

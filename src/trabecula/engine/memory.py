@@ -27,7 +27,8 @@ The forecast is the same list without data: `forecast(stages, fixed)` names the 
 that holds the most, and `forecast_mapped(...)` what stays in memory when the arrays are files.
 
 - `working` counts the temporaries of all threads. An array that grows with the volume is declared.
-- A function that returns a new array is no obstacle: `work.adopt("votes", votes_of(...))` checks its
+- A function that returns a new array is no obstacle: `work.adopt("votes", votes_of(...))` checks
+its
   shape and dtype against the declaration, so code and forecast cannot disagree.
 - Free an array by entering a stage that does not hold it, or by `release`; a local name that still
   refers to it keeps it alive. `check_releases` (in tests) raises where this happens.
@@ -35,7 +36,8 @@ that holds the most, and `forecast_mapped(...)` what stays in memory when the ar
   caller's forecast counts them beside its arrays: `within(held, step_stages)`.
 - Coarse to fine: one `Workspace` a level. `take` hands the result to the next level, which declares
   it among its arrays and calls `adopt`.
-- Arrays whose size depends on the data are declared with an upper bound: `Array(..., at_most=True)`.
+- Arrays whose size depends on the data are declared with an upper bound: `Array(...,
+at_most=True)`.
 - Sizes that do not grow with the request (interpreter, kernels, exemplar) go into `fixed`.
 
 The worked example is `synth.noise`. Tests hold: real <= forecast <= 1.5 real.
@@ -305,7 +307,7 @@ class Workspace:
         return name in self._arrays
 
     def __getitem__(self, name: str) -> np.ndarray:
-        self._declared(name)
+        self._declaration(name)
         if name not in self._arrays:
             raise LookupError(f"array {name!r} is not allocated")
         return self._arrays[name]
@@ -360,14 +362,14 @@ class Workspace:
         if _checking.get() and reference is not None and reference() is not None:
             raise AssertionError(f"array {name!r} is released, and something still refers to it")
 
-    def _declared(self, name: str) -> Array:
+    def _declaration(self, name: str) -> Array:
         if self._stage is None or name not in self._stage.arrays:
             stage = "no stage" if self._stage is None else f"stage {self._stage.name!r}"
             raise LookupError(f"{stage} declares no array {name!r}")
         return self._stage.arrays[name]
 
     def _vacant(self, name: str) -> Array:
-        declared = self._declared(name)
+        declared = self._declaration(name)
         if name in self._arrays:
             raise ValueError(
                 f"array {name!r} is there already: release it, or declare a second one"
@@ -405,8 +407,8 @@ def _reference(array: np.ndarray) -> Callable[[], Any] | None:
 
 
 def available_memory() -> int:
-    """Return the bytes that this process may still take: the machine's available memory, or what the
-    limit of its control group leaves where that is less.
+    """Return the bytes that this process may still take: the machine's available memory, or what
+    the limit of its control group leaves where that is less.
     """
     import psutil  # 20 ms, for those who ask
 
@@ -434,16 +436,16 @@ def check_budget(
     limit = available_memory() if budget is None else budget
     if plan.peak > limit:
         raise MemoryBudgetError(
-            f"this run needs about {format_bytes(plan.peak)} of memory, {format_bytes(limit)} may be used: "
-            f"{advice if isinstance(advice, str) else advice(limit)}, or raise --memory"
+            f"this run needs about {format_bytes(plan.peak)} of memory, {format_bytes(limit)} may "
+            f"be used: {advice if isinstance(advice, str) else advice(limit)}, or raise --memory"
         )
 
 
 def largest_within(
     shape: Sequence[int], peak_of: Callable[[tuple[int, ...]], int], budget: int
 ) -> tuple[int, ...] | None:
-    """Return the largest shape of the proportions of `shape`, and not above it, whose peak is within
-    a budget; None where there is none.
+    """Return the largest shape of the proportions of `shape`, and not above it, whose peak is
+    within a budget; None where there is none.
 
     Parameters
     ----------
@@ -459,19 +461,19 @@ def largest_within(
     (70, 140)
     """
 
-    def scaled(side: int) -> tuple[int, ...]:
+    def scale(side: int) -> tuple[int, ...]:
         return tuple(max(1, length * side // max(shape)) for length in shape)
 
     low, high = 0, max(shape)
     while low < high:
         middle = (low + high + 1) // 2
         try:
-            fits = peak_of(scaled(middle)) <= budget
+            fits = peak_of(scale(middle)) <= budget
         except ValueError:
             fits = True
         low, high = (middle, high) if fits else (low, middle - 1)
     try:
-        return scaled(low) if low and peak_of(scaled(low)) <= budget else None
+        return scale(low) if low and peak_of(scale(low)) <= budget else None
     except ValueError:
         return None
 
