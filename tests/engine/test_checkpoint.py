@@ -76,7 +76,7 @@ class Walk(Method):
     def _plan_fit(self, exemplars):
         return Plan()
 
-    def _fit(self, exemplars):
+    def learn(self, exemplars):
         return Walked(self.config, exemplars)
 
 
@@ -86,7 +86,7 @@ class Walked(Model):
     def _plan(self, request):
         return Plan()
 
-    def _generate(self, request):
+    def make(self, request):
         return (walk(request, pause=float(os.environ.get("WALK_PAUSE", "0"))) % 2).astype(np.uint8)
 
     def _result_fields(self):

@@ -11,7 +11,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.mrf import site_class
 
 SHAPE = (11, 14, 13)

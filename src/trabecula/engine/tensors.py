@@ -139,7 +139,8 @@ def _entry(name: str, entry: Any) -> tuple[np.dtype, tuple[int, ...], int, int]:
     """Return type, shape, first and last byte of an array."""
     if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
         raise ValueError(f"its header's entry {name!r} is damaged")
-    kind, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
+    kind = entry["dtype"]
+    shape, offsets = entry["shape"], entry["data_offsets"]
     if not isinstance(kind, str) or kind not in TYPES:
         raise ValueError(f"{name!r} is of type {kind!r}, known are {', '.join(TYPES)}")
     if not (_is_whole(shape) and len(shape) <= 32 and _is_whole(offsets) and len(offsets) == 2):
