@@ -257,7 +257,12 @@ def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     ]
     words += ["--phases", "void", "solid", "--kind", "labels"]
     words = ["generate", "--resume", "rock.npy"] if resume else words
-    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {
+        **os.environ,
+        "WALK_PAUSE": str(pause),
+        "PYTHONPATH": os.pathsep.join(paths),
+    }
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
         "args": [sys.executable, "-c", program],
