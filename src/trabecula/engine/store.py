@@ -325,7 +325,7 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
             arrays = tuple(group[str(level)] for level in range(levels))
         return Unfinished(place, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
-    except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
+    except Exception:  # noqa: BLE001 (zarr raises anything on a folder of another program)
         return None
 
 
