@@ -67,7 +67,7 @@ def fitted(spec, exemplar, *, preset=None, threads=1):
     """A model, learned in seconds; what is kept in a file need not be the same for any number of
     threads.
     """
-    with tb.threads(1 if spec.learns else threads):
+    with tb.threads(1 if not spec.stores_exemplar else threads):
         return tb.method(spec.name, preset=preset, **spec.trial).fit(exemplar)
 
 
@@ -75,7 +75,9 @@ def fitted(spec, exemplar, *, preset=None, threads=1):
 def exemplar(spec, picture):
     """A small exemplar of the dimensions that a method wants."""
     return (
-        picture if spec.exemplar == "2d" else tb.crop(tb.sample("bone"), 64 if spec.learns else 40)
+        picture
+        if spec.exemplar == "2d"
+        else tb.crop(tb.sample("bone"), 40 if spec.stores_exemplar else 64)
     )
 
 
@@ -130,7 +132,7 @@ def test_the_same_seed_gives_the_same_voxels(model, material):
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_threads_do_not_matter(spec, exemplar, model, material, count):
-    learned = model if spec.learns else fitted(spec, exemplar, threads=count)
+    learned = model if not spec.stores_exemplar else fitted(spec, exemplar, threads=count)
     with tb.threads(count):
         again = learned.generate(SHAPE, seed=5)
     assert np.array_equal(again.values, material.values)
@@ -142,11 +144,15 @@ def test_presets_keep_their_promises(name, spec, exemplar):
     """
     # Of a method that trains the first alone: each costs a training, which its own tests try in
     # miniature.
-    for preset in spec.presets[:1] if spec.learns else spec.presets:
-        small, made = exemplar if spec.learns else tb.crop(exemplar, 24), []
+    for preset in spec.presets[:1] if not spec.stores_exemplar else spec.presets:
+        small, made = exemplar if not spec.stores_exemplar else tb.crop(exemplar, 24), []
         model = fitted(spec, small, preset=preset)
         for count in (1, 2):
-            learned = model if spec.learns else fitted(spec, small, preset=preset, threads=count)
+            learned = (
+                model
+                if not spec.stores_exemplar
+                else fitted(spec, small, preset=preset, threads=count)
+            )
             with tb.threads(count):
                 made.append(learned.generate((16, 18, 20), seed=2))
         assert made[0].shape == (16, 18, 20)
@@ -165,7 +171,7 @@ def test_tiles_do_not_matter(spec, exemplar, model, material, monkeypatch):
             work(bounds[i], bounds[i + 1])
 
     monkeypatch.setattr(parallel, "_run", shuffled)
-    learned = model if spec.learns else fitted(spec, exemplar)
+    learned = model if not spec.stores_exemplar else fitted(spec, exemplar)
     assert np.array_equal(learned.generate(SHAPE, seed=5).values, material.values)
 
 
@@ -284,7 +290,7 @@ def test_a_model_from_its_file_makes_the_same_voxels(spec, model, material, tmp_
     again = tb.load_model(model.save(tmp_path / "one.model"))
     assert np.array_equal(again.generate(SHAPE, seed=5).values, material.values)
     assert again.sha256 == model.sha256
-    if not spec.learns:
+    if spec.stores_exemplar:
         return
     tb.write(again.generate(SHAPE, seed=5), tmp_path / "made.npy")
     assert np.array_equal(tb.rerun(tmp_path / "made.npy").values, material.values)
@@ -344,7 +350,9 @@ def test_an_old_processor_makes_the_same_voxels(name, spec, old_processor):
 
 
 def test_the_recipe_makes_the_same_voxels(spec, material, tmp_path):
-    with tb.threads(1 if spec.learns else 2):  # learning is repeated with as many threads as it had
+    with tb.threads(
+        1 if not spec.stores_exemplar else 2
+    ):  # learning is repeated with as many threads as it had
         again = replay(material.recipe, folder=tmp_path)
     assert digest(again.values) == digest(material.values) == material.recipe.steps[-1]["sha256"]
     assert again.recipe.to_json() == material.recipe.to_json()
@@ -405,8 +413,8 @@ def test_the_forecast_of_scratch_files_holds(name, spec, exemplar, tmp_path):
         pytest.skip(f"{name} makes blocks alone")
     model = fitted(spec, exemplar, preset="fast" if "fast" in spec.presets else None)
     request = tb.Request((64, 72, 56), seed=1)
-    budget = model.plan_spilled(request, 0).peak + (4 << 20)
-    plan = model.plan_spilled(request, budget)
+    budget = model.plan_mapped(request, 0).peak + (4 << 20)
+    plan = model.plan_mapped(request, budget)
     arrays = plan.peak - sum(plan.memory[part] for part in ("interpreter and kernels", "exemplar"))
     generate_to(model, tb.Request((16, 16, 16), seed=1), tmp_path / "small.zarr", chunks=16)
     tracemalloc.start()
@@ -418,7 +426,7 @@ def test_the_forecast_of_scratch_files_holds(name, spec, exemplar, tmp_path):
 
 
 def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
-    if spec.learns:
+    if not spec.stores_exemplar:
         pytest.skip(
             f"{name} learns in memory that tracemalloc does not see; its own tests measure it"
         )
@@ -451,7 +459,7 @@ def test_the_forecast_of_learning_holds_and_is_kept_to(name, spec, exemplar):
 def test_an_exemplar_that_cannot_be_used_is_refused(name, spec, exemplar, spoil, words):
     if words == "grey" and "grey" in spec.kinds:
         pytest.skip(f"{name} takes grey exemplars")
-    if spec.flat and np.ndim(getattr(spoil(exemplar), "values", spoil(exemplar))) == 2:
+    if spec.accepts(2) and np.ndim(getattr(spoil(exemplar), "values", spoil(exemplar))) == 2:
         pytest.skip(f"{name} takes pictures too")
     with pytest.raises(InputError, match=words):
         fitted(spec, spoil(exemplar))
@@ -484,7 +492,7 @@ def test_without_an_exemplar_settings_are_enough_or_one_is_asked_for(name, spec,
         assert np.array_equal(
             model.window(SHAPE, BOXES[1], seed=5), made.values[tuple(slice(*e) for e in BOXES[1])]
         )
-    if spec.flat:
+    if "picture" in spec.makes:
         picture = model.generate((40, 50), seed=5)
         assert (picture.shape, picture.spacing) == ((40, 50), (0.5, 0.5))
 

@@ -22,7 +22,7 @@ def model(request):
     volume = tb.crop(tb.sample("bone"), 40)
     picture = tb.Image(volume.values[20], "labels", volume.spacing[1:], volume.unit, volume.phases)
     preset = "fast" if "fast" in spec.presets else None
-    return tb.method(spec.name, preset=preset, **({} if spec.learns else spec.trial)).fit(
+    return tb.method(spec.name, preset=preset, **(spec.trial if spec.stores_exemplar else {})).fit(
         picture if spec.exemplar == "2d" else volume
     )
 

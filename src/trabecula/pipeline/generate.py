@@ -38,7 +38,7 @@ from trabecula.io.units import long_name
 from trabecula.pipeline.out_of_core import Whole, pages_of, plan_whole
 from trabecula.pipeline.worker_payload import Shipped
 from trabecula.synth.api.method import Model
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster, Workers
@@ -109,7 +109,7 @@ def generate_to(
     path : path or address
         The suffix chooses the format. Into a Zarr store goes what does not fit into the budget as
         well, with the same voxels: a model of an unlimited material (a `WindowModel`) makes it
-        block by block, another in scratch files.
+        block by block, another in scratch files, or in memory and then block by block.
     memory : int, optional
         Budget in bytes, of all workers together where there are any. Default: what the machine has
         available.
@@ -137,7 +137,7 @@ def generate_to(
     memory = _for_making(path, memory)
     with _workers(cluster, memory) as workers:
         cut = choose_blocks(model, request, path, memory=memory, chunks=chunks, workers=workers)
-        if cut is not None and isinstance(model, WindowModel):
+        if cut is not None and makes_boxes(model):
             return _in_blocks(model, request, located(path), cut, workers)
         if cut is not None:
             budgets = {"memory": memory, "chunks": chunks}
@@ -169,13 +169,11 @@ def choose_blocks(
     `generate_to`.
     """
     plan = model.plan(request)
-    if not _goes_in_blocks(model):
-        return None
     budget = available_memory() if memory is None else memory
     store = suffix_of(os.fspath(path)) == ".zarr"
     left = _left_by(model, request, path) if store else None
     # At an address what could be gone on with is worth more than the little that blocks cost.
-    at_once = not (isinstance(model, WindowModel) and is_address(path))
+    at_once = not (makes_boxes(model) and is_address(path))
     if plan.peak <= budget and left is None and chunks is None and workers is None and at_once:
         return None
     if not store:
@@ -186,7 +184,7 @@ def choose_blocks(
         )
         return None
     chunk = chunks or (CHUNK if left is None else left.chunk)
-    if not isinstance(model, WindowModel):
+    if not makes_boxes(model):
         plan = plan_whole(model, request, budget, chunk)
         check_budget(
             plan,
@@ -240,7 +238,7 @@ def plan_to(
     )
     if cut is None:
         plan = model.plan(request)
-    elif isinstance(model, WindowModel):
+    elif makes_boxes(model):
         plan = model.plan_block(request, cut.side)
     else:
         plan = plan_whole(
@@ -256,7 +254,7 @@ def _seconds_of(model: Model, request: Request, cut: BlockPlan | None) -> float 
     nothing small can be.
     """
     with suppress(RequestError):  # settings with which no box can be made alone
-        if isinstance(model, WindowModel):
+        if makes_boxes(model):
             side = model.block if cut is None else cut.side
             return seconds_of(lambda box: model.values_of(request, box), request.shape, side)
     with suppress(RequestError):  # no volume that small
@@ -281,7 +279,7 @@ def _check_in_blocks(
     if chunks is None and cluster is None:
         return
     option = "--chunks" if cluster is None else "workers"
-    if not _goes_in_blocks(model):
+    if cluster is not None and model.capabilities.large == "memory":
         raise InputError(
             f"method {model.capabilities.name!r} makes volumes in memory, {option} are for what is made in blocks: leave them out"
         )
@@ -293,10 +291,6 @@ def _check_in_blocks(
         raise InputError(
             f"--chunks {chunks} should be a multiple of {CHUNKS[0]} from {CHUNKS[0]} to {CHUNKS[1]}"
         )
-
-
-def _goes_in_blocks(model: Model) -> bool:
-    return isinstance(model, WindowModel) or model.spills
 
 
 @contextmanager

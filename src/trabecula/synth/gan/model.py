@@ -17,6 +17,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.model import ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
@@ -84,14 +85,13 @@ class GanModel(WindowModel):
             self._network = network_of(self.config, self.channels, self.arrays["generator"])
         return self._network
 
-    def state(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
-        """The weights, and how fields become values."""
-        return self.arrays["generator"], {"calibration": self.calibration}
-
-    @property
-    def history(self) -> Mapping[str, Any]:
-        """How the training went."""
-        return dict(self.arrays.get("training", {}))
+    def state(self) -> ModelState:
+        """Return the weights, the calibration of fields to values, and the course of training."""
+        return ModelState(
+            self.arrays["generator"],
+            {"calibration": self.calibration},
+            dict(self.arrays.get("training", {})),
+        )
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         network = self.network
@@ -117,14 +117,14 @@ class GanModel(WindowModel):
                     f"{' or '.join(map(str, near))}, or leave {axis} out of periodic"
                 )
 
-    def _report(self) -> Mapping[str, Any]:
+    def report_run(self) -> Mapping[str, Any]:
         """Last bits of a network depend on both, so a few voxels near a threshold do."""
         torch = need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.loading import arithmetic
 
         return {"torch": str(torch.__version__), "arithmetic": arithmetic(self.config)}
 
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.loading import tile_bytes
         from trabecula.synth.gan.window import CELLS, more_cells

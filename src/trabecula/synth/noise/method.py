@@ -9,7 +9,6 @@ what was left) is that of a cut Gaussian field.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
-from trabecula.engine.plan import Plan
 from trabecula.measure.fft import fast_side
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
@@ -51,15 +49,12 @@ class Noise(Method):
             )
         return NoiseModel(self.config, exemplars)
 
-    def _blank(self, facts: ExemplarInfo) -> NoiseModel:
-        return NoiseModel(self.config, [facts])
-
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """The transforms of an indicator, and of the covariance."""
         values = _volume(exemplars[0].values)
         present = {"interpreter and kernels": _PROCESS, "exemplar": 3 * values.size + _TABLES}
         if not _follows(self.config):
-            return Plan(present)
+            return present
         reach = reach_of(values.shape, self.config, flat=exemplars[0].ndim == 2)
         padded = np.prod(
             [fast_side(side + far) for side, far in zip(values.shape, reach, strict=True)],
@@ -68,7 +63,7 @@ class Noise(Method):
         offsets = int(np.prod([2 * far + 1 for far in reach], dtype=np.int64))
         transforms = max(21 * int(padded) + 8 * offsets, 72 * offsets)
         filters = 4 * offsets * (len(np.unique(values)) - 1)
-        return Plan({**present, "transforms": transforms, "filters": filters})
+        return {**present, "transforms": transforms, "filters": filters}
 
 
 class NoiseModel(WindowModel):
@@ -134,11 +129,11 @@ class NoiseModel(WindowModel):
         void = self.facts[0].phases.index("void") if "void" in self.facts[0].phases else 0
         return ranked(request, self._field(len(request.shape) == 2), self.phases, outside=void), {}
 
-    def _plan(self, request: Request) -> Plan:
-        plan, voxels = super()._plan(request), self._size(request)
+    def memory(self, request: Request) -> Mapping[str, int]:
+        known, voxels = super().memory(request), self.output_bytes(request)
         # The field beside its transforms, or the choice of its highest.
-        ranks = max(4 * voxels, 20 * voxels - plan.memory["field"]) if self.config.exact else 0
-        return replace(plan, memory={**plan.memory, "output": voxels + ranks})
+        ranks = max(4 * voxels, 20 * voxels - known["field"]) if self.config.exact else 0
+        return {**known, "output": voxels + ranks}
 
     def _check_windows(self) -> None:
         if self.config.exact:
@@ -146,7 +141,7 @@ class NoiseModel(WindowModel):
                 "exact shares are found by rank over all voxels at once, no box of which is made alone: leave exact out"
             )
 
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         held = sum(part.values.nbytes for part in self.filters) + sum(
             image.values.size for image in self.exemplars
         )

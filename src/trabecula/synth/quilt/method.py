@@ -11,7 +11,6 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES
@@ -39,7 +38,7 @@ class Quilt(Method):
     def learn(self, exemplars: Sequence[Image]) -> QuiltModel:
         return QuiltModel(self.config, exemplars)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Words and a copy of every orientation, and what cleaning takes."""
         turns = len(
             symmetries(
@@ -48,13 +47,11 @@ class Quilt(Method):
         )
         planes = planes_for(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "exemplar": turns * voxels * (2 + 16 * planes),
-                "working": 18 * voxels,
-            }
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": turns * voxels * (2 + 16 * planes),
+            "working": 18 * voxels,
+        }
 
 
 class QuiltModel(Model):
@@ -62,7 +59,6 @@ class QuiltModel(Model):
 
     capabilities = CAPABILITIES
     config: QuiltConfig
-    spills = True
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
@@ -114,13 +110,11 @@ class QuiltModel(Model):
     def _check_target(self, request: Request) -> None:
         check_held(self.learnt, request, self._held)
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         kept = needs_of(self.learnt, self.config, request)
-        return Plan(
-            {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels
-        )
+        return {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def mapped_memory(self, request: Request) -> Mapping[str, int]:
         kept = needs_of(self.learnt, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 

@@ -9,10 +9,9 @@ each method's own (`_vote`).
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import prod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import memmap
 from trabecula.engine.checkpoint import resumed
-from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, mean_edge, quantise
@@ -65,7 +63,6 @@ class Level:
 class SolidModel(PictureModel):
     """Pictures as pyramids of fields with the neighbourhoods of every level."""
 
-    spills: ClassVar[bool] = True
     config: Any
 
     def __init__(
@@ -285,19 +282,16 @@ class SolidModel(PictureModel):
     def _delivered(self, state: State, request: Request) -> np.ndarray:
         return self.content.delivered(fit_to(state.votes, request.shape), request)
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._forecast(request)
-        return Plan(
-            memory={
-                "interpreter and kernels": PROCESS,
-                "exemplar": self._kept(),
-                "output": run.output,
-                "scratch": run.scratch,
-            },
-            disk=prod(request.shape) * run.itemsize,
-        )
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._kept(),
+            "output": run.output,
+            "scratch": run.scratch,
+        }
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def mapped_memory(self, request: Request) -> Mapping[str, int]:
         run, target = self._forecast(request), self.levels[0].correlations
         slab = run.slab
         if run.correcting and target is not None:

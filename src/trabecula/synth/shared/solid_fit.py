@@ -4,13 +4,12 @@ from them takes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.plan import Plan
 from trabecula.synth.shared.matching.levels import grain_of
 from trabecula.synth.shared.neighbourhoods import basis_bytes
 from trabecula.synth.shared.orient import symmetries
@@ -29,7 +28,7 @@ class Solid(PictureMethod):
     def _width(self) -> int:
         return int(self.config.neighbourhood)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Fields and neighbourhoods of the levels learnt so far, and what learning the next one
         takes beside them.
         """
@@ -51,9 +50,7 @@ class Solid(PictureMethod):
             rows = features + 8 * count + min(4096, count) * (4 * length + 16 * most)
             peak = max(peak, kept + max(basis, rows))
             kept += features + turns * size // 4**index
-        return Plan(
-            {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}
-        )
+        return {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}
 
 
 def channels_of(exemplars: Sequence[Image]) -> int:

@@ -9,10 +9,9 @@ go along with both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import resumed
-from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import mean_edge
@@ -64,7 +62,7 @@ class Sliced(PictureMethod):
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> SlicedModel:
         return SlicedModel(self.config, exemplars, views)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Features of every level, counted in components of the pictures as they are, and the
         components' sample.
         """
@@ -83,14 +81,13 @@ class Sliced(PictureMethod):
             channels * self._width() ** 2,
             turns * sum(int(np.prod(image.shape)) for image in exemplars),
         )
-        return Plan({"interpreter and kernels": PROCESS, "features": features, "basis": basis})
+        return {"interpreter and kernels": PROCESS, "features": features, "basis": basis}
 
 
 class SlicedModel(PictureModel):
     """What the pictures say at every resolution."""
 
     capabilities = CAPABILITIES
-    spills: ClassVar[bool] = True
     config: SlicedConfig
 
     def __init__(
@@ -215,19 +212,16 @@ class SlicedModel(PictureModel):
                 return regions
             top -= 1
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._forecast(request)
-        return Plan(
-            memory={
-                "interpreter and kernels": PROCESS,
-                "exemplar": self._kept(),
-                "output": max(run.output, self._layout_bytes(request)),
-                "scratch": run.scratch,
-            },
-            disk=prod(request.shape),
-        )
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._kept(),
+            "output": max(run.output, self._layout_bytes(request)),
+            "scratch": run.scratch,
+        }
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def mapped_memory(self, request: Request) -> Mapping[str, int]:
         run, region = self._forecast(request), self._region(request, 0)
         moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
         moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]
