@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -26,6 +27,7 @@ GROUP = "trabecula.methods"
 """Group of the entry points of methods."""
 
 _NO_METHODS = ("api", "shared")
+_given: dict[str, type[Method]] = {}  # `registered` for the time being
 
 
 def methods() -> dict[str, Capabilities]:
@@ -34,6 +36,7 @@ def methods() -> dict[str, Capabilities]:
     An entry point that cannot be loaded is reported (`tb.listen`) and left out.
     """
     found = {one.name: one for one in _own()}
+    found |= {name: cls.capabilities for name, cls in _given.items()}
     for point in _points():
         try:
             known = _load(point)
@@ -81,6 +84,8 @@ def method_class(capabilities: Capabilities) -> type[Method]:
     PluginError
         Its module or class is not there, or the class is no `Method`.
     """
+    if capabilities.name in _given:
+        return _given[capabilities.name]
     module, _, attribute = capabilities.method.partition(":")
     try:
         found = getattr(importlib.import_module(module), attribute)
@@ -95,6 +100,16 @@ def method_class(capabilities: Capabilities) -> type[Method]:
             "trabecula.synth.api.method.Method"
         )
     return found
+
+
+@contextmanager
+def registered(cls: type[Method]) -> Iterator[None]:
+    """Let the registry know a method's class while the block lasts, for tests."""
+    _given[cls.capabilities.name] = cls
+    try:
+        yield
+    finally:
+        del _given[cls.capabilities.name]
 
 
 def _own() -> Iterator[Capabilities]:
