@@ -139,6 +139,23 @@ class WindowModel(Model):
         """Raise where the settings let no box be made alone."""
 
 
+def field_in(field: np.ndarray, box: Box) -> np.ndarray:
+    """Return the part of a request's field, such as a target, in a box.
+
+    Raises
+    ------
+    InputError
+        The box leaves the field.
+    """
+    for (start, stop), side in zip(box, field.shape, strict=True):
+        if start < 0 or stop > side:
+            raise InputError(
+                f"the box {box} leaves the target's field of shape {field.shape}: nothing says "
+                "what it is there"
+            )
+    return field[slices_of(box)]
+
+
 def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
     """Check a box and return it as pairs of int."""
     axes = "zyx"[-len(request.shape) :]
