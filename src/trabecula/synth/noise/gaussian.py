@@ -19,7 +19,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
 from trabecula.engine.gaussian_random import quantiles
 from trabecula.engine.parallel import thread_count
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transformed, white
 from trabecula.synth.noise.covariance import Filter
 from trabecula.synth.noise.periodic_domain import Domain
