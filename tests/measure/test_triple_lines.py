@@ -34,7 +34,7 @@ def sectors(side, direction, offset, angles=(120, 120, 120)):
 
 
 def oracle(values):
-    """Number of triple edges, and the sum of their chords, edge by edge in Python."""
+    """Count triple edges and sum their chords, edge by edge in Python."""
     leaving = {}
     for axis in range(3):
         across = [other for other in range(3) if other != axis]

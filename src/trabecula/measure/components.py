@@ -182,7 +182,7 @@ def components(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Number of connected components of a phase (default "solid": every phase but "void").
+    """Count the connected components of a phase (default "solid": every phase but "void").
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def largest_fraction(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Share of the phase's voxels in its largest component.
+    """Return the share of the phase's voxels in its largest component.
 
     Parameters
     ----------
@@ -243,18 +243,18 @@ def floating(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Number of floating parts of a phase (default "solid").
+    """Count the floating components of a phase (default "solid").
 
-    Parts that touch a face of the image count as well: whether they hold on to something beyond it
-    cannot be known.
+    Components that touch a face of the image count as well: whether they continue beyond it cannot
+    be known.
 
     Parameters
     ----------
     image, phase, connectivity, mask, periodic
         As for `component_sizes`.
     smaller_than : int, optional
-        A part floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take 10.
-        Default: every component but the largest floats.
+        A component floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take
+        10. Default: every component but the largest floats.
 
     Returns
     -------

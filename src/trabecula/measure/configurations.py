@@ -109,8 +109,8 @@ def surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
 
 
 def _direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
-    """Share of the sphere (circle) that is nearer to each +-direction than to the others, by a
-    regular sample of it.
+    """Return the share of the sphere (circle) that is nearer to each +-direction than to the
+    others, by a regular sample of it.
     """
     turn = np.arange(100_000) + 0.5
     # directions have no sign: half a sphere is enough

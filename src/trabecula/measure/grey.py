@@ -28,7 +28,7 @@ def histogram(
     bins: int | Sequence[float] | None = None,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Share of the voxels in every bin of grey levels; of a colour image, per channel.
+    """Return the share of the voxels in every bin of grey levels; of a colour image, per channel.
 
     Parameters
     ----------

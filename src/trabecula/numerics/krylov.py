@@ -21,8 +21,9 @@ Scalar = Any
 class LinearSystem(ABC):
     """A symmetric positive semidefinite system with its preconditioner and its vector operations.
 
-    Vectors have any shape; a system may solve for several right-hand sides at once, the last axis,
-    and may return the same array from every call of `apply` and from every call of `precondition`.
+    Vectors have any shape; a system may solve for several right-hand sides at once, the last axis.
+    It may return the same array from every call of `precondition`, and of `apply` where it is not
+    solved by flexible steps, which look back at the last product.
     """
 
     @abstractmethod
@@ -55,7 +56,7 @@ class Iterate:
 
     Parameters
     ----------
-    system : System
+    system : LinearSystem
     x, residual : array
         Solution and residual so far; both change in place.
 
@@ -85,7 +86,8 @@ class Iterate:
     @property
     def rho(self) -> Scalar:
         """Return residual . z, computed once a step: it estimates the square of the error in the
-        energy norm."""
+        energy norm.
+        """
         if self._rho is None:
             self._rho = self.system.dot(self.residual, self.z)
         return self._rho
@@ -110,11 +112,11 @@ def conjugate_gradients(
 
     Parameters
     ----------
-    system : System
+    system : LinearSystem
     x, residual : array
         The start, and right-hand side less matrix times start.
     accept : callable
-        Says of an iterate that it is good enough; asked before every step and after the last.
+        Returns whether an iterate is good enough; called before every step and after the last.
     most : int
         Steps at most.
     flexible : bool
@@ -180,7 +182,7 @@ def conjugate_residuals(
     -------
     steps : int
     converged : bool
-        `accept`, asked with x and its residual, ended the steps.
+        `accept`, called with x and its residual, ended the steps.
     """
     stored: deque[tuple[np.ndarray, np.ndarray, float]] = deque()
     source, left = residual, dot(residual, residual)

@@ -63,12 +63,12 @@ class SkeletonGraph:
 
     @property
     def branches(self) -> int:
-        """Number of branches."""
+        """Return the number of branches."""
         return len(self.length)
 
     @property
     def ends(self) -> int:
-        """Number of free ends; a voxel alone has one."""
+        """Return the number of free ends; a voxel alone has one."""
         alone = int(np.count_nonzero((self.kind == END_END) & (np.diff(self.offsets) == 1)))
         return (
             int(np.count_nonzero(self.kind == END_JOINT))

@@ -19,8 +19,8 @@ from trabecula.engine.compile import inline, kernel
 
 @kernel
 def enumerate_faces(number):
-    """Number of every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; the first of every
-    axis, and the end.
+    """Number every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; return also the first
+    of every axis, and the end.
     """
     depth, height, width = number.shape
     bounds = np.zeros(4, np.int64)
@@ -212,7 +212,7 @@ def push(cells_of, bounds, area, pressure, mobility, velocity):
 
 @kernel
 def section_flows(faces, velocity):
-    """Sum of the velocities through every section across the first axis."""
+    """Sum the velocities through every section across the first axis."""
     flow = np.zeros(faces.shape[1])
     for z in range(faces.shape[1]):
         for y in range(faces.shape[2]):
