@@ -14,8 +14,8 @@ from trabecula.measure.evenness import evenness
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import rematched
-from trabecula.synth.shared.statistics.correlate import corrected, correlations_of
+from trabecula.synth.shared.matching.rounds import match_votes
+from trabecula.synth.shared.statistics.correlate import two_point_step, correlations_of
 from trabecula.synth.shared.statistics.long_waves import (
     LongWaves,
     adjust_long_waves,
@@ -55,7 +55,7 @@ def deviation(field, width=17):
 def match(field):
     """What makes a field of votes, with the histogram of `field`."""
     histograms, region = (Histogram.of(field),), Region(field.shape[1:], AROUND)
-    return lambda votes: rematched(region, votes, histograms)
+    return lambda votes: match_votes(region, votes, histograms)
 
 
 EVEN = smooth((SIDE,) * 3, 1)
@@ -187,7 +187,7 @@ def test_a_step_with_long_waves_of_its_own_raises_them_less():
         )
         field = EVEN
         for _ in range(2):
-            field = match(EVEN)(corrected(field, aim, periodic=AROUND))
+            field = match(EVEN)(two_point_step(field, aim, periodic=AROUND))
         found[name] = deviation(field)
     even = deviation(EVEN)
     assert found["with"] - even < 0.75 * (found["without"] - even)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
-from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
+from trabecula.synth.shared.nearest import build_index, index_histogram, k_nearest, reranked
 
 
 def everything(points, queries, k, allowed=None):
@@ -38,7 +38,7 @@ def test_it_finds_what_a_search_of_everything_finds(seed, count, depth, k, size)
     allowed = rng.random(count) < 0.7
     allowed[rng.integers(count)] = True
     for chosen in (None, allowed):
-        index, distance = k_nearest(queries, candidates(points, k=k, allowed=chosen))
+        index, distance = k_nearest(queries, build_index(points, k=k, allowed=chosen))
         wanted, apart = everything(points, queries, k, chosen)
         assert np.array_equal(index, wanted)
         assert np.array_equal(distance, apart)
@@ -52,7 +52,7 @@ def test_thousands_of_equals_and_near_ties():
     points = np.full((4000, 40), -10_000, np.int16)
     points[1::2, 0] += rng.integers(0, 3, 2000).astype(np.int16)
     queries = np.full((3, 40), 10_000, np.int16)
-    index, distance = k_nearest(queries, candidates(points))
+    index, distance = k_nearest(queries, build_index(points))
     wanted, apart = everything(points, queries, 10)
     assert apart.max() > 2**32
     assert np.array_equal(index, wanted)
@@ -63,7 +63,7 @@ def test_threads_and_batches_do_not_matter():
     rng = np.random.default_rng(2)
     points = (rng.normal(size=(1500, 9)) * 2000 / np.arange(1, 10)).astype(np.int16)
     queries = points[::8] + np.int16(3)
-    among = candidates(points, k=5)
+    among = build_index(points, k=5)
     alone = k_nearest(queries, among)
     with threads(3):
         shared = k_nearest(queries, among)
@@ -84,7 +84,7 @@ def test_features_of_a_volume():
     ).astype(np.int8)
     windows = np.lib.stride_tricks.sliding_window_view(field[0], (3, 3, 3))
     features = windows.reshape(-1, 27).astype(np.int16)
-    index, distance = k_nearest(features[::25], candidates(features, k=3))
+    index, distance = k_nearest(features[::25], build_index(features, k=3))
     assert np.array_equal(index[:, 0], np.arange(0, len(features), 25))
     assert not distance[:, 0].any()
     wanted, apart = everything(features, features[::50], 3)
@@ -96,7 +96,7 @@ def test_the_callers_arrays_stay():
     points = np.arange(600, dtype=np.int16).reshape(60, 10)
     queries = points[:5].copy()
     before = points.copy()
-    k_nearest(queries, candidates(points))
+    k_nearest(queries, build_index(points))
     assert np.array_equal(points, before)
     assert np.array_equal(queries, before[:5])
 
@@ -143,14 +143,14 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: candidates(np.zeros((4, 3))), "int16"),
-        (lambda: candidates(np.zeros((4, 0), np.int16)), "table"),
-        (lambda: candidates(np.zeros((0, 3), np.int16)), "no candidate"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)), "no candidate"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), k=0), "k=0"),
+        (lambda: build_index(np.zeros((4, 3))), "int16"),
+        (lambda: build_index(np.zeros((4, 0), np.int16)), "table"),
+        (lambda: build_index(np.zeros((0, 3), np.int16)), "no candidate"),
+        (lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)), "no candidate"),
+        (lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
+        (lambda: build_index(np.zeros((4, 3), np.int16), k=0), "k=0"),
         (
-            lambda: k_nearest(np.zeros((1, 2), np.int16), candidates(np.zeros((4, 3), np.int16))),
+            lambda: k_nearest(np.zeros((1, 2), np.int16), build_index(np.zeros((4, 3), np.int16))),
             "one basis",
         ),
     ],

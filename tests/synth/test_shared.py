@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.synth.shared.brightest import brightest
+from trabecula.synth.shared.brightest import brightest_voxels
 from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
 from trabecula.synth.shared.histogram import Histogram, match_histogram
 from trabecula.synth.shared.neighbourhoods import (
@@ -74,7 +74,7 @@ def test_more_phases_come_out_in_their_fractions():
 @given(seed=st.integers(0, 99), count=st.integers(0, 4 * 5 * 6))
 def test_the_brightest_are_no_darker_than_the_rest(seed, count):
     field = noise((4, 5, 6), seed, np.int16) * 200
-    chosen = brightest(field, count)
+    chosen = brightest_voxels(field, count)
     assert np.count_nonzero(chosen) == count
     if 0 < count < field.size:
         mixed = mixed_values(field)

@@ -11,14 +11,14 @@ from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
 from trabecula.synth.shared.content import content_of
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
-from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
+from trabecula.synth.shared.matching.grid import Grid, random_matches, coherent_search
+from trabecula.synth.shared.matching.planes import RegionViews, choose_pixels, cast_plane_votes
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 from trabecula.synth.shared.neighbourhoods import SCALE, principal_basis, project
 from trabecula.synth.shared.statistics.correlate import correlations_of, misfit
-from trabecula.synth.shared.statistics.sliced import sliced_round, sliced_views
-from trabecula.synth.shared.statistics.slices import slices_of
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
+from trabecula.synth.shared.statistics.slices import slice_target
 from trabecula.synth.shared.votes import UNIT
 
 WIDTH = 6
@@ -75,7 +75,7 @@ def test_the_search_finds_a_picture_in_a_stack_of_its_own_planes():
     volume = np.repeat(field, 5, axis=1)
     grid = Grid.over(Region(volume.shape[1:]), candidates(field))
     match = random_matches(grid, key(0, "s"))
-    match, distance = swept(
+    match, distance = coherent_search(
         grid, match, volume, stage=key(0, "s"), first=1, count=12, tries=8, index_penalty=0.0
     )
     assert not distance.any()
@@ -90,7 +90,7 @@ def test_matches_move_to_the_next_level_with_their_plane():
     old, new = candidates(coarse), candidates(fine)
     rng = np.random.default_rng(0)
     match = rng.choice(old.numbers, (4, 3, 4)).astype(np.int32)
-    moved = carried(match, old, new, (8, 9, 10), factor=2)
+    moved = carry_matches(match, old, new, (8, 9, 10), factor=2)
     assert np.array_equal(moved[0], moved[1])
     for before, after in zip(
         np.ravel(match), np.ravel(moved[::2, ::2, ::2][:, :3, :4]), strict=True
@@ -105,7 +105,7 @@ def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
         Histogram.pooled(channel)
         for channel in zip(*(c.stack.histograms for _, c in views), strict=True)
     )
-    return Frame.over(Region(shape, wraps, free), views, histograms)
+    return RegionViews.over(Region(shape, wraps, free), views, histograms)
 
 
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
@@ -119,7 +119,7 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
         rng.integers(1, frame.full + 1, p.grid.candidates.stack.field.shape[1:])
         for p in frame.planes
     ]
-    votes = voted_planes(frame, matches, weights, factors=factors, trim=trim)
+    votes = cast_plane_votes(frame, matches, weights, factors=factors, trim=trim)
     shape = frame.region.shape
     above, below = np.zeros((2, *shape)), np.zeros(shape)
     for plane, match, weight, factor in zip(frame.planes, matches, weights, factors, strict=True):
@@ -151,9 +151,9 @@ def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
     frame = frame_of([(0, picture(1)), (2, picture(2))], (9, 10, 12))
     matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
     weights = [np.ones(match.shape, np.int32) for match in matches]
-    mean = voted_planes(frame, matches, weights)
+    mean = cast_plane_votes(frame, matches, weights)
     even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    field, sources = chosen_planes(frame, matches, weights, mean, dear=even)
+    field, sources = choose_pixels(frame, matches, weights, mean, dear=even)
     pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.planes])
     assert np.array_equal(pixels[sources], field[0])
     lying = [set() for _ in range(field[0].size)]
@@ -177,12 +177,12 @@ def test_a_source_that_is_dear_is_avoided():
     frame = frame_of([(0, picture(1)), (1, picture(2))], (9, 10, 12))
     matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
     weights = [np.ones(match.shape, np.int32) for match in matches]
-    mean = voted_planes(frame, matches, weights)
+    mean = cast_plane_votes(frame, matches, weights)
     dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    before = chosen_planes(frame, matches, weights, mean, dear=dear)[1]
+    before = choose_pixels(frame, matches, weights, mean, dear=dear)[1]
     half = frame.planes[0].grid.candidates.stack.field[0].size
     dear[0][:] = 10_000
-    after = chosen_planes(frame, matches, weights, mean, dear=dear)[1]
+    after = choose_pixels(frame, matches, weights, mean, dear=dear)[1]
     assert np.mean(before < half) > 0.3
     assert np.mean(after < half) < 0.5 * np.mean(before < half)
 
@@ -211,23 +211,23 @@ def test_sliced_rounds_of_one_view_are_those_of_its_planes():
     turned with its axis.
     """
     exemplar = picture(7)
-    slices = slices_of([exemplar], width=4, flat=True)
+    slices = slice_target([exemplar], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 10, 12, 14)) * UNIT).astype(np.int16)
     for axis in range(3):
         turned = np.ascontiguousarray(np.moveaxis(field, 1 + axis, 1))
-        alone = sliced_round(turned, slices, key=key(0, "s"), number=3)
-        together = sliced_views(field, [(axis, slices)], key=key(0, "s"), number=3)
+        alone = transport_neighbourhoods(turned, slices, key=key(0, "s"), number=3)
+        together = transport_planes(field, [(axis, slices)], key=key(0, "s"), number=3)
         assert np.array_equal(np.moveaxis(together, 1 + axis, 1), alone)
 
 
 def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
     exemplar = picture(7, (40, 40))
-    slices = slices_of([exemplar], width=4, flat=True)
+    slices = slice_target([exemplar], width=4, flat=True)
     field = np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 22)).astype(np.int16) * np.int16(
         UNIT
     )
     for number in range(16):
-        field = sliced_views(
+        field = transport_planes(
             field,
             [(axis, slices) for axis in range(3)],
             key=key(0, "s"),
@@ -244,13 +244,13 @@ def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
 
 
 def test_threads_do_not_matter_on_planes():
-    exemplar = slices_of([picture(7)], width=4, flat=True)
+    exemplar = slice_target([picture(7)], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 16, 12, 14)) * UNIT).astype(np.int16)
     made = []
     for count in (1, 3):
         with threads(count):
             made.append(
-                sliced_views(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
+                transport_planes(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
             )
     assert np.array_equal(made[0], made[1])
 

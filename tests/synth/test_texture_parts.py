@@ -7,7 +7,7 @@ import trabecula as tb
 from trabecula.errors import InputError, RequestError
 from trabecula.synth.shared.matching import sources
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 
 QUICK = {"novelty": 0, "rounds": (2, 3), "first_rounds": 8, "sweeps": 1, "tries": 2}
 
@@ -151,7 +151,7 @@ def test_several_exemplars_are_one_list_of_neighbourhoods(monkeypatch):
     sparse = Candidates.of(stacks[1], width=4, step=2, variance=0.9, most=8)
     assert sparse.stride == 2
     for factor, there in ((2, new), (1, narrow), (2, sparse)):
-        moved = carried(match, old, there, (7, 8, 9), factor=factor)
+        moved = carry_matches(match, old, there, (7, 8, 9), factor=factor)
         assert there.allowed[moved].all()
         assert np.array_equal(moved, carried_over(match, old, there, (7, 8, 9), factor))
 

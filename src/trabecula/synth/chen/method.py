@@ -20,12 +20,12 @@ from trabecula.exemplar.views import View
 from trabecula.synth.chen import CAPABILITIES
 from trabecula.synth.chen.config import ChenConfig
 from trabecula.synth.chen.kernels import count_sources
-from trabecula.synth.shared.content import completed
-from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
-from trabecula.synth.shared.orient import oriented, symmetries
+from trabecula.synth.shared.content import complete
+from trabecula.synth.shared.matching.planes import RegionViews, choose_pixels, cast_plane_votes
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.solid import SolidModel
 from trabecula.synth.shared.solid_fit import Solid
-from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.solid_state import SolidState
 from trabecula.synth.shared.votes import votes_of
 
 _DEAREST = 64  # times: beyond it a pixel costs no more
@@ -47,16 +47,16 @@ class ChenModel(SolidModel):
     capabilities = CAPABILITIES
     config: ChenConfig
 
-    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
+    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
         excess = excess_of(state.sources, frame, self.config.position_penalty)
         factors = [np.maximum(np.rint(frame.full / over), 1).astype(np.int16) for over in excess]
-        votes = voted_planes(frame, state.matches, weights, factors=factors, trim=trim)
+        votes = cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim)
         self._make(frame, state, votes)
         if not self.config.discrete:
             return
         aim = state.field if self.config.histogram else votes
         dear = [np.minimum(np.rint(over * 4), 4 * _DEAREST).astype(np.int32) for over in excess]
-        field, state.sources = chosen_planes(
+        field, state.sources = choose_pixels(
             frame, state.matches, weights, aim, dear=dear, trim=trim
         )
         state.field = frame.region.bounded(field)
@@ -66,7 +66,7 @@ class ChenModel(SolidModel):
     def _chooses(self) -> bool:
         return self.config.discrete
 
-    def _delivered(self, state: State, request: Request) -> np.ndarray:
+    def _delivered(self, state: SolidState, request: Request) -> np.ndarray:
         """Grey values and colours are those of the pixels themselves: matching channel by channel
         would make new colours.
         """
@@ -82,7 +82,7 @@ class ChenModel(SolidModel):
                 values[z] = pixels[sources[z, :height, :across]]
 
         for_slabs(work, depth)
-        return completed(values, request, empty=0)
+        return complete(values, request, empty=0)
 
     def _pixels(self, place: int) -> np.ndarray:
         """The values of a view's pixels in the order of its sources on the finest level: (n,) or
@@ -95,14 +95,14 @@ class ChenModel(SolidModel):
         order = np.zeros(candidates.stack.field.shape[1:], np.int64)
         turns = symmetries(self.config.orientations, ndim=2, spacing=image.spacing)
         for start, turn in zip(candidates.stack.starts, turns, strict=True):
-            turned = oriented(numbers.reshape(1, *image.shape), turn)[0]
+            turned = apply_symmetry(numbers.reshape(1, *image.shape), turn)[0]
             order[start, : turned.shape[0], : turned.shape[1]] = turned
         return image.values.reshape(len(numbers), -1)[order.ravel()].reshape(
             -1, *image.values.shape[2:]
         )
 
 
-def excess_of(sources: np.ndarray | None, frame: Frame, strength: float) -> list[np.ndarray]:
+def excess_of(sources: np.ndarray | None, frame: RegionViews, strength: float) -> list[np.ndarray]:
     """1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source of n >
     1 times its even share.
     """

@@ -18,10 +18,10 @@ from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.kernels import count_bins
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.planes import Frame, voted_planes
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
 from trabecula.synth.shared.solid import SolidModel
 from trabecula.synth.shared.solid_fit import Solid
-from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.solid_state import SolidState
 
 _BINS = 16
 
@@ -42,7 +42,7 @@ class KopfModel(SolidModel):
     capabilities = CAPABILITIES
     config: KopfConfig
 
-    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
+    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
         factors = None
         if self.config.reweighting:
             excess = excess_of(state.votes, frame, self.config.reweighting)
@@ -51,11 +51,11 @@ class KopfModel(SolidModel):
                 for plane in frame.planes
             ]
         self._make(
-            frame, state, voted_planes(frame, state.matches, weights, factors=factors, trim=trim)
+            frame, state, cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim)
         )
 
 
-def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
+def excess_of(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:
     """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in
     the target.
     """

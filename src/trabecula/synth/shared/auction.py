@@ -13,20 +13,20 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.histogram import mixed_with_neighbours
+from trabecula.synth.shared.histogram import mix_with_neighbours
 
 _ROUNDS = 20  # at most; a handful settle it
 _BIDS = 2 * (1 << 16) - 1  # that there are between ranks
 
 
-def shared_out(
+def assign_phases(
     fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None = None
 ) -> np.ndarray:
     """The largest of the fields (C, Z, Y, X) int16 at every voxel, (Z, Y, X) uint8, each shifted so
     that it wins `counts` (C,) of the voxels `inside`."""
     ranks = memmap.empty(fields.shape, np.uint16)
     for field, to in zip(fields, ranks, strict=True):
-        mixed_with_neighbours(field, out=to)
+        mix_with_neighbours(field, out=to)
     where = np.empty((0, 0, 0), bool) if inside is None else inside
     shifts = np.zeros(len(fields), np.int64)
     kept, least = shifts, np.inf

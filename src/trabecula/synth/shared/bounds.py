@@ -8,7 +8,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs
+from trabecula.synth.shared.slabs import for_plane_groups, count_true, complement, make_by_slabs
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
@@ -33,8 +33,8 @@ def distance_bounds(
     unknown = None if thin else distance_transform(known, spacing=spacing)
     low, high = _unfilled(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
-        inside = made_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
-        within, without = _depth(inside, known, spacing), _depth(inverse(inside), known, spacing)
+        inside = make_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
+        within, without = _depth(inside, known, spacing), _depth(complement(inside), known, spacing)
 
         def held(
             start: int,
@@ -75,7 +75,7 @@ def value_bounds(
         low[:, start:stop] = np.where(there, held, -_ANY)
         high[:, start:stop] = np.where(there, held, _ANY)
 
-    by_pieces(work, known.shape)
+    for_plane_groups(work, known.shape)
     return low, high
 
 
@@ -94,7 +94,7 @@ def _fill(
         low[start:stop] = np.where(known[start:stop], least, -_ANY)
         high[start:stop] = np.where(known[start:stop], most, _ANY)
 
-    by_pieces(work, known.shape)
+    for_plane_groups(work, known.shape)
 
 
 def _between(
@@ -108,7 +108,7 @@ def _between(
 
 def _depth(inside: np.ndarray, known: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
     """Distance of every voxel of `inside` to the nearest known voxel outside."""
-    may_be = made_by_slabs(lambda a, b: inside[a:b] | ~known[a:b], inside.shape, bool)
-    if counted(may_be) == may_be.size:
-        return made_by_slabs(lambda a, b: _ANY, inside.shape, np.float32)
+    may_be = make_by_slabs(lambda a, b: inside[a:b] | ~known[a:b], inside.shape, bool)
+    if count_true(may_be) == may_be.size:
+        return make_by_slabs(lambda a, b: _ANY, inside.shape, np.float32)
     return distance_transform(may_be, spacing=spacing)

@@ -11,14 +11,14 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 
 
-def sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
+def window_sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
     """(Z, Y, X) int32: sums over the windows of `width` voxels around every voxel; beyond an open
     face lies nothing.
     """
-    return summed(lambda z: values[z], values.shape, width, wraps)[0]
+    return window_sums_of_planes(lambda z: values[z], values.shape, width, wraps)[0]
 
 
-def summed(
+def window_sums_of_planes(
     values: Callable[[int], np.ndarray], shape: tuple[int, ...], width: int, wraps: tuple[bool, ...]
 ) -> tuple[np.ndarray, int]:
     """The same for a volume whose plane z is `values(z)`, and the sum of all of it."""
@@ -37,7 +37,7 @@ def summed(
     return total, found
 
 
-def summed_again(
+def replace_by_window_sums(
     total: np.ndarray, width: int, wraps: tuple[bool, ...], change: Callable[[int, int], None]
 ) -> None:
     """Sums over windows of what `change(start, stop)` makes of planes of `total`, in place."""

@@ -21,7 +21,7 @@ from trabecula.synth.shared.histogram import rank_counts, row_of_ranks
 _TIED = 2  # beside 0 and 1, until it is settled
 
 
-def brightest(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
+def brightest_voxels(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
     """The `count` brightest voxels of (Z, Y, X) int16 (of those `inside`) as a mask, to the voxel.
 
     Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by

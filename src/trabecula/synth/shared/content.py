@@ -24,8 +24,8 @@ from trabecula.synth.shared.fields import (
     values_of,
 )
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import mixed_share, surroundings
-from trabecula.synth.shared.slabs import both, by_pieces, counted, inverse, tallied
+from trabecula.synth.shared.joints import pool_fractions, surroundings
+from trabecula.synth.shared.slabs import intersection, for_plane_groups, count_true, complement, tally_by_slabs
 
 _BLUR = 1.0  # voxels
 _BESIDE = 8  # voxels around what is made that say how dense it should be
@@ -138,10 +138,10 @@ class Labels(Content):
         return tuple(aims)
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        free = free_of(request)
+        free = free_voxels(request)
         wanted = self._wanted(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
-        return completed(values, request, empty=self.empty)
+        return complete(values, request, empty=self.empty)
 
     def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
         """The fractions of what is made: the exemplar's, or where something is known beside it, of
@@ -154,7 +154,7 @@ class Labels(Content):
         counts = _counts(request.fixed.values, surroundings(free, request.known, _BESIDE))
         held = int(counts.sum())
         own = counts[list(self.present)] / max(1, held)
-        return mixed_share(held, counted(free), own, self.fractions)
+        return pool_fractions(held, count_true(free), own, self.fractions)
 
     def _asked(self, request: Request) -> np.ndarray | None:
         """The fractions that a target porosity asks for: the other phases keep their proportions."""
@@ -181,7 +181,7 @@ class Labels(Content):
             return asked
         counts = _counts(request.fixed.values, request.known, request.mask)
         left = np.maximum(
-            asked * (int(counts.sum()) + counted(free)) - counts[list(self.present)], 0
+            asked * (int(counts.sum()) + count_true(free)) - counts[list(self.present)], 0
         )
         return np.asarray(left / max(left.sum(), 1e-30))
 
@@ -236,9 +236,9 @@ class Values(Content):
 
     def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
         if self.histograms is not None:
-            return completed(values_of(votes, self.histograms, free_of(request)), request, empty=0)
+            return complete(values_of(votes, self.histograms, free_voxels(request)), request, empty=0)
         values = plain_values(votes, low=self.low, high=self.high, dtype=self.dtype)
-        return completed(values, request, empty=0)
+        return complete(values, request, empty=0)
 
 
 def _deep(fields: np.ndarray) -> np.ndarray:
@@ -246,12 +246,12 @@ def _deep(fields: np.ndarray) -> np.ndarray:
     return fields if fields.ndim == 4 else fields[:, None]
 
 
-def free_of(request: Request) -> np.ndarray | None:
+def free_voxels(request: Request) -> np.ndarray | None:
     """The voxels that are to be made; None where all are."""
-    return request.mask if request.known is None else both(request.mask, inverse(request.known))
+    return request.mask if request.known is None else intersection(request.mask, complement(request.known))
 
 
-def completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
+def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
     """Values, written into: `empty` outside the mask, and what is known as it is."""
     mask, fixed, known = request.mask, request.fixed, request.known
 
@@ -264,7 +264,7 @@ def completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray
             part[there] = fixed.values[start:stop][there]
 
     if mask is not None or known is not None:
-        by_pieces(work, values.shape[:3])
+        for_plane_groups(work, values.shape[:3])
     return values
 
 
@@ -275,4 +275,4 @@ def _counts(labels: np.ndarray, inside: np.ndarray, mask: np.ndarray | None = No
         at = inside[start:stop] if mask is None else inside[start:stop] & mask[start:stop]
         return np.bincount(labels[start:stop][at], minlength=256)
 
-    return tallied(tally, labels.shape)
+    return tally_by_slabs(tally, labels.shape)

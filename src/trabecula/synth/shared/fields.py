@@ -16,10 +16,10 @@ from trabecula.core.image import Image
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.auction import shared_out
-from trabecula.synth.shared.brightest import brightest
+from trabecula.synth.shared.auction import assign_phases
+from trabecula.synth.shared.brightest import brightest_voxels
 from trabecula.synth.shared.histogram import Histogram, look_up, match_histogram, matching_table
-from trabecula.synth.shared.slabs import by_pieces, counted, made_by_slabs
+from trabecula.synth.shared.slabs import for_plane_groups, count_true, make_by_slabs
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
@@ -75,7 +75,7 @@ def quantise(field: np.ndarray, *, clip: float, unit: float = 1.0) -> np.ndarray
     """A field (..., Z, Y, X) in int8, where +-127 means `clip` of these units and beyond."""
     if field.ndim < 3:
         return _bytes(field, clip, unit)
-    return made_by_slabs(
+    return make_by_slabs(
         lambda a, b: _bytes(field[..., a:b, :, :], clip, unit), field.shape, np.int8
     )
 
@@ -110,14 +110,14 @@ def labels_of(
     """
     labels = np.asarray(present, np.uint8)
     if fractions is None:
-        return made_by_slabs(
+        return make_by_slabs(
             lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8
         )
-    size = fields[0].size if inside is None else counted(inside)
+    size = fields[0].size if inside is None else count_true(inside)
     if len(present) == 2:
-        upper = brightest(fields[0], round(size * float(fractions[1])), inside)
+        upper = brightest_voxels(fields[0], round(size * float(fractions[1])), inside)
         return _in_place(upper.view(np.uint8), labels)
-    return _in_place(shared_out(fields, np.rint(size * fractions).astype(np.int64), inside), labels)
+    return _in_place(assign_phases(fields, np.rint(size * fractions).astype(np.int64), inside), labels)
 
 
 def _largest(fields: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
         phases[start:stop] = labels[phases[start:stop]]
 
     if not np.array_equal(labels, np.arange(len(labels))):
-        by_pieces(work, phases.shape)
+        for_plane_groups(work, phases.shape)
     return phases
 
 
@@ -176,5 +176,5 @@ def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype
         found = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
         values[start:stop] = found[0] if len(found) == 1 else np.moveaxis(found, 0, -1)
 
-    by_pieces(work, values.shape[:3])
+    for_plane_groups(work, values.shape[:3])
     return values

@@ -123,7 +123,7 @@ def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
     return np.asarray(sum_slabs(tally, len(field)))
 
 
-def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
+def mix_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
     """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours':
     nearly free of ties.
     """

@@ -20,35 +20,35 @@ from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs, tallied
+from trabecula.synth.shared.slabs import for_plane_groups, count_true, complement, make_by_slabs, tally_by_slabs
 
 _STEPS = 20  # relaxations of the membrane: it reaches about half as many voxels
 _PARTS = 1 << 20  # resolution of a mixed histogram
 
 
-def known_of(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def known_voxels(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The voxels whose value is given, at least its sign."""
-    return made_by_slabs(
+    return make_by_slabs(
         lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool
     )
 
 
 def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
     """The known voxels no farther than `width` voxels from one that is to be made."""
-    if not counted(free):
+    if not count_true(free):
         return memmap.zeros(known.shape, bool)
-    distance = distance_transform(inverse(free))
-    return made_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
+    distance = distance_transform(complement(free))
+    return make_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
 
 
-def mixed_share(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
+def pool_fractions(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
     """Shares of the exemplar and of `near` known voxels, as of one sample; `made` voxels are to
     follow it.
     """
     return np.asarray((near * own + made * exemplar) / max(1, near + made))
 
 
-def mixed_histograms(
+def pool_histograms(
     targets: Sequence[Histogram], low: np.ndarray, high: np.ndarray, near: np.ndarray, made: int
 ) -> tuple[Histogram, ...]:
     """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C,
@@ -56,13 +56,13 @@ def mixed_histograms(
     """
     mixed = []
     for target, least, most in zip(targets, low, high, strict=True):
-        held = tallied(partial(_middles, least, most, near), near.shape)
+        held = tally_by_slabs(partial(_middles, least, most, near), near.shape)
         size = int(held.sum())
         exemplar, own = np.zeros(256), held / max(1, size)
         exemplar[target.values.astype(np.int64) + 128] = (
             np.diff(target.up_to, prepend=0) / target.up_to[-1]
         )
-        parts = np.rint(mixed_share(size, made, own, exemplar) * _PARTS).astype(np.int64)
+        parts = np.rint(pool_fractions(size, made, own, exemplar) * _PARTS).astype(np.int64)
         present = np.flatnonzero(parts)
         mixed.append(Histogram((present - 128).astype(np.int8), np.cumsum(parts[present])))
     return tuple(mixed)
@@ -77,19 +77,19 @@ def _middles(
     return np.bincount(middle + 128, minlength=256)
 
 
-def joined(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
+def spread_offset(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into
     what is free.
     """
     result = memmap.empty(votes.shape, np.int16)
-    known = known_of(free, low, high)
+    known = known_voxels(free, low, high)
     offset, other = memmap.empty(free.shape, np.float32), memmap.empty(free.shape, np.float32)
     for channel, least, most, to in zip(votes, low, high, result, strict=True):
-        by_pieces(partial(_miss, channel, least, most, known, offset), free.shape)
+        for_plane_groups(partial(_miss, channel, least, most, known, offset), free.shape)
         for _ in range(_STEPS):
             for_slabs(partial(_relax, offset, known, free, other), len(free))
             offset, other = other, offset
-        by_pieces(partial(_move, channel, free, offset, to), free.shape)
+        for_plane_groups(partial(_move, channel, free, offset, to), free.shape)
     return result
 
 

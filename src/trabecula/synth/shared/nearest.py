@@ -29,7 +29,7 @@ _AT_ONCE = 128  # leaves whose centres are worked out at once
 
 
 @dataclass(frozen=True)
-class Candidates:
+class NeighbourIndex:
     """Feature vectors prepared for `k_nearest`."""
 
     # (L, D, LEAF) int16, a leaf's features side by side; D filled with zeros to a multiple of 4
@@ -42,9 +42,9 @@ class Candidates:
     k: int  # how many nearest ones may be asked for
 
 
-def candidates(
+def build_index(
     features: np.ndarray, *, k: int = 10, allowed: np.ndarray | None = None
-) -> Candidates:
+) -> NeighbourIndex:
     """Prepare feature vectors for exact search.
 
     Parameters
@@ -96,7 +96,7 @@ def candidates(
         radius[part] = np.sqrt(((points - centre.astype(np.float64)) ** 2).sum(1).max(1)) * (
             1 + 1e-6
         )
-    return Candidates(tiles, index, centres, radius, middle, k)
+    return NeighbourIndex(tiles, index, centres, radius, middle, k)
 
 
 def search_bytes(count: int, k: int) -> int:
@@ -104,7 +104,7 @@ def search_bytes(count: int, k: int) -> int:
     return _QUERIES * (5 * count // LEAF + 64 * k)
 
 
-def k_nearest(queries: np.ndarray, among: Candidates) -> tuple[np.ndarray, np.ndarray]:
+def k_nearest(queries: np.ndarray, among: NeighbourIndex) -> tuple[np.ndarray, np.ndarray]:
     """The k nearest candidates of every query by Euclidean distance, exactly; of equals the one
     that comes first.
 
@@ -116,7 +116,7 @@ def k_nearest(queries: np.ndarray, among: Candidates) -> tuple[np.ndarray, np.nd
     Returns
     -------
     index : (Q, k) int32
-        Places in the array that `candidates` was given, nearest first; k as given there, or all
+        Places in the array that `build_index` was given, nearest first; k as given there, or all
         where there are fewer.
     distance : (Q, k) int64
         Squared distances.
@@ -148,7 +148,7 @@ def k_nearest(queries: np.ndarray, among: Candidates) -> tuple[np.ndarray, np.nd
 
 
 def best_among(
-    queries: np.ndarray, among: Candidates, factors: np.ndarray
+    queries: np.ndarray, among: NeighbourIndex, factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of the k nearest candidates of every query the best by the modified distance, in the caller's
     thread.
@@ -181,7 +181,7 @@ def best_among(
 
 
 def _search(
-    queries: np.ndarray, among: Candidates, index: np.ndarray, distance: np.ndarray
+    queries: np.ndarray, among: NeighbourIndex, index: np.ndarray, distance: np.ndarray
 ) -> None:
     moved = queries - among.middle
     scores = np.column_stack([moved, np.ones(len(moved), np.float32)]) @ among.centres
@@ -260,7 +260,7 @@ def _best(
     return np.take_along_axis(index, best, 1)[:, 0], np.take_along_axis(distance, best, 1)[:, 0]
 
 
-def _fitting(queries: np.ndarray, among: Candidates) -> np.ndarray:
+def _fitting(queries: np.ndarray, among: NeighbourIndex) -> np.ndarray:
     queries = _table(queries, "queries")
     if queries.shape[1] != len(among.middle):
         raise InputError(

@@ -206,7 +206,7 @@ def project_planes(
     if basis.grain > 1 and step % basis.grain == 0:
         # Of the sums only those of blocks side by side are asked for.
         blocks = np.ascontiguousarray(blocks[:, :: grains[0], :: grains[1], :: grains[2]])
-        box, steps = divided(box, grains), divided(steps, grains)
+        box, steps = divide_sides(box, grains), divide_sides(steps, grains)
         grains, step = (1, 1, 1), step // basis.grain
     across = features.shape[2]
     rows = np.empty((min(_ROWS, features.shape[1] * across), length), np.float32)
@@ -221,7 +221,7 @@ def project_planes(
             store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
 
 
-def divided(sides: Triple, by: Triple) -> Triple:
+def divide_sides(sides: Triple, by: Triple) -> Triple:
     """Sides in units of blocks."""
     z, y, x = (side // b for side, b in zip(sides, by, strict=True))
     return z, y, x

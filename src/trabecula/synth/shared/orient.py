@@ -75,7 +75,7 @@ def symmetries(
     return tuple(Symmetry(axes, flip) for axes in fitting for flip in flips)
 
 
-def oriented(field: np.ndarray, symmetry: Symmetry) -> np.ndarray:
+def apply_symmetry(field: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """The field (C, z, y, x) or (C, y, x) under a symmetry, as a new contiguous array.
 
     Its values stay as they are: they must not have a direction, as a distance or a grey value has

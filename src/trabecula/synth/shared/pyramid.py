@@ -12,7 +12,7 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.slabs import by_pieces, made_by_slabs
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 
 def halve(field: np.ndarray) -> np.ndarray:
@@ -31,7 +31,7 @@ def halve(field: np.ndarray) -> np.ndarray:
             part = (part[tuple(even)] + part[tuple(odd)]) * np.float32(0.5)
         return part
 
-    return made_by_slabs(mean, shape, np.result_type(field.dtype, np.float32))
+    return make_by_slabs(mean, shape, np.result_type(field.dtype, np.float32))
 
 
 def double(
@@ -75,7 +75,7 @@ def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         part[:, :, y:, :x] = part[:, :, y - 1 : y, :x]
         part[:, :, :, x:] = part[:, :, :, x - 1 : x]
 
-    by_pieces(work, shape)
+    for_plane_groups(work, shape)
     return fitted
 
 

@@ -16,7 +16,7 @@ AT_ONCE = 1 << 18
 """Voxels: what NumPy makes of so many in between is small, and still in the cache."""
 
 
-def by_pieces(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
+def for_plane_groups(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
     """`for_slabs` over the planes of (..., Z, Y, X), with `work` called for as few at a time as
     hold `AT_ONCE` voxels.
     """
@@ -29,25 +29,25 @@ def by_pieces(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
     for_slabs(pieces, shape[-3])
 
 
-def made_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: Any) -> np.ndarray:
+def make_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: Any) -> np.ndarray:
     """(..., Z, Y, X) of which `make(start, stop)` gives planes of z (or one value for all of them)."""
     made = memmap.empty(shape, dtype)
 
     def work(start: int, stop: int) -> None:
         made[..., start:stop, :, :] = make(start, stop)
 
-    by_pieces(work, made.shape)
+    for_plane_groups(work, made.shape)
     return made
 
 
-def counted(inside: np.ndarray) -> int:
+def count_true(inside: np.ndarray) -> int:
     """How many voxels of (Z, Y, X) bool are True."""
     return int(
         sum_slabs(lambda start, stop: int(np.count_nonzero(inside[start:stop])), len(inside))
     )
 
 
-def tallied(tally: Callable[[int, int], np.ndarray], shape: Sequence[int]) -> np.ndarray:
+def tally_by_slabs(tally: Callable[[int, int], np.ndarray], shape: Sequence[int]) -> np.ndarray:
     """Counts of whole numbers in (..., Z, Y, X), where `tally(start, stop)` gives those in planes
     of z.
     """
@@ -64,13 +64,13 @@ def _thickness(shape: Sequence[int]) -> int:
     return max(1, AT_ONCE // max(1, shape[-2] * shape[-1]))
 
 
-def both(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:
+def intersection(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:
     """Where both of two masks (Z, Y, X) are True; None stands for one that is True everywhere."""
     if first is None or second is None:
         return second if first is None else first
-    return made_by_slabs(lambda a, b: first[a:b] & second[a:b], first.shape, bool)
+    return make_by_slabs(lambda a, b: first[a:b] & second[a:b], first.shape, bool)
 
 
-def inverse(mask: np.ndarray) -> np.ndarray:
+def complement(mask: np.ndarray) -> np.ndarray:
     """Where a mask (Z, Y, X) is False."""
-    return made_by_slabs(lambda a, b: ~mask[a:b], mask.shape, bool)
+    return make_by_slabs(lambda a, b: ~mask[a:b], mask.shape, bool)

@@ -27,24 +27,24 @@ from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, mean_edge, quantise
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import features_of, nearest_matches, random_matches, swept
+from trabecula.synth.shared.matching.grid import features_of, exact_search, random_matches, coherent_search
 from trabecula.synth.shared.matching.levels import grain_of, levels_for, variance_in
-from trabecula.synth.shared.matching.planes import Frame, Plane
+from trabecula.synth.shared.matching.planes import RegionViews, ViewGrid
 from trabecula.synth.shared.matching.region import Region, regions_of
-from trabecula.synth.shared.matching.rounds import joined_votes, refined, rematched, robust_weights
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
-from trabecula.synth.shared.orient import oriented, symmetries
+from trabecula.synth.shared.matching.rounds import join_to_known, refine_field, match_votes, robust_weights
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.solid_config import SolidConfig
 from trabecula.synth.shared.solid_fit import PROCESS, levels_that_fit
-from trabecula.synth.shared.solid_forecast import Run
-from trabecula.synth.shared.solid_state import State, even_weights
+from trabecula.synth.shared.solid_forecast import SolidForecast
+from trabecula.synth.shared.solid_state import SolidState, equal_weights
 from trabecula.synth.shared.statistics.correlate import (
     Correlations,
-    corrected,
+    two_point_step,
     correlations_at,
-    owed,
+    accumulate_debt,
     step_bytes,
     step_slab_bytes,
 )
@@ -52,7 +52,7 @@ from trabecula.synth.shared.votes import votes_of
 
 
 @dataclass(frozen=True)
-class Level:
+class SolidLevel:
     """The pictures at one resolution: the neighbourhoods of every view, and the histograms of all
     of them together.
     """
@@ -81,7 +81,7 @@ class SolidModel(PictureModel):
         ]
         fields = {n: self.content.fields(pictures[n]) for n in sorted(set(self.numbers))}
         count = levels_that_fit(min(min(picture.shape) for picture in pictures), config)
-        self.levels: list[Level] = []
+        self.levels: list[SolidLevel] = []
         for index in track(range(count), "learning the picture"):
             own = {n: self._quantised(field, index) for n, field in fields.items()}
             made = {n: self._learnt(field, index, pictures[n]) for n, field in own.items()}
@@ -97,14 +97,14 @@ class SolidModel(PictureModel):
                 target = correlations_at(
                     deep, index, edges=[e / unit for e in spacing_of(views)], clip=config.clip
                 )
-            self.levels.append(Level(seen, histograms, target))
+            self.levels.append(SolidLevel(seen, histograms, target))
             fields = {n: halve(field) for n, field in fields.items()}
 
     def _learnt(self, field: np.ndarray, index: int, picture: Image) -> Candidates:
         """The neighbourhoods of one picture (C, 1, y, x) int8 on one level."""
         config = self.config
         turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
-        stack = Stack.of([oriented(field[:, 0], turn)[:, None] for turn in turns])
+        stack = Stack.of([apply_symmetry(field[:, 0], turn)[:, None] for turn in turns])
         width = config.neighbourhood
         grain = grain_of(width, smooth=index == 0 and self.content.distances)
         return Candidates.of(
@@ -136,7 +136,7 @@ class SolidModel(PictureModel):
         while regions:
             index = len(regions) - 1
             level = self.levels[index]
-            frame = Frame.over(
+            frame = RegionViews.over(
                 regions.pop(), level.views, self.content.aims(level.histograms, request)
             )
             if state is None:
@@ -147,21 +147,21 @@ class SolidModel(PictureModel):
         assert state is not None  # there is at least one level
         return self._delivered(state, request)
 
-    def _resumed(self, used: int) -> tuple[State | None, int, int]:
+    def _resumed(self, used: int) -> tuple[SolidState | None, int, int]:
         """The state that an interrupted run left, its level and its rounds done; none, and the
         coarsest level.
         """
         for index in range(used):
             left = resumed(_stage(index))
             if left is not None:
-                return State.of(left.arrays), index, left.number
+                return SolidState.of(left.arrays), index, left.number
         return None, used - 1, 0
 
     def _key(self, request: Request, index: int) -> np.uint64:
         return key(request.seed, f"{self.capabilities.name}/{index}")
 
     def _run(
-        self, frame: Frame, state: State, index: int, used: int, request: Request, done: int
+        self, frame: RegionViews, state: SolidState, index: int, used: int, request: Request, done: int
     ) -> None:
         """The rounds of a level from round `done` on."""
         config, target = self.config, self.levels[index].correlations
@@ -185,36 +185,36 @@ class SolidModel(PictureModel):
             trims[-2:] = [(self.config.neighbourhood - self.config.step) // 2] * len(trims[-2:])
         return trims
 
-    def _started(self, frame: Frame, stage: np.uint64) -> State:
+    def _started(self, frame: RegionViews, stage: np.uint64) -> SolidState:
         """Random patches."""
         matches = [
             random_matches(plane.grid, stage + np.uint64(place))
             for place, plane in enumerate(frame.planes)
         ]
         shape = (len(frame.targets), *frame.region.shape)
-        state = State(matches, memmap.zeros(shape, np.int16), memmap.zeros(shape, np.int8))
-        self._vote(frame, state, [even_weights(plane.grid.active) for plane in frame.planes], 0)
+        state = SolidState(matches, memmap.zeros(shape, np.int16), memmap.zeros(shape, np.int8))
+        self._vote(frame, state, [equal_weights(plane.grid.active) for plane in frame.planes], 0)
         return state
 
-    def _continued(self, frame: Frame, coarser: Level, state: State) -> State:
+    def _continued(self, frame: RegionViews, coarser: SolidLevel, state: SolidState) -> SolidState:
         """The result so far at twice the resolution: its field doubled (a distance doubles too),
         its matches moved along.
         """
         region = frame.region
-        field = refined(
+        field = refine_field(
             state.field, region.wraps, distances=self.content.distances, shape=region.shape
         )
         field = region.bounded(field)
         matches = [
-            carried(match, old, plane.grid.candidates, plane.grid.shape, factor=2)
+            carry_matches(match, old, plane.grid.candidates, plane.grid.shape, factor=2)
             for match, (_, old), plane in zip(
                 state.matches, coarser.views, frame.planes, strict=True
             )
         ]
-        return State(matches, votes_of(field), field)
+        return SolidState(matches, votes_of(field), field)
 
     def _round(
-        self, frame: Frame, state: State, stage: np.uint64, number: int, trim: int, sweeps: int
+        self, frame: RegionViews, state: SolidState, stage: np.uint64, number: int, trim: int, sweeps: int
     ) -> None:
         """Search in every view, then vote."""
         weights = []
@@ -228,24 +228,24 @@ class SolidModel(PictureModel):
             del old, match, distance
         self._vote(frame, state, weights, trim)
 
-    def _owed(self, frame: Frame, state: State, target: Correlations) -> np.ndarray:
+    def _owed(self, frame: RegionViews, state: SolidState, target: Correlations) -> np.ndarray:
         """What the steps to come owe the two-point function, of the voxels that are made."""
-        return owed(
+        return accumulate_debt(
             state.debt, state.field, target, periodic=frame.region.wraps, free=frame.region.free
         )
 
-    def _correct(self, frame: Frame, state: State, target: Correlations, steps: int) -> None:
+    def _correct(self, frame: RegionViews, state: SolidState, target: Correlations, steps: int) -> None:
         """Steps on the two-point function, of the voxels that are made."""
         region = frame.region
         for _ in range(steps):
-            state.votes = corrected(
+            state.votes = two_point_step(
                 state.field, target, debt=state.debt, periodic=region.wraps, free=region.free
             )
-            state.field = rematched(region, state.votes, frame.targets)
+            state.field = match_votes(region, state.votes, frame.targets)
 
     def _matched(
         self,
-        plane: Plane,
+        plane: ViewGrid,
         old: np.ndarray,
         field: np.ndarray,
         stage: np.uint64,
@@ -255,10 +255,10 @@ class SolidModel(PictureModel):
         config = self.config
         seen = plane.turned(field)
         if config.search == "exact":
-            return nearest_matches(
+            return exact_search(
                 plane.grid, old, features_of(plane.grid, seen), index_penalty=config.index_penalty
             )
-        return swept(
+        return coherent_search(
             plane.grid,
             old,
             seen,
@@ -269,20 +269,20 @@ class SolidModel(PictureModel):
             index_penalty=config.index_penalty,
         )
 
-    def _make(self, frame: Frame, state: State, votes: np.ndarray) -> None:
+    def _make(self, frame: RegionViews, state: SolidState, votes: np.ndarray) -> None:
         """Votes as the next state: joined to what is known, with the histograms asked for."""
-        state.votes = joined_votes(frame.region, votes)
-        state.field = rematched(
+        state.votes = join_to_known(frame.region, votes)
+        state.field = match_votes(
             frame.region, state.votes, frame.targets if self.config.histogram else None
         )
 
     @abstractmethod
-    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
+    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
         """Bring the state to what its matches vote for, with these weights (sz, sy, sx) int32, one
         a view.
         """
 
-    def _delivered(self, state: State, request: Request) -> np.ndarray:
+    def _delivered(self, state: SolidState, request: Request) -> np.ndarray:
         return self.content.delivered(fit_to(state.votes, request.shape), request)
 
     def _plan(self, request: Request) -> Plan:
@@ -315,9 +315,9 @@ class SolidModel(PictureModel):
             for c in candidates
         )
 
-    def _forecast(self, request: Request) -> Run:
+    def _forecast(self, request: Request) -> SolidForecast:
         target = self.levels[0].correlations
-        run = Run(
+        run = SolidForecast(
             request,
             Region(request.shape, request.periodic),
             self.levels[0].views,

@@ -19,7 +19,7 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.neighbourhoods import block_bytes
 from trabecula.synth.shared.slabs import AT_ONCE
-from trabecula.synth.shared.turned import turned_shape
+from trabecula.synth.shared.turned import shape_with_axis_first
 
 _RANKS = 3 << 20  # tables of 65536 ranks
 _BETWEEN = 32  # bytes of a voxel that NumPy takes in between, beside known voxels
@@ -27,7 +27,7 @@ _AROUND = 1 << 16  # bytes around one that is read from a file: the system maps 
 
 
 @dataclass(frozen=True)
-class Run:
+class SolidForecast:
     """What a run is of.
 
     Attributes
@@ -155,7 +155,7 @@ class Run:
         for (axis, candidates), grid in zip(self.views, self._grids(), strict=True):
             depth, (_, height, across) = (
                 candidates.features.shape[1],
-                turned_shape(self.shape, axis),
+                shape_with_axis_first(self.shape, axis),
             )
             thick = min(planes_together(depth, grid), self._thickest)
             each = (6 if candidates.basis.grain > 1 else int(self._channels > 1)) + 2 * any(

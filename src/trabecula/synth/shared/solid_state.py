@@ -12,7 +12,7 @@ from trabecula.engine.parallel import for_slabs
 
 
 @dataclass
-class State:
+class SolidState:
     """The output at one resolution; rounds put new arrays in place of the old.
 
     Attributes
@@ -35,7 +35,7 @@ class State:
     debt: np.ndarray | None = None
 
     @classmethod
-    def of(cls, arrays: dict[str, np.ndarray]) -> State:
+    def of(cls, arrays: dict[str, np.ndarray]) -> SolidState:
         """From what was offered."""
         count = sum(name.startswith("match") for name in arrays)
         matches = [arrays[f"match{place}"] for place in range(count)]
@@ -54,7 +54,7 @@ class State:
         offer(stage, number, **arrays)
 
 
-def even_weights(active: np.ndarray) -> np.ndarray:
+def equal_weights(active: np.ndarray) -> np.ndarray:
     """The weights int32 of sites (sz, sy, sx) that vote alike: 1, and 0 where they are not active."""
     weights = memmap.empty(active.shape, np.int32)
 

@@ -16,20 +16,20 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 
 
-def order_of(axis: int) -> tuple[int, int, int]:
+def axis_order(axis: int) -> tuple[int, int, int]:
     """The axes of a volume with `axis` first."""
     rows, columns = (other for other in range(3) if other != axis)
     return axis, rows, columns
 
 
-def turned(values: np.ndarray, axis: int) -> np.ndarray:
+def put_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
     """An array (..., Z, Y, X) with `axis` (0 z, 1 y, 2 x) first of its last three, contiguous.
 
     Along z it is the array itself, where that is contiguous.
     """
     if axis == 0 and values.flags.c_contiguous:
         return values
-    seen = memmap.empty((*values.shape[:-3], *turned_shape(values.shape[-3:], axis)), values.dtype)
+    seen = memmap.empty((*values.shape[:-3], *shape_with_axis_first(values.shape[-3:], axis)), values.dtype)
     back = _back(seen, axis)
 
     def work(start: int, stop: int) -> None:
@@ -40,8 +40,8 @@ def turned(values: np.ndarray, axis: int) -> np.ndarray:
     return seen
 
 
-def put_back(seen: np.ndarray, axis: int, values: np.ndarray, *, add: bool = False) -> None:
-    """`turned` backwards, into `values` (..., Z, Y, X); with `add` added to what is there."""
+def restore_axis_order(seen: np.ndarray, axis: int, values: np.ndarray, *, add: bool = False) -> None:
+    """`put_axis_first` backwards, into `values` (..., Z, Y, X); with `add` added to what is there."""
     back = _back(seen, axis)
 
     def work(start: int, stop: int) -> None:
@@ -54,9 +54,9 @@ def put_back(seen: np.ndarray, axis: int, values: np.ndarray, *, add: bool = Fal
     for_slabs(work, values.shape[-3])
 
 
-def turned_shape(shape: Sequence[int], axis: int) -> tuple[int, int, int]:
+def shape_with_axis_first(shape: Sequence[int], axis: int) -> tuple[int, int, int]:
     """The sides of a volume with `axis` first."""
-    z, y, x = (shape[a] for a in order_of(axis))
+    z, y, x = (shape[a] for a in axis_order(axis))
     return z, y, x
 
 

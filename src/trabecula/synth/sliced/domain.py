@@ -14,10 +14,10 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content import Bounds
 from trabecula.synth.shared.fields import quantise
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.slabs import inverse
+from trabecula.synth.shared.slabs import complement
 
 
-def torus(request: Request, top: int, least: int) -> list[Region]:
+def torus_regions(request: Request, top: int, least: int) -> list[Region]:
     """The regions of levels 0 .. `top`; an open axis goes on to whole voxels of the coarsest,
     `least` of them at least.
     """
@@ -32,7 +32,7 @@ def torus(request: Request, top: int, least: int) -> list[Region]:
     return regions
 
 
-def around_known(
+def regions_around_known(
     request: Request, bounds: Bounds, top: int, clip_of: Callable[[int], float], *, exact: bool
 ) -> list[Region]:
     """The regions of levels 0 .. `top` around known voxels, whose field lies within `bounds`.
@@ -48,7 +48,7 @@ def around_known(
         if index == 0 and exact:
             least, most = (quantise(bound, clip=clip_of(0)) for bound in bounds)
             regions.append(
-                Region(request.shape, request.periodic, inverse(request.known), least, most)
+                Region(request.shape, request.periodic, complement(request.known), least, most)
             )
         else:
             regions.append(

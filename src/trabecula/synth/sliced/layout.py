@@ -12,11 +12,11 @@ from trabecula.engine.checkpoint import offer, resumed
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import targets_of
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import rematched
-from trabecula.synth.shared.statistics.correlate import corrected
-from trabecula.synth.shared.statistics.sliced import sliced_views
+from trabecula.synth.shared.matching.rounds import match_votes
+from trabecula.synth.shared.statistics.correlate import two_point_step
+from trabecula.synth.shared.statistics.sliced import transport_planes
 from trabecula.synth.shared.votes import noise, votes_of
-from trabecula.synth.sliced.aims import Layout, leaning
+from trabecula.synth.sliced.aims import Layout, reweight_target
 from trabecula.synth.sliced.config import SlicedConfig
 
 STEP_EVERY = 3
@@ -26,7 +26,7 @@ STAGE = "layout"
 """Of a run that can be interrupted: what is kept is the field."""
 
 
-def laid_out(
+def lay_out(
     layout: Layout,
     region: Region,
     histograms: tuple[Histogram, ...],
@@ -51,14 +51,14 @@ def laid_out(
     """
     channels, stage = len(layout.histograms), key(seed, "sliced/layout")
     targets = targets_of(region, histograms, width=config.layout_width)
-    correlations = leaning(
+    correlations = reweight_target(
         layout.correlations, layout.histograms, targets, softness=layout.correlations.softness
     )
     state = resumed(STAGE)
     if state is None:
         begin = 0
         votes = noise((channels, *region.shape), int(key(seed, "sliced/noise")))
-        field = rematched(region, votes, targets)
+        field = match_votes(region, votes, targets)
         del votes
     else:
         begin, field = state.number, state.arrays["field"]
@@ -66,9 +66,9 @@ def laid_out(
         range(begin, config.layout_rounds), "laying out", total=config.layout_rounds - begin
     ):
         # Votes are nobody's but the call's: they go as soon as the field is there.
-        field = rematched(
+        field = match_votes(
             region,
-            sliced_views(
+            transport_planes(
                 votes_of(field),
                 layout.views,
                 key=stage,
@@ -82,8 +82,8 @@ def laid_out(
         )
         if (number + 1) % STEP_EVERY == 0:
             for _ in range(config.layout_steps):
-                votes = corrected(field, correlations, periodic=region.wraps, free=region.free)
-                field = rematched(region, votes, targets)
+                votes = two_point_step(field, correlations, periodic=region.wraps, free=region.free)
+                field = match_votes(region, votes, targets)
                 del votes
         offer(STAGE, number + 1, field=field)
     return field

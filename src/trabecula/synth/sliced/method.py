@@ -26,25 +26,25 @@ from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import mean_edge
-from trabecula.synth.shared.matching.planes import Frame
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import refined
+from trabecula.synth.shared.matching.rounds import refine_field
 from trabecula.synth.shared.neighbourhoods import basis_bytes, principal_basis
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.solid_fit import PROCESS, channels_of
-from trabecula.synth.shared.solid_forecast import Run
-from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.solid_forecast import SolidForecast
+from trabecula.synth.shared.solid_state import SolidState
 from trabecula.synth.shared.statistics.correlate import step_bytes, step_slab_bytes
 from trabecula.synth.shared.statistics.moved import round_bytes
 from trabecula.synth.sliced import CAPABILITIES
-from trabecula.synth.sliced.aims import Layout, Level, Pictures, leaning, thinned
+from trabecula.synth.sliced.aims import Layout, SlicedLevel, Pictures, reweight_target, subsample
 from trabecula.synth.sliced.config import SlicedConfig
-from trabecula.synth.sliced.domain import around_known, torus
-from trabecula.synth.sliced.layout import laid_out
+from trabecula.synth.sliced.domain import regions_around_known, torus_regions
+from trabecula.synth.sliced.layout import lay_out
 from trabecula.synth.sliced.passes import begun, passed
-from trabecula.synth.sliced.specks import without_specks
+from trabecula.synth.sliced.specks import remove_specks
 
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
 _SAME = 1e-6
@@ -109,7 +109,7 @@ class SlicedModel(PictureModel):
         pictures = Pictures(fields, views, chosen)
         self.top = _top_for(min(min(view.image.shape) for view in views), config)
         indices = range(self.top + 1)
-        self.levels: list[Level] = [
+        self.levels: list[SlicedLevel] = [
             pictures.level(index, config) for index in track(indices, "learning the picture")
         ]
         self.layouts: list[Layout] = [pictures.layout(index, config) for index in indices]
@@ -147,33 +147,33 @@ class SlicedModel(PictureModel):
         del field, frame
         return self._delivered(fit_to(votes, request.shape), request)
 
-    def _resumed(self, top: int) -> tuple[State | None, int, int]:
+    def _resumed(self, top: int) -> tuple[SolidState | None, int, int]:
         """The state that an interrupted run left, its level and its rounds done; none, and the
         coarsest level.
         """
         for index in range(top + 1):
             left = resumed(_stage(index))
             if left is not None:
-                return State.of(left.arrays), index, left.number
+                return SolidState.of(left.arrays), index, left.number
         return None, top, 0
 
     def _laid_out(self, region: Region, top: int, request: Request) -> np.ndarray:
         layout = self.layouts[top]
-        return laid_out(
+        return lay_out(
             layout, region, self.content.aims(layout.histograms, request), request.seed, self.config
         )
 
-    def _frame(self, region: Region, index: int, request: Request) -> Frame:
+    def _frame(self, region: Region, index: int, request: Request) -> RegionViews:
         level = self.levels[index]
-        return Frame.over(region, level.views, self.content.aims(level.histograms, request))
+        return RegionViews.over(region, level.views, self.content.aims(level.histograms, request))
 
-    def _pass(self, frame: Frame, state: State, index: int, request: Request, done: int) -> None:
+    def _pass(self, frame: RegionViews, state: SolidState, index: int, request: Request, done: int) -> None:
         """Search and vote on one level."""
         config, level = self.config, self.levels[index]
         passed(
             frame,
             state,
-            leaning(level.correlations, level.histograms, frame.targets, softness=1.0),
+            reweight_target(level.correlations, level.histograms, frame.targets, softness=1.0),
             config,
             stage=_key(request, index),
             done=done,
@@ -187,7 +187,7 @@ class SlicedModel(PictureModel):
         values = self.content.delivered(votes, request)
         if not self.config.specks:
             return values
-        votes = without_specks(votes, values, self.content.present, self.config.specks)  # type: ignore[attr-defined]
+        votes = remove_specks(votes, values, self.content.present, self.config.specks)  # type: ignore[attr-defined]
         del values
         return self.content.delivered(votes, request)
 
@@ -203,13 +203,13 @@ class SlicedModel(PictureModel):
         top, config = self._top(request), self.config
         bounds = self.content.bounds(request, thin=True)
         if bounds is None:
-            return torus(request, top, self._least)
+            return torus_regions(request, top, self._least)
         while True:
 
             def clip_of(index: int, top: int = top) -> float:
                 return config.clip * 2**index
 
-            regions = around_known(request, bounds, top, clip_of, exact=True)
+            regions = regions_around_known(request, bounds, top, clip_of, exact=True)
             free = regions[top].free
             if top == 0 or (free is not None and free.any()):
                 return regions
@@ -245,13 +245,13 @@ class SlicedModel(PictureModel):
     def _region(self, request: Request, index: int) -> Region:
         """Where a level is made, without what is known there."""
         if request.fixed is None:
-            return torus(request, self._top(request), self._least)[index]
+            return torus_regions(request, self._top(request), self._least)[index]
         return Region(tuple(-(-side // 2**index) for side in request.shape), request.periodic)
 
-    def _forecast(self, request: Request) -> Run:
+    def _forecast(self, request: Request) -> SolidForecast:
         """Of search and vote on the finest level."""
         region, target = self._region(request, 0), self.levels[0].correlations
-        run = Run(request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True)
+        run = SolidForecast(request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True)
         channels = len(self.levels[0].histograms)
         return replace(
             run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape)
@@ -276,7 +276,7 @@ class SlicedModel(PictureModel):
 def _fitted(field: np.ndarray, region: Region, *, finer: bool) -> np.ndarray:
     """A field (C, Z, Y, X) int8 on a region, which is `finer` by two or the same."""
     if finer:
-        return region.bounded(refined(field, region.wraps, distances=True, shape=region.shape))
+        return region.bounded(refine_field(field, region.wraps, distances=True, shape=region.shape))
     return region.bounded(fit_to(field, region.shape))
 
 
@@ -296,7 +296,7 @@ def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
         (config.neighbourhood, config.clip * 2**index, config.variance, config.components, False),
         (config.layout_width, config.layout_clip, 0.95, 64, True),
     ):
-        part = thinned(field, index, clip)[0]
+        part = subsample(field, index, clip)[0]
         count = principal_basis(
             part, width=width, variance=variance, most=most, flat=True
         ).vectors.shape[1]

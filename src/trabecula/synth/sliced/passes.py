@@ -5,30 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.core.progress import track
-from trabecula.synth.shared.matching.grid import random_matches, swept
-from trabecula.synth.shared.matching.planes import Frame, voted_planes
-from trabecula.synth.shared.matching.rounds import joined_votes, rematched, robust_weights
-from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.matching.grid import random_matches, coherent_search
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
+from trabecula.synth.shared.matching.rounds import join_to_known, match_votes, robust_weights
+from trabecula.synth.shared.solid_state import SolidState
 from trabecula.synth.shared.statistics.correlate import Correlations
 from trabecula.synth.shared.votes import votes_of
 from trabecula.synth.sliced.config import SlicedConfig
-from trabecula.synth.sliced.steps import stepped
+from trabecula.synth.sliced.steps import distance_step
 
 _FIRST = 4  # times as many sweeps in the first round, which starts from random matches
 
 
-def begun(frame: Frame, field: np.ndarray, stage: np.uint64) -> State:
+def begun(frame: RegionViews, field: np.ndarray, stage: np.uint64) -> SolidState:
     """What rounds start from on a field (C, Z, Y, X) int8: random matches."""
     matches = [
         random_matches(plane.grid, stage + np.uint64(place))
         for place, plane in enumerate(frame.planes)
     ]
-    return State(matches, votes_of(field), field)
+    return SolidState(matches, votes_of(field), field)
 
 
 def passed(
-    frame: Frame,
-    state: State,
+    frame: RegionViews,
+    state: SolidState,
     target: Correlations,
     config: SlicedConfig,
     *,
@@ -42,22 +42,22 @@ def passed(
     region = frame.region
     for number in track(range(done, rounds), said):
         weights = _searched(frame, state, config, stage, number)
-        state.votes = joined_votes(region, voted_planes(frame, state.matches, weights))
+        state.votes = join_to_known(region, cast_plane_votes(frame, state.matches, weights))
         del weights
-        state.field = rematched(region, state.votes, frame.targets)
+        state.field = match_votes(region, state.votes, frame.targets)
         for _ in range(steps):
-            state.votes = stepped(state.field, target, region)
-            state.field = rematched(region, state.votes, frame.targets)
+            state.votes = distance_step(state.field, target, region)
+            state.field = match_votes(region, state.votes, frame.targets)
         state.offer(said, number + 1)
 
 
 def _searched(
-    frame: Frame, state: State, config: SlicedConfig, stage: np.uint64, number: int
+    frame: RegionViews, state: SolidState, config: SlicedConfig, stage: np.uint64, number: int
 ) -> list[np.ndarray]:
     """New matches in place of the old, one a view; returns what they weigh in the vote."""
     weights = []
     for place, plane in enumerate(frame.planes):
-        state.matches[place], distance = swept(
+        state.matches[place], distance = coherent_search(
             plane.grid,
             state.matches[place],
             plane.turned(state.field),

@@ -14,7 +14,7 @@ _OUT = 32000  # a vote that decides
 _FACES = 6  # neighbours share one
 
 
-def without_specks(
+def remove_specks(
     votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
 ) -> np.ndarray:
     """Votes that no longer give `values` their pieces of fewer than `least` voxels.

@@ -17,7 +17,7 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import Correlations, corrected, step_slab_bytes
+from trabecula.synth.shared.statistics.correlate import Correlations, two_point_step, step_slab_bytes
 from trabecula.synth.shared.votes import UNIT
 
 FAR = 4.0
@@ -28,7 +28,7 @@ _FLAT = np.float32(1.0)  # least slope, int8 steps a voxel
 _FEW, _MANY = 8, 1 << 19
 
 
-def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
+def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
     """One step.
 
     Parameters
@@ -46,14 +46,14 @@ def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarr
     distance = memmap.empty(field.shape, np.int8, least=0)  # another process may write it
     for channel, far in zip(field, distance, strict=True):
         _by_few(partial(_divided, channel, region.wraps, far), channel.shape, anywhere=True)
-    votes = corrected(distance, target, periodic=region.wraps, free=region.free)
+    votes = two_point_step(distance, target, periodic=region.wraps, free=region.free)
     for channel, far, moved in zip(field, distance, votes, strict=True):
         _by_few(partial(_multiplied, channel, region.wraps, far, moved), channel.shape)
     return votes
 
 
 def slab_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool]) -> int:
-    """What `stepped` takes in memory where arrays lie in scratch files."""
+    """What `distance_step` takes in memory where arrays lie in scratch files."""
     planes = thread_count() * 48 * (_few(shape) + 2) * shape[1] * shape[2]
     return max(planes, step_slab_bytes(shape, target, periodic))
 

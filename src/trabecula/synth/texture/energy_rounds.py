@@ -15,10 +15,10 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.matching.grid import Grid, wrapped
+from trabecula.synth.shared.matching.grid import Grid, wrap_field
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch, total
-from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, fold_votes, empty_votes
 from trabecula.synth.texture.poisson import solve_votes
 
 _UNIT = 64  # the integer weight that stands for 1
@@ -61,7 +61,7 @@ def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
     return plane * (2 * width * channels + 20 * channels + 60) + 120 * sites
 
 
-def balanced(
+def energy_vote(
     grid: Grid,
     field: np.ndarray,
     match: np.ndarray,
@@ -80,7 +80,7 @@ def balanced(
     }
     exemplar = candidates.stack.field
     squared, _ = mismatch(
-        wrapped(grid, field), exemplar, match, gradient=False, active=grid.active, **where
+        wrap_field(grid, field), exemplar, match, gradient=False, active=grid.active, **where
     )
     floor = float(len(exemplar) * candidates.basis.width**3)  # one unit of the field per voxel
     reference = balance.reference or math.sqrt(_mean(squared, grid.active) + floor)
@@ -94,7 +94,7 @@ def balanced(
         mu=config.gradient / scale,
         unit=_UNIT,
     )
-    after = mismatch(wrapped(grid, solved), exemplar, match, active=grid.active, **where)
+    after = mismatch(wrap_field(grid, solved), exemplar, match, active=grid.active, **where)
     found = energy(after[0], after[1], weights, mu=config.gradient, unit=scale / _UNIT, **settings)
     return solved, Balance(balance.feedback.after(found), reference)
 
@@ -120,8 +120,8 @@ def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]
 
 def _cast(
     grid: Grid, match: np.ndarray, weights: np.ndarray, where: dict[str, Any], trim: int
-) -> Votes:
+) -> GradientVotes:
     exemplar = grid.candidates.stack.field
-    votes = no_votes(grid.reach, channels=len(exemplar))
+    votes = empty_votes(grid.reach, channels=len(exemplar))
     add_votes(votes, exemplar, match, weights, trim=trim, wraps=grid.region.wraps, **where)
     return votes

@@ -18,7 +18,7 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.statistics.correlate import Correlations
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.graded import leaning_grid, settled
+from trabecula.synth.texture.graded import guide_grid, settle_fractions
 from trabecula.synth.texture.search_vote import Course, Run
 
 # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
@@ -80,7 +80,7 @@ class Job:
             candidates = replace(candidates, step=1)
         grid, leaning = Grid.over(self.regions[index], candidates), None
         if self.shares:
-            grid, leaning = leaning_grid(grid, self.shares[index], index)
+            grid, leaning = guide_grid(grid, self.shares[index], index)
         rounds = config.first_rounds if first else config.rounds[min(index, len(config.rounds) - 1)]
         even = self.request.fixed is None and not self.shares
         target = self.targets[index] if index < len(self.targets) and even else None
@@ -100,7 +100,7 @@ class Job:
         )
 
 
-def made_plain(job: Job) -> tuple[np.ndarray, list[dict[str, Any]]]:
+def make_from_patches(job: Job) -> tuple[np.ndarray, list[dict[str, Any]]]:
     """The last votes (C, Z, Y, X) int16 on what neighbourhoods cover, and the energies where rounds
     go by them.
     """
@@ -120,7 +120,7 @@ def made_plain(job: Job) -> tuple[np.ndarray, list[dict[str, Any]]]:
         before = course.grid.candidates
         run.tell({"level": index, "width": before.basis.width})
     assert run.votes is not None  # the last course leaves them
-    return run.votes if course.leaning is None else settled(run.votes, course.leaning), run.told
+    return run.votes if course.leaning is None else settle_fractions(run.votes, course.leaning), run.told
 
 
 def _name(index: int, number: int) -> str:

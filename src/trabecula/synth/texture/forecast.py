@@ -34,7 +34,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Run:
+class TextureForecast:
     """What a run is of.
 
     Attributes

@@ -17,12 +17,12 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.box_sums import summed, summed_again, sums
+from trabecula.synth.shared.box_sums import window_sums_of_planes, replace_by_window_sums, window_sums
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, with_guide
+from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.texture.volume_fraction import share_in
+from trabecula.synth.texture.volume_fraction import phase_fraction
 
 # voxels a side in which a share is taken: of the finest level, and of any at least
 _WINDOW, _LEAST = 24, 6
@@ -39,7 +39,7 @@ _AROUND = 1 << 16  # bytes of a file that the system maps at once where one is r
 
 
 @dataclass(frozen=True)
-class Leaning:
+class FractionTarget:
     """What one level's grid is asked for: the share of the phase around every voxel of its region."""
 
     region: Region
@@ -52,7 +52,7 @@ class Leaning:
     """The share of all that counts."""
 
     @classmethod
-    def of(cls, region: Region, shares: np.ndarray, width: int) -> Leaning:
+    def of(cls, region: Region, shares: np.ndarray, width: int) -> FractionTarget:
         """For a region that is covered, with shares (z, y, x) float32 of its beginning."""
         places = [
             np.arange(side).clip(max=have - 1)
@@ -69,8 +69,8 @@ class Leaning:
             near = shares[places[0][z]][np.ix_(*places[1:])]
             return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
 
-        wanted, asked = summed(whole, region.shape, width, wraps)
-        counted, voxels = summed(counts, region.shape, width, wraps)
+        wanted, asked = window_sums_of_planes(whole, region.shape, width, wraps)
+        counted, voxels = window_sums_of_planes(counts, region.shape, width, wraps)
         return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
 
     def guide(self, grid: Grid) -> np.ndarray:
@@ -124,11 +124,11 @@ class Leaning:
             near = np.abs(field(z).astype(np.int16)) <= _NEAR
             return np.asarray(near if region.free is None else near & region.free[z])
 
-        near, _ = summed(beside, region.shape, width, region.wraps)
-        missing, _ = summed(inside, region.shape, width, region.wraps)
+        near, _ = window_sums_of_planes(beside, region.shape, width, region.wraps)
+        missing, _ = window_sums_of_planes(inside, region.shape, width, region.wraps)
         # Taken back through the same windows: a step at every voxel for its own window alone would
         # overshoot and swing.
-        summed_again(
+        replace_by_window_sums(
             missing,
             width,
             region.wraps,
@@ -151,28 +151,28 @@ def slab_bytes(shape: tuple[int, ...]) -> int:
     return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
 
 
-def leaning_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Leaning]:
+def guide_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:
     """A grid of level `index` whose search is guided, and what its field leans to; shares are those
     of that level.
     """
     even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
-    leaning = Leaning.of(grid.region, shares, width)
-    own, mean = share_in(grid.candidates.stack), float(leaning.mean)
+    leaning = FractionTarget.of(grid.region, shares, width)
+    own, mean = phase_fraction(grid.candidates.stack), float(leaning.mean)
     targets = tuple(Histogram.leaning(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
-    grid = replace(grid, candidates=guided(grid.candidates, width))
+    grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
     return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
 
 
-def guided(candidates: Candidates, width: int) -> Candidates:
+def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
     """Candidates with one more feature: the share of the phase in the window around them."""
     stack = candidates.stack
     inside = np.zeros(stack.field.shape[1:], np.int32)
     counts = np.zeros_like(inside)
     for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True):
         at = (slice(start, start + z), slice(0, y), slice(0, x))
-        inside[at] = sums(stack.field[0][at] > 0, width, (False,) * 3)
-        counts[at] = sums(np.ones((z, y, x), bool), width, (False,) * 3)
+        inside[at] = window_sums(stack.field[0][at] > 0, width, (False,) * 3)
+        counts[at] = window_sums(np.ones((z, y, x), bool), width, (False,) * 3)
     middle = [
         np.arange(count) * stride + w // 2
         for count, stride, w in zip(
@@ -181,7 +181,7 @@ def guided(candidates: Candidates, width: int) -> Candidates:
     ]
     mesh = np.ix_(*middle)
     share = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
-    return replace(candidates, features=with_guide(candidates.features >> 1, share.reshape(-1, 1)))
+    return replace(candidates, features=append_guide(candidates.features >> 1, share.reshape(-1, 1)))
 
 
 def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
     )
 
 
-def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
+def settle_fractions(votes: np.ndarray, leaning: FractionTarget) -> np.ndarray:
     """The last votes (1, Z, Y, X) int16, shifted until the shares are those asked for."""
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
@@ -211,7 +211,7 @@ def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
     return result
 
 
-def _settle(field: np.ndarray, leaning: Leaning) -> None:
+def _settle(field: np.ndarray, leaning: FractionTarget) -> None:
     """Steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 

@@ -30,7 +30,7 @@ from trabecula.engine.parallel import for_slabs
 
 
 @dataclass(frozen=True)
-class Votes:
+class GradientVotes:
     """Sums over the neighbourhoods that hold a voxel, in integers: any order of adding gives the
     same.
 
@@ -46,9 +46,9 @@ class Votes:
     pairs: np.ndarray
 
 
-def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
+def empty_votes(shape: tuple[int, ...], *, channels: int = 1) -> GradientVotes:
     """Votes of a (Z, Y, X) volume before the first is cast."""
-    return Votes(
+    return GradientVotes(
         memmap.zeros((channels, *shape), np.int32),
         memmap.zeros(shape, np.int32),
         memmap.zeros((channels, *shape), np.int32),
@@ -57,7 +57,7 @@ def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
 
 
 def add_votes(
-    votes: Votes,
+    votes: GradientVotes,
     field: np.ndarray,
     match: np.ndarray,
     weight: np.ndarray,
@@ -133,7 +133,7 @@ def add_votes(
     _add_counts(votes, match, weight, rims, step=step)
 
 
-def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
+def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
     """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it
     repeats.
 
@@ -153,7 +153,7 @@ def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
         return votes
     arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
     del votes  # each goes when it is folded, if nobody else holds on to it
-    return Votes(*(_folded(arrays.pop(), shape) for _ in range(4)))
+    return GradientVotes(*(_folded(arrays.pop(), shape) for _ in range(4)))
 
 
 def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -193,7 +193,7 @@ def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
 
 
 def _add_counts(
-    votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int
+    votes: GradientVotes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int
 ) -> None:
     """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []

@@ -27,7 +27,7 @@ from trabecula.synth.shared.matching.levels import levels_for
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.neighbourhoods import basis_bytes
-from trabecula.synth.shared.orient import oriented, symmetries
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.statistics.correlate import (
     Correlations,
@@ -37,14 +37,14 @@ from trabecula.synth.shared.statistics.correlate import (
 )
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.exemplar_rounds import Job, Level, level_of, made_plain
-from trabecula.synth.texture.forecast import Run
+from trabecula.synth.texture.exemplar_rounds import Job, Level, level_of, make_from_patches
+from trabecula.synth.texture.forecast import TextureForecast
 from trabecula.synth.texture.volume_fraction import (
     BEYOND,
     check_phases,
-    evened,
-    shares_by_level,
-    shares_of,
+    average_target,
+    fractions_by_level,
+    requested_fractions,
 )
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -110,7 +110,7 @@ class TextureModel(Model):
             range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"
         ):
             own = [self._quantised(field, index) for field in fields]
-            self.stacks.append(Stack.of([oriented(field, turn) for field in own for turn in turns]))
+            self.stacks.append(Stack.of([apply_symmetry(field, turn) for field in own for turn in turns]))
             self._own.append(own)
             fields = [halve(field) for field in fields]
         self.learnt: list[Level] | None = None
@@ -166,12 +166,12 @@ class TextureModel(Model):
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         if self._makes_new(request):
             schedule = novel_layout.passes(self.novelty, self.top)
-            votes = novel_layout.made_new(self.aims, self.slices, schedule, request, self.config)
+            votes = novel_layout.make_novel(self.aims, self.slices, schedule, request, self.config)
             told: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             # Nothing is held by a name here: what is made of it is.
-            votes, told = made_plain(
+            votes, told = make_from_patches(
                 Job(
                     self.levels[:used],
                     regions_of(request, used, self.content.bounds(request), self._quantised),
@@ -184,15 +184,15 @@ class TextureModel(Model):
             )
         votes = fit_to(votes, request.shape)
         if request.target and isinstance(self.content, Labels):
-            request = evened(request)
+            request = average_target(request)
         return self.content.delivered(votes, request), {"levels": told} if told else {}
 
     def _shares(self, request: Request, count: int) -> list[np.ndarray]:
         """What a target asks of each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
             return []
-        shares = shares_of(request, self.content.present, self.content.empty)
-        return shares_by_level(shares, self.stacks[:count])
+        shares = requested_fractions(request, self.content.present, self.content.empty)
+        return fractions_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
         """Whether there is room to lay out something new; beside known voxels neighbourhoods have
@@ -251,22 +251,22 @@ class TextureModel(Model):
         fields = sum(stack.field.nbytes for stack in self.stacks)
         return fields + sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
 
-    def _run(self, request: Request) -> Run:
+    def _run(self, request: Request) -> TextureForecast:
         """What a forecast is of."""
         new, config = self._makes_new(request), self.config
         labels = isinstance(self.content, Labels)
         itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
         if new:
             region = Region(
-                novel_layout.domain(request.shape, request.periodic, 0, self.top),
+                novel_layout.torus_shape(request.shape, request.periodic, 0, self.top),
                 (True, True, True),
             )
             correlations = self.aims[0].correlations
             step = novel_layout.step_bytes(correlations, request, self.top)
             finest = self.aims[0].candidates
-            return Run(request, region, finest, labels, itemsize, repeated=True, correcting=step)
+            return TextureForecast(request, region, finest, labels, itemsize, repeated=True, correcting=step)
         stepped = bool(self.targets) and request.fixed is None and not request.target
-        return Run(
+        return TextureForecast(
             request,
             Region(request.shape, request.periodic),
             self.levels[0],

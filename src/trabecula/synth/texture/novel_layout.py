@@ -21,17 +21,17 @@ from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import Checkpoint, offer, resumed
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
+from trabecula.synth.shared.matching.grid import Grid, random_matches, coherent_search
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import refined, rematched, robust_weights, voted
+from trabecula.synth.shared.matching.rounds import refine_field, match_votes, robust_weights, cast_votes
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.statistics import correlate
 from trabecula.synth.shared.statistics.correlate import (
     Correlations,
-    corrected,
+    two_point_step,
     correlations_at,
-    owed,
+    accumulate_debt,
 )
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
@@ -40,8 +40,8 @@ from trabecula.synth.shared.statistics.long_waves import (
     long_waves_of,
 )
 from trabecula.synth.shared.statistics.moved import round_bytes
-from trabecula.synth.shared.statistics.sliced import sliced_round
-from trabecula.synth.shared.statistics.slices import Slices, slices_of
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
+from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.votes import noise, votes_of
 from trabecula.synth.texture.config import TextureConfig
 
@@ -145,14 +145,14 @@ def aims_of(
     return Aims(stack, correlations, tuple(made))
 
 
-def slices_for(fields: Sequence[np.ndarray]) -> Slices:
+def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
     """What the sliced rounds of the coarsest level aim at."""
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
-    return slices_of(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
+    return slice_target(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
 
 
-def domain(
+def torus_shape(
     shape: tuple[int, ...], periodic: tuple[bool, ...], level: int, top: int
 ) -> tuple[int, ...]:
     """Sides of the torus on a level: an open axis goes on to whole voxels of the coarsest level."""
@@ -162,9 +162,9 @@ def domain(
     )
 
 
-def made_new(
+def make_novel(
     aims: Sequence[Aims],
-    slices: Slices,
+    slices: SliceTarget,
     schedule: Sequence[Pass],
     request: Request,
     config: TextureConfig,
@@ -172,7 +172,7 @@ def made_new(
     """The last votes (C, Z, Y, X) int16 on the torus."""
     top = len(aims) - 1
     regions = [
-        Region(domain(request.shape, request.periodic, level, top), _AROUND)
+        Region(torus_shape(request.shape, request.periodic, level, top), _AROUND)
         for level in range(top + 1)
     ]
     unused = [iter(aim.candidates) for aim in aims]
@@ -186,7 +186,7 @@ def made_new(
         p = schedule[number]
         while level > p.level:
             level -= 1
-            run.field = fit_to(refined(run.field, _AROUND, distances=True), regions[level].shape)
+            run.field = fit_to(refine_field(run.field, _AROUND, distances=True), regions[level].shape)
         grid = Grid.over(regions[level], candidates[number])
         done = 0 if state is None else state.number
         state = None  # nor does anybody else hold on to what it was
@@ -201,15 +201,15 @@ def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
     """Memory of a step on the two-point function on the finest level, or on long waves, beside the
     field and its votes.
     """
-    shape = domain(request.shape, request.periodic, 0, top)
+    shape = torus_shape(request.shape, request.periodic, 0, top)
     return max(correlate.step_bytes(shape, correlations, request.periodic), adjusting_bytes(shape))
 
 
-def slab_bytes(correlations: Correlations, slices: Slices, request: Request, top: int) -> int:
-    """Memory of what `made_new` does to the field where arrays lie in scratch files, beside search
+def slab_bytes(correlations: Correlations, slices: SliceTarget, request: Request, top: int) -> int:
+    """Memory of what `make_novel` does to the field where arrays lie in scratch files, beside search
     and vote.
     """
-    shape = domain(request.shape, request.periodic, 0, top)
+    shape = torus_shape(request.shape, request.periodic, 0, top)
     adjusting = thread_count() * adjusting_slab_bytes(shape)
     return max(
         correlate.step_slab_bytes(shape, correlations, request.periodic),
@@ -227,7 +227,7 @@ def _resumed(count: int) -> tuple[int, Checkpoint | None]:
     return 0, None
 
 
-def _laid_out(aims: Aims, slices: Slices, region: Region, seed: int) -> np.ndarray:
+def _laid_out(aims: Aims, slices: SliceTarget, region: Region, seed: int) -> np.ndarray:
     """Sliced rounds from noise, with a step on the two-point function every few of them: (C, Z, Y,
     X) int8.
     """
@@ -235,19 +235,19 @@ def _laid_out(aims: Aims, slices: Slices, region: Region, seed: int) -> np.ndarr
     state = resumed(_LAYOUT)
     if state is None:
         begin, votes = 0, noise((len(histograms), *region.shape), int(key(seed, "novel/noise")))
-        votes = votes_of(rematched(region, votes, histograms))
+        votes = votes_of(match_votes(region, votes, histograms))
     else:
         begin, votes = state.number, state.arrays.pop("votes")
     for number in track(range(begin, _SLICED_ROUNDS), "laying out", total=_SLICED_ROUNDS - begin):
-        votes = sliced_round(votes, slices, key=stage, number=number, strength=_STRENGTH)
+        votes = transport_neighbourhoods(votes, slices, key=stage, number=number, strength=_STRENGTH)
         if (number + 1) % _STEP_EVERY == 0:
-            votes = corrected(
-                rematched(region, votes, histograms), aims.correlations, periodic=_AROUND
+            votes = two_point_step(
+                match_votes(region, votes, histograms), aims.correlations, periodic=_AROUND
             )
             _hold_waves(votes, aims.correlations, region, histograms)
-            votes = votes_of(rematched(region, votes, histograms))
+            votes = votes_of(match_votes(region, votes, histograms))
         offer(_LAYOUT, number + 1, votes=votes)
-    return rematched(region, votes, None)  # a step was the last: these are votes of a field
+    return match_votes(region, votes, None)  # a step was the last: these are votes of a field
 
 
 def _hold_waves(
@@ -258,7 +258,7 @@ def _hold_waves(
 ) -> None:
     """Bring the long waves of votes to the exemplars', in place."""
     assert target.waves is not None  # `aims_of` learns them
-    adjust_long_waves(votes, target.waves, lambda made: rematched(region, made, histograms))
+    adjust_long_waves(votes, target.waves, lambda made: match_votes(region, made, histograms))
 
 
 @dataclass
@@ -301,24 +301,24 @@ class _Run:
         self.votes = None  # every array that is not needed makes room before the next is made
         self._vote(grid, p, number, round_, request.seed, config)
         if p.beyond:
-            self.debt = owed(self.debt, self.field, target, periodic=periodic)
+            self.debt = accumulate_debt(self.debt, self.field, target, periodic=periodic)
         aim = self.debt
         if aim is not None and round_ == p.rounds - 1:
             aim = aim * p.beyond
         for step in range(p.steps):
             self.votes = None
-            self.votes = corrected(self.field, target, debt=aim, periodic=periodic)
+            self.votes = two_point_step(self.field, target, debt=aim, periodic=periodic)
             if step == p.steps - 1:
                 del self.field
                 _hold_waves(self.votes, target, grid.region, grid.targets)
-            self.field = rematched(grid.region, self.votes, grid.targets)
+            self.field = match_votes(grid.region, self.votes, grid.targets)
 
     def _vote(
         self, grid: Grid, p: Pass, number: int, round_: int, seed: int, config: TextureConfig
     ) -> None:
         """Search and vote."""
         assert self.match is not None  # the first round begins with some
-        self.match, distance = swept(
+        self.match, distance = coherent_search(
             grid,
             self.match,
             self.field,
@@ -331,6 +331,6 @@ class _Run:
         del self.field
         weights = robust_weights(grid, distance, config.robustness)
         del distance
-        votes = voted(grid, self.match, weights, trim=1 if p.level == 0 else 0)
+        votes = cast_votes(grid, self.match, weights, trim=1 if p.level == 0 else 0)
         del weights
-        self.field = rematched(grid.region, votes, grid.targets)
+        self.field = match_votes(grid.region, votes, grid.targets)

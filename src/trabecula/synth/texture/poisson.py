@@ -16,7 +16,7 @@ from trabecula.core.checks import as_number
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.texture.gradient import Votes
+from trabecula.synth.texture.gradient import GradientVotes
 
 _QUANTUM = 256  # parts of a field's unit in the result
 _MOST = 32767
@@ -24,7 +24,7 @@ _STEPS = 500  # of conjugate gradients at most: mu = 1000 takes some 300
 
 
 def solve_votes(
-    votes: Votes,
+    votes: GradientVotes,
     *,
     mu: float,
     unit: int = 1,
@@ -72,7 +72,7 @@ def solve_votes(
     return result
 
 
-def _begun(votes: Votes, channel: int, guess: np.ndarray | None) -> np.ndarray:
+def _begun(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:
     """The guess, or the weighted mean, as (Z, Y, X) float32."""
     field = memmap.empty(votes.weights.shape, np.float32)
     if guess is None:
@@ -88,7 +88,7 @@ def _guessed(
     field[start:stop] = np.where(weights[start:stop] > 0, guess[start:stop], 0)
 
 
-def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> None:
+def _solve(votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> None:
     """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
     weights, pairs, planes = votes.weights, votes.pairs, len(field)
     part = np.empty((planes, 2))

@@ -21,25 +21,25 @@ from trabecula.engine.checkpoint import due, offer
 from trabecula.synth.shared.matching.grid import (
     Grid,
     features_of,
-    nearest_matches,
+    exact_search,
     random_matches,
-    swept,
+    coherent_search,
 )
 from trabecula.synth.shared.matching.rounds import (
-    joined_votes,
-    refined,
-    rematched,
+    join_to_known,
+    refine_field,
+    match_votes,
     robust_weights,
-    voted,
+    cast_votes,
 )
-from trabecula.synth.shared.matching.sources import Candidates, carried
+from trabecula.synth.shared.matching.sources import Candidates, carry_matches
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.slabs import made_by_slabs
-from trabecula.synth.shared.statistics.correlate import Correlations, corrected, owed
+from trabecula.synth.shared.slabs import make_by_slabs
+from trabecula.synth.shared.statistics.correlate import Correlations, two_point_step, accumulate_debt
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Energy, Feedback
-from trabecula.synth.texture.energy_rounds import Balance, balanced
-from trabecula.synth.texture.graded import Leaning
+from trabecula.synth.texture.energy_rounds import Balance, energy_vote
+from trabecula.synth.texture.graded import FractionTarget
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Course:
     trims: Sequence[int]
     target: Correlations | None
     steps: int
-    leaning: Leaning | None
+    leaning: FractionTarget | None
     finest: bool
     last: bool
 
@@ -111,8 +111,8 @@ class Run:
         """Random patches, each of the same weight."""
         grid = course.grid
         self.match = random_matches(grid, course.stage)
-        weights = made_by_slabs(lambda start, stop: grid.active[start:stop], grid.shape, np.int32)
-        votes = joined_votes(grid.region, voted(grid, self.match, weights))
+        weights = make_by_slabs(lambda start, stop: grid.active[start:stop], grid.shape, np.int32)
+        votes = join_to_known(grid.region, cast_votes(grid, self.match, weights))
         del weights
         self._make(course, votes, histogram=True, last=False)
 
@@ -123,11 +123,11 @@ class Run:
         old, self.field = self.field, None
         shape = region.shape
         fitted = (
-            refined(old, wraps, distances=distances, shape=shape) if finer else fit_to(old, shape)
+            refine_field(old, wraps, distances=distances, shape=shape) if finer else fit_to(old, shape)
         )
         del old
         self.field = region.bounded(fitted)
-        self.match = carried(
+        self.match = carry_matches(
             self._matched, before, grid.candidates, grid.shape, factor=2 if finer else 1
         )
         self.debt = self.balance = None
@@ -155,17 +155,17 @@ class Run:
         grid, last, trim = course.grid, number == len(course.trims) - 1, course.trims[number]
         if config.energetic:
             self._search(course, config, number)
-            votes, self.balance = balanced(
+            votes, self.balance = energy_vote(
                 grid, self.field, self._matched, self.balance, config, trim=trim
             )
             last = last or self.balance.feedback.done
         else:
             weights = robust_weights(grid, self._search(course, config, number), config.robustness)
             self.field = None
-            votes = voted(grid, self._matched, weights, trim=trim)
+            votes = cast_votes(grid, self._matched, weights, trim=trim)
             del weights
         self.field = None
-        votes = joined_votes(grid.region, votes)
+        votes = join_to_known(grid.region, votes)
         steps = course.steps if course.target is not None and not config.energetic else 0
         self._make(course, votes, histogram=config.histogram, last=last and not steps)
         del votes
@@ -182,11 +182,11 @@ class Run:
         assert self.field is not None
         if config.search == "exact":
             features = features_of(course.grid, self.field)
-            self.match, distance = nearest_matches(
+            self.match, distance = exact_search(
                 course.grid, self._matched, features, index_penalty=config.index_penalty
             )
             return distance
-        self.match, distance = swept(
+        self.match, distance = coherent_search(
             course.grid,
             self._matched,
             self.field,
@@ -206,7 +206,7 @@ class Run:
             self.votes = votes
             return
         region = course.grid.region
-        made = rematched(region, votes, course.grid.targets if histogram else None)
+        made = match_votes(region, votes, course.grid.targets if histogram else None)
         del votes
         self.field = made if course.leaning is None else region.bounded(course.leaning.leaned(made))
 
@@ -217,12 +217,12 @@ class Run:
         self.debt = (
             None  # nothing comes after it that would take something back
             if course.finest and last
-            else owed(self.debt, self.field, target, periodic=region.wraps, free=region.free)
+            else accumulate_debt(self.debt, self.field, target, periodic=region.wraps, free=region.free)
         )
         for step in range(course.steps):
             before, self.field = self.field, None
             assert before is not None  # the step before was not the last
-            votes = corrected(
+            votes = two_point_step(
                 before, target, debt=self.debt, periodic=region.wraps, free=region.free
             )
             del before

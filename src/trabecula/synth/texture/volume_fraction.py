@@ -35,7 +35,7 @@ def check_phases(present: tuple[int, ...], empty: int) -> None:
         )
 
 
-def shares_of(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
+def requested_fractions(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
     """(Z, Y, X) float32: the share that the upper of two phases is to have at every voxel."""
     shares = memmap.empty(request.shape, np.float32)
 
@@ -58,17 +58,17 @@ def _asked(request: Request, planes: slice) -> float | np.ndarray:
     return 0.0 if asked is None else asked
 
 
-def shares_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
+def fractions_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
     """What shares at every voxel are at the resolution of each stack, finest first."""
-    own = share_in(stacks[0])
+    own = phase_fraction(stacks[0])
     found: list[np.ndarray] = []
     for stack in stacks:
         shares = halve(shares[None])[0] if found else shares
-        found.append(carried_over(shares, own, share_in(stack)))
+        found.append(carry_over(shares, own, phase_fraction(stack)))
     return found
 
 
-def carried_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
+def carry_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
     """What shares become on a level where the exemplar's own share is `there`."""
     carried = memmap.empty(shares.shape, np.float32)
 
@@ -80,7 +80,7 @@ def carried_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
     return carried
 
 
-def share_in(stack: Stack) -> float:
+def phase_fraction(stack: Stack) -> float:
     """The share of the phase in the exemplars' volumes."""
     inside = sum(
         np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
@@ -89,7 +89,7 @@ def share_in(stack: Stack) -> float:
     return float(inside / np.prod(stack.sides.astype(np.int64), axis=1).sum())
 
 
-def evened(request: Request) -> Request:
+def average_target(request: Request) -> Request:
     """The request with one number as its target: the mean of what is asked for."""
     if not any(map(np.ndim, request.target.values())):
         return replace(request, target={"porosity": float(_asked(request, slice(None)))})

@@ -13,13 +13,13 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import known_of, mixed_histograms, surroundings
+from trabecula.synth.shared.joints import known_voxels, pool_histograms, surroundings
 from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.nearest import best_among, index_histogram, usage_factors
 from trabecula.synth.shared.neighbourhoods import covered_shape, planes_together, project_planes
-from trabecula.synth.shared.slabs import counted, made_by_slabs
+from trabecula.synth.shared.slabs import count_true, make_by_slabs
 
 _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more
 
@@ -55,7 +55,7 @@ class Grid:
     @cached_property
     def count(self) -> int:
         """How many sites are active."""
-        return counted(self.active)
+        return count_true(self.active)
 
     @property
     def full(self) -> bool:
@@ -76,18 +76,18 @@ def targets_of(
     """
     if region.free is None or region.low is None or region.high is None:
         return histograms
-    near = surroundings(region.free, known_of(region.free, region.low, region.high), width)
-    return mixed_histograms(histograms, region.low, region.high, near, counted(region.free))
+    near = surroundings(region.free, known_voxels(region.free, region.low, region.high), width)
+    return pool_histograms(histograms, region.low, region.high, near, count_true(region.free))
 
 
-def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
+def wrap_field(grid: Grid, field: np.ndarray) -> np.ndarray:
     """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as
     neighbourhoods reach.
     """
     shape = (len(field), *np.maximum(grid.reach, field.shape[1:]).tolist())
     if shape == field.shape:
         return field
-    return made_by_slabs(
+    return make_by_slabs(
         lambda start, stop: _planes(shape[1:], field, start, stop), shape, field.dtype
     )
 
@@ -131,10 +131,10 @@ def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.nd
     project_planes(planes, basis, features, step=grid.candidates.step, active=active)
     if grid.guide is None:
         return features
-    return with_guide(features >> 1, grid.guide[start:stop])
+    return append_guide(features >> 1, grid.guide[start:stop])
 
 
-def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
+def append_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
     """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them
     together fit into int32.
     """
@@ -164,7 +164,7 @@ def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
     return match
 
 
-def nearest_matches(
+def exact_search(
     grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and
@@ -189,7 +189,7 @@ def nearest_matches(
     return match, found
 
 
-def swept(
+def coherent_search(
     grid: Grid,
     match: np.ndarray,
     field: np.ndarray,
@@ -206,7 +206,7 @@ def swept(
     # In files features are more to write and to read than to make again.
     kept = features_of(grid, field) if count > 1 and not memmap.is_active() else None
     for sweep in range(first, first + count):
-        match, distance = searched(
+        match, distance = search_sweep(
             grid,
             match,
             field,
@@ -219,7 +219,7 @@ def swept(
     return match, distance
 
 
-def searched(
+def search_sweep(
     grid: Grid,
     old: np.ndarray,
     field: np.ndarray,
@@ -235,7 +235,7 @@ def searched(
     """
     candidates = grid.candidates
     match, distance = memmap.empty(old.shape, np.int32), memmap.empty(old.shape, np.int32)
-    penalty = penalties(old, grid, index_penalty)
+    penalty = usage_penalties(old, grid, index_penalty)
     # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
     ratio = candidates.step // candidates.stride
     ratios = (0 if candidates.basis.flat else ratio, ratio, ratio)
@@ -267,7 +267,7 @@ def searched(
     return match, distance
 
 
-def penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
+def usage_penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
     """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one
     sweep.
     """

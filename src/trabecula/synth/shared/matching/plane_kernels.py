@@ -131,7 +131,7 @@ def divide(total, votes, start):
 
 
 @kernel
-def choose_pixels(
+def compare_pixels(
     mean,
     cost,
     chosen,

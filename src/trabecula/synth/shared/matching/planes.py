@@ -18,11 +18,11 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
-from trabecula.synth.shared.matching.plane_kernels import add_votes, choose_pixels, divide, paint
+from trabecula.synth.shared.matching.plane_kernels import add_votes, compare_pixels, divide, paint
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.turned import order_of, turned
+from trabecula.synth.shared.turned import axis_order, put_axis_first
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
 _MOST_FACTOR = 256  # times an int8 is an int16
@@ -32,7 +32,7 @@ _CACHED = 1 << 17  # voxels that are summed up at once where planes are small
 
 
 @dataclass(frozen=True)
-class Plane:
+class ViewGrid:
     """One view: the axis it is seen across, and the neighbourhoods of the volume with that axis
     first.
     """
@@ -42,28 +42,28 @@ class Plane:
 
     def turned(self, field: np.ndarray) -> np.ndarray:
         """A field (C, Z, Y, X) with the view's axis first of the three."""
-        return turned(field, self.axis)
+        return put_axis_first(field, self.axis)
 
     @classmethod
     def over(
         cls, region: Region, axis: int, candidates: Candidates, targets: tuple[Histogram, ...]
-    ) -> Plane:
+    ) -> ViewGrid:
         """The view of a region that is covered."""
         box, steps = candidates.basis.box, candidates.steps
-        order = order_of(axis)
+        order = axis_order(axis)
         seen = Region(tuple(region.shape[a] for a in order), tuple(region.wraps[a] for a in order))
         shape = seen.grid(box=box, steps=steps)
-        free = None if region.free is None else turned(region.free, axis)
+        free = None if region.free is None else put_axis_first(region.free, axis)
         active = replace(seen, free=free).active(shape, box=box, steps=steps)
         return cls(axis, Grid(candidates, seen, shape, active, targets))
 
 
 @dataclass(frozen=True)
-class Frame:
+class RegionViews:
     """All views of a region at one resolution."""
 
     region: Region  # covered in every view
-    planes: tuple[Plane, ...]
+    planes: tuple[ViewGrid, ...]
     targets: tuple[Histogram, ...]  # that the free voxels are to have, one a channel
 
     @property
@@ -82,7 +82,7 @@ class Frame:
         region: Region,
         views: Sequence[tuple[int, Candidates]],
         histograms: tuple[Histogram, ...],
-    ) -> Frame:
+    ) -> RegionViews:
         """The views (axis, neighbourhoods) of a region; `histograms` are those of the pictures
         together.
         """
@@ -92,12 +92,12 @@ class Frame:
         (width,), (step,) = widths, steps
         covered = region.covered(box=(width,) * 3, steps=(step,) * 3)
         targets = targets_of(covered, histograms, width=width)
-        planes = tuple(Plane.over(covered, axis, candidates, targets) for axis, candidates in views)
+        planes = tuple(ViewGrid.over(covered, axis, candidates, targets) for axis, candidates in views)
         return cls(covered, planes, targets)
 
 
-def voted_planes(
-    frame: Frame,
+def cast_plane_votes(
+    frame: RegionViews,
     matches: Sequence[np.ndarray],
     weights: Sequence[np.ndarray],
     *,
@@ -137,8 +137,8 @@ def voted_planes(
     return votes
 
 
-def chosen_planes(
-    frame: Frame,
+def choose_pixels(
+    frame: RegionViews,
     matches: Sequence[np.ndarray],
     weights: Sequence[np.ndarray],
     mean: np.ndarray,
@@ -152,7 +152,7 @@ def chosen_planes(
     Parameters
     ----------
     matches, weights, trim
-        As in `voted_planes`.
+        As in `cast_plane_votes`.
     mean : (C, Z, Y, X) int16 or int8
         256 times the field to come near to, or in int8 that field.
     dear : sequence of (z, y, x) int32
@@ -193,16 +193,16 @@ def chosen_planes(
                     np.ascontiguousarray(np.moveaxis(part, axis - 3, -3))
                     for part in (aim, cost, found)
                 )
-                choose_pixels(seen, least, taken, first, *view)
+                compare_pixels(seen, least, taken, first, *view)
                 cost, found = (np.moveaxis(part, 0, axis) for part in (least, taken))
-            field[:, here], sources[here] = mean_field(aim), found
+            field[:, here], sources[here] = round_votes(aim), found
             paint(pixels, sources[here], field, first)
 
     for_slabs(work, shape[0], anywhere=True)
     return field, sources
 
 
-def mean_field(votes: np.ndarray) -> np.ndarray:
+def round_votes(votes: np.ndarray) -> np.ndarray:
     """Votes int16 as the field int8 that they are 256 times of, rounded."""
     return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
 
@@ -212,7 +212,7 @@ def planes_at_once(shape: tuple[int, ...]) -> int:
     return max(_THICK, _CACHED // (shape[1] * shape[2]))
 
 
-def _laid(plane: Plane, trim: int) -> tuple[Any, ...]:
+def _laid(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
     """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the
     width and its axis.
     """

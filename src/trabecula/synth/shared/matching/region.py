@@ -11,11 +11,11 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.engine import memmap
-from trabecula.synth.shared.content import free_of
+from trabecula.synth.shared.content import free_voxels
 from trabecula.synth.shared.neighbourhoods import Triple, covered_shape, grid_shape
 from trabecula.synth.shared.pyramid import halve
-from trabecula.synth.shared.slabs import both, by_pieces, inverse, made_by_slabs
-from trabecula.synth.shared.turned import order_of, turned
+from trabecula.synth.shared.slabs import intersection, for_plane_groups, complement, make_by_slabs
+from trabecula.synth.shared.turned import axis_order, put_axis_first
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Region:
                 else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
             )
 
-        return made_by_slabs(found, grid, bool)
+        return make_by_slabs(found, grid, bool)
 
     def _found(
         self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple
@@ -94,9 +94,9 @@ class Region:
         """The region with `axis` first: what its planes across that axis are, one after the other."""
 
         def view(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else turned(values, axis)
+            return None if values is None else put_axis_first(values, axis)
 
-        order = order_of(axis)
+        order = axis_order(axis)
         shape, wraps = tuple(self.shape[a] for a in order), tuple(self.wraps[a] for a in order)
         return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
 
@@ -113,7 +113,7 @@ class Region:
             z, y, x = (side // 2 for side in part.shape)
             return np.asarray(part.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5)))
 
-        return Region(shape, self.wraps, made_by_slabs(any_of_eight, shape, bool))
+        return Region(shape, self.wraps, make_by_slabs(any_of_eight, shape, bool))
 
     def bounded(self, field: np.ndarray) -> np.ndarray:
         """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into
@@ -127,7 +127,7 @@ class Region:
             planes = (slice(None), slice(start, stop))
             np.clip(field[planes], low[planes], high[planes], out=field[planes])
 
-        by_pieces(work, self.shape)
+        for_plane_groups(work, self.shape)
         return field
 
 
@@ -145,7 +145,7 @@ def regions_of(
     With `thin` a coarse voxel of which any part is known is known: a single slice is felt on every
     level. Otherwise it is as free as its freest part, which suits known blocks.
     """
-    region = Region(request.shape, request.periodic, free_of(request))
+    region = Region(request.shape, request.periodic, free_voxels(request))
     known = request.known if thin else None
     regions = []
     for index in range(count):
@@ -165,18 +165,18 @@ def regions_of(
                 _halved_known(bounds[0], known, share),
                 _halved_known(bounds[1], known, share),
             )
-            known = made_by_slabs(
+            known = make_by_slabs(
                 lambda a, b, share=share: share[0, a:b] > 0,  # type: ignore[misc]
                 share.shape[1:],
                 bool,
             )
-            region = replace(region, free=both(region.free, inverse(known)))
+            region = replace(region, free=intersection(region.free, complement(known)))
     return regions
 
 
 def _share(known: np.ndarray) -> np.ndarray:
     """(1, Z, Y, X) float32: which part of a coarser voxel is known."""
-    return halve(made_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
+    return halve(make_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
 
 
 def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -184,7 +184,7 @@ def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np
     what it is anywhere.
     """
     sums = halve(
-        made_by_slabs(
+        make_by_slabs(
             lambda a, b: np.where(known[a:b], bound[:, a:b], np.float32(0)), bound.shape, np.float32
         )
     )
@@ -196,7 +196,7 @@ def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np
             part > 0, sums[:, start:stop] / np.maximum(part, np.float32(1e-6)), anywhere
         )
 
-    return made_by_slabs(mean, sums.shape, np.float32)
+    return make_by_slabs(mean, sums.shape, np.float32)
 
 
 def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -221,7 +221,7 @@ def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
         inside = values[..., start : min(stop, have[0]), :, :]
         part[..., : inside.shape[-3], : have[1], : have[2]] = inside
 
-    by_pieces(work, shape)
+    for_plane_groups(work, shape)
     return grown
 
 

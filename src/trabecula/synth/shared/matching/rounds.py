@@ -9,16 +9,16 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.joints import joined
+from trabecula.synth.shared.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.kernels import vote, weigh
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.pyramid import double
-from trabecula.synth.shared.slabs import made_by_slabs
+from trabecula.synth.shared.slabs import make_by_slabs
 
 
-def refined(
+def refine_field(
     field: np.ndarray,
     wraps: tuple[bool, ...],
     *,
@@ -58,14 +58,14 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     return weights
 
 
-def joined_votes(region: Region, votes: np.ndarray) -> np.ndarray:
+def join_to_known(region: Region, votes: np.ndarray) -> np.ndarray:
     """Votes without a step beside what is known."""
     if region.free is None or region.low is None or region.high is None:
         return votes
-    return joined(votes, region.low, region.high, region.free)
+    return spread_offset(votes, region.low, region.high, region.free)
 
 
-def rematched(
+def match_votes(
     region: Region, votes: np.ndarray, targets: tuple[Histogram, ...] | None
 ) -> np.ndarray:
     """Votes (C, Z, Y, X) int16 as a field in int8, with histograms where there are targets, and
@@ -73,7 +73,7 @@ def rematched(
     """
     if targets is None:
         return region.bounded(
-            made_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
+            make_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
         )
     field = memmap.empty(votes.shape, np.int8)
     for mean, target, channel in zip(votes, targets, field, strict=True):
@@ -85,7 +85,7 @@ def _rounded(votes: np.ndarray) -> np.ndarray:
     return np.clip((votes.astype(np.int32) + 128) >> 8, -127, 127).astype(np.int8)
 
 
-def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
+def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
     """The weighted mean of the matched neighbourhoods, times 256; 0 where no active one reaches."""
     candidates, region = grid.candidates, grid.region
     stack = candidates.stack

@@ -19,8 +19,8 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.nearest import Candidates as Nearest
-from trabecula.synth.shared.nearest import candidates
+from trabecula.synth.shared.nearest import NeighbourIndex as Nearest
+from trabecula.synth.shared.nearest import build_index
 from trabecula.synth.shared.neighbourhoods import (
     Basis,
     Triple,
@@ -146,7 +146,7 @@ class Candidates:
     @cached_property
     def prepared(self) -> Nearest:
         """The candidates as the exact search wants them."""
-        return candidates(
+        return build_index(
             self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed
         )
 
@@ -161,7 +161,7 @@ class Candidates:
         return np.stack([start, most, *cells], axis=-1).astype(np.int64)
 
 
-def carried(
+def carry_matches(
     match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int
 ) -> np.ndarray:
     """Matches on another grid: every new neighbourhood takes what the old one at its place was

@@ -13,7 +13,7 @@ _RIDGE = 1e-3
 _LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
-def bands(push: np.ndarray) -> list[np.ndarray]:
+def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
     """What to push at every distance, one array a band, scaled to its largest; bands without any
     are left out.
     """

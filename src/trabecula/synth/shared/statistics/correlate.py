@@ -26,7 +26,7 @@ import numpy as np
 
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.bands import bands, best_length, least_squares
+from trabecula.synth.shared.statistics.bands import split_into_bands, best_length, least_squares
 from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.soft import Soft
@@ -114,7 +114,7 @@ def correlations_at(
     )
 
 
-def owed(
+def accumulate_debt(
     debt: np.ndarray | None,
     field: np.ndarray,
     target: Correlations,
@@ -145,7 +145,7 @@ def misfit(
     return np.where((pairs.fits > 0) & target.held, found, 0.0)
 
 
-def corrected(
+def two_point_step(
     field: np.ndarray,
     target: Correlations,
     *,
@@ -184,7 +184,7 @@ def corrected(
 def step_bytes(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
 ) -> int:
-    """Memory of `corrected` at its peak beside the field and the votes, for a volume of this shape."""
+    """Memory of `two_point_step` at its peak beside the field and the votes, for a volume of this shape."""
     pairs, around = _pairs(shape, target, periodic)
     slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
     # Moments that compete: a direction is made, it is transformed, its change of the two-point
@@ -254,7 +254,7 @@ def _step(
     # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
     # 16 to 40 have no other hold.
     shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
-    pushes, changes = bands(excess * weights), []
+    pushes, changes = split_into_bands(excess * weights), []
     for push in pushes:
         # Nobody holds on to a direction: each is as large as the field.
         change = pairs.forward(_direction(push, soft, moving, centred, around, shortest).plane)

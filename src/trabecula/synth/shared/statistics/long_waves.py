@@ -21,7 +21,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.box_sums import summed
+from trabecula.synth.shared.box_sums import window_sums_of_planes
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.votes import UNIT
 
@@ -182,7 +182,7 @@ def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.n
     and that of everything.
     """
     table = _table(softness)
-    return summed(
+    return window_sums_of_planes(
         lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False)
     )
 
@@ -223,13 +223,13 @@ def _adjust(
     if not moving:
         return False
     shift: np.ndarray | None = None
-    narrow, total = summed(soft, field.shape, waves.widths[0], wraps)
+    narrow, total = window_sums_of_planes(soft, field.shape, waves.widths[0], wraps)
     mean = total / (_FINE * field.size)
     for n, width in enumerate(waves.widths):
         wide, wider = None, 1
         if n + 1 < len(waves.widths):
             wider = waves.widths[n + 1]
-            wide, _ = summed(soft, field.shape, wider, wraps)
+            wide, _ = window_sums_of_planes(soft, field.shape, wider, wraps)
         band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
         gain = _gain(bands[n], band.variance())
         if gain:

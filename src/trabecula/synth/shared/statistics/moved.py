@@ -13,13 +13,13 @@ from trabecula.engine.parallel import one_blas_thread, thread_count
 from trabecula.synth.shared.neighbourhoods import SCALE, project, steps_of
 from trabecula.synth.shared.statistics.sites import BATCH, Sites
 from trabecula.synth.shared.statistics.sliced_kernels import draw_signs
-from trabecula.synth.shared.statistics.slices import FINE, Slices
+from trabecula.synth.shared.statistics.slices import FINE, SliceTarget
 from trabecula.synth.shared.statistics.transport import AT_ONCE, BINS, Transport
 from trabecula.synth.shared.votes import UNIT
 
 
 @dataclass(frozen=True)
-class Round:
+class SlicedRound:
     """What is drawn for one round, how far apart its neighbourhoods lie, and how far they move."""
 
     key: np.uint64
@@ -28,10 +28,10 @@ class Round:
     strength: float
 
 
-def add_moved(
+def add_transported(
     field: np.ndarray,
-    slices: Slices,
-    round_: Round,
+    slices: SliceTarget,
+    round_: SlicedRound,
     periodic: Sequence[bool],
     free: np.ndarray | None,
     total: np.ndarray,
@@ -91,7 +91,7 @@ def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
         return np.asarray((first[:, None] * matrix * second) @ matrix * third)
 
 
-def round_bytes(slices: Slices) -> int:
+def round_bytes(slices: SliceTarget) -> int:
     """Memory that a round takes whatever the volume: features of the exemplars, and neighbourhoods
     that are put back.
     """

@@ -16,7 +16,7 @@ Everything is a whole number within the range in which products of matrices are 
 do not depend on the BLAS, on threads or on the machine.
 
 From pictures the neighbourhoods are squares in the planes of a view; where a material is seen in
-several views, a voxel becomes the mean over all of them (`sliced_views`).
+several views, a voxel becomes the mean over all of them (`transport_planes`).
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.moved import Round, add_moved
-from trabecula.synth.shared.statistics.slices import Slices
-from trabecula.synth.shared.turned import order_of, put_back, turned, turned_shape
+from trabecula.synth.shared.statistics.moved import SlicedRound, add_transported
+from trabecula.synth.shared.statistics.slices import SliceTarget
+from trabecula.synth.shared.turned import axis_order, restore_axis_order, put_axis_first, shape_with_axis_first
 from trabecula.synth.shared.votes import UNIT
 
 
-def sliced_round(
+def transport_neighbourhoods(
     field: np.ndarray,
-    slices: Slices,
+    slices: SliceTarget,
     *,
     key: np.uint64,
     number: int,
@@ -73,15 +73,15 @@ def sliced_round(
     -------
     (C, Z, Y, X) int16
     """
-    round_ = Round(key, number, step, strength)
+    round_ = SlicedRound(key, number, step, strength)
     total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
-    add_moved(field, slices, round_, periodic, free, total, votes)
+    add_transported(field, slices, round_, periodic, free, total, votes)
     return _replaced(field, total, votes, free)
 
 
-def sliced_views(
+def transport_planes(
     field: np.ndarray,
-    views: Sequence[tuple[int, Slices]],
+    views: Sequence[tuple[int, SliceTarget]],
     *,
     key: np.uint64,
     number: int,
@@ -101,7 +101,7 @@ def sliced_views(
         The axis across which a view is seen (0 z, 1 y, 2 x) and what it aims at: flat
         neighbourhoods of a picture whose rows lie along the slower of the two other axes.
     key, number, step, strength, periodic, free
-        As in `sliced_round`, of the volume.
+        As in `transport_neighbourhoods`, of the volume.
 
     Returns
     -------
@@ -109,18 +109,18 @@ def sliced_views(
     """
     total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
     for place, (axis, slices) in enumerate(views):
-        round_ = Round(key, number * len(views) + place, step, strength)
-        around = [periodic[a] for a in order_of(axis)]
-        seen, made = turned(field, axis), None if free is None else turned(free, axis)
+        round_ = SlicedRound(key, number * len(views) + place, step, strength)
+        around = [periodic[a] for a in axis_order(axis)]
+        seen, made = put_axis_first(field, axis), None if free is None else put_axis_first(free, axis)
         if axis == 0:
-            add_moved(seen, slices, round_, around, made, total, votes)
+            add_transported(seen, slices, round_, around, made, total, votes)
             continue
-        shape = turned_shape(field.shape[1:], axis)
+        shape = shape_with_axis_first(field.shape[1:], axis)
         sums, counts = memmap.zeros((len(field), *shape), np.int32), memmap.zeros(shape, np.int32)
-        add_moved(seen, slices, round_, around, made, sums, counts)
+        add_transported(seen, slices, round_, around, made, sums, counts)
         del seen
-        put_back(sums, axis, total, add=True)
-        put_back(counts, axis, votes, add=True)
+        restore_axis_order(sums, axis, total, add=True)
+        restore_axis_order(counts, axis, votes, add=True)
         del sums, counts  # before the next view's
     return _replaced(field, total, votes, free)
 

@@ -18,7 +18,7 @@ _MOST = 1 << 16  # neighbourhoods of the exemplars that stand for all of them, a
 
 
 @dataclass(frozen=True)
-class Slices:
+class SliceTarget:
     """What sliced rounds aim at: neighbourhoods of exemplars on their principal components.
 
     `features` (N, P) float32 and `back` (P, C * voxels) float64 hold whole numbers, P is a power of
@@ -32,14 +32,14 @@ class Slices:
     rest: np.ndarray
 
 
-def slices_of(
+def slice_target(
     fields: Sequence[np.ndarray],
     *,
     width: int = 4,
     variance: float = 0.95,
     most: int = 64,
     flat: bool = False,
-) -> Slices:
+) -> SliceTarget:
     """The neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65 thousand
     of them at most.
 
@@ -77,7 +77,7 @@ def slices_of(
         axis=1
     )
     rest = np.rint(UNIT * rest).astype(np.int64)
-    return Slices(basis, features, back, rest)
+    return SliceTarget(basis, features, back, rest)
 
 
 def _mean_of_neighbourhoods(fields: Sequence[np.ndarray], box: Triple) -> np.ndarray:
