@@ -16,15 +16,27 @@ from trabecula.engine.parallel import threads
 from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.grid import Grid, exact_search
+from trabecula.synth.shared.matching.neighbour_index import (
+    build_index,
+)
+from trabecula.synth.shared.matching.neighbour_search import (
+    index_histogram,
+    k_nearest,
+    reranked,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.nearest import build_index, index_histogram, k_nearest, reranked
 from trabecula.synth.texture.energy import energy, mismatch, total
-from trabecula.synth.texture.graded import guide_grid, settle_fractions
-from trabecula.synth.texture.gradient import GradientVotes, add_votes, fold_votes, empty_votes
+from trabecula.synth.texture.graded import (
+    average_target,
+    fractions_by_level,
+    guide_grid,
+    settle_fractions,
+    target_fractions,
+)
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.method import Texture
 from trabecula.synth.texture.poisson import solve_votes
-from trabecula.synth.texture.volume_fraction import average_target, fractions_by_level, requested_fractions
 
 CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 
@@ -178,7 +190,7 @@ def test_exact_matches_are_those_of_the_whole_table(spilled, mask):
     noise = rng.integers(-300, 300, (*grid.shape, grid.candidates.features.shape[1]))
     features = (grid.candidates.features[old] + noise).astype(np.int16)
     count = len(grid.candidates.numbers)
-    index, distance = k_nearest(features[grid.active], grid.candidates.prepared)
+    index, distance = k_nearest(features[grid.active], grid.candidates.index)
     shares = index_histogram(old[grid.active], len(grid.candidates.features))
     chosen, apart = reranked(index, distance, shares, weight=0.5 * count, theta=1 / count)
     assert (chosen != index[:, 0]).any()
@@ -250,7 +262,7 @@ def graded(mask, wraps):
         grid, np.linspace(0.2, 0.6, 21 * 120, dtype=np.float32).reshape(shape), 0
     )
     votes = rng.integers(-9000, 9000, (1, *grid.region.shape)).astype(np.int16)
-    leaned, last = leaning.leaned((votes >> 8).astype(np.int8)), settle_fractions(votes, leaning)
+    leaned, last = leaning.shift_field((votes >> 8).astype(np.int8)), settle_fractions(votes, leaning)
     parts = leaning.wanted, leaning.counted, grid.guide, leaned, last, grid.candidates.features
     return [np.array(part) for part in parts], (leaning.mean, leaning.width)
 
@@ -278,7 +290,7 @@ def test_shares_and_their_mean_are_the_same(spilled, name, mask):
     porosity = asked if name == "porosity" else 1 - asked
     with spilled(), threads(2):
         for present, empty, wanted in (((0, 1), 0, 1 - porosity), ((0, 1), 1, porosity)):
-            assert np.array_equal(requested_fractions(request, present, empty), wanted)
+            assert np.array_equal(target_fractions(request, present, empty), wanted)
         mean = average_target(request).target["porosity"]
     assert mean == pytest.approx(
         porosity[inside].mean(dtype=np.float64) if mask else porosity.mean(dtype=np.float64)

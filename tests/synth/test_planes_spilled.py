@@ -14,12 +14,23 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.parallel import threads
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.chen.pixels import (
+    choose_pixels,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
 from trabecula.synth.shared.matching.grid import random_matches
-from trabecula.synth.shared.matching.planes import RegionViews, choose_pixels, cast_plane_votes
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+    cast_plane_votes,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.turned import restore_axis_order, put_axis_first
+from trabecula.synth.shared.slabs import (
+    put_axis_first,
+    restore_axis_order,
+)
 
 SHAPE = (24, 22, 23)
 QUICK = {

@@ -6,15 +6,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.synth.shared.brightest import brightest_voxels
-from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
-from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.neighbourhoods import (
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    phase_fields,
+    quantise,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+    match_histogram,
+)
+from trabecula.synth.shared.content.phase_fractions import (
+    brightest_voxels,
+    labels_of,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
     SCALE,
-    covered_shape,
+    grid_reach,
     grid_shape,
-    principal_basis,
     project,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    principal_basis,
 )
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
@@ -128,7 +140,7 @@ def test_fit_to_keeps_the_near_corner(have, want):
 def test_a_grid_covers_its_shape_with_less_than_a_step_to_spare(side, width, step):
     cube = {"box": (width,) * 3, "steps": (step,) * 3}
     grid = grid_shape((side,) * 3, **cube)
-    covered = covered_shape(grid, **cube)[0]
+    covered = grid_reach(grid, **cube)[0]
     assert covered >= side
     assert covered - max(side, width) < step
 

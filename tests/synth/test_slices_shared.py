@@ -9,17 +9,45 @@ import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
-from trabecula.synth.shared.content import content_of
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, random_matches, coherent_search
-from trabecula.synth.shared.matching.planes import RegionViews, choose_pixels, cast_plane_votes
+from trabecula.synth.chen.pixels import (
+    choose_pixels,
+)
+from trabecula.synth.shared.content.fields import (
+    UNIT,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.content.kinds import (
+    content_of,
+)
+from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
+from trabecula.synth.shared.matching.neighbourhoods import (
+    SCALE,
+    project,
+)
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+    cast_plane_votes,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    principal_basis,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
-from trabecula.synth.shared.neighbourhoods import SCALE, principal_basis, project
-from trabecula.synth.shared.statistics.correlate import correlations_of, misfit
-from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
-from trabecula.synth.shared.statistics.slices import slice_target
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.statistics.sliced import (
+    transport_neighbourhoods,
+    transport_planes,
+)
+from trabecula.synth.shared.statistics.slices import (
+    slice_target,
+)
+from trabecula.synth.shared.statistics.two_point import (
+    correlations_of,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
+    misfit,
+)
 
 WIDTH = 6
 
@@ -102,7 +130,7 @@ def test_matches_move_to_the_next_level_with_their_plane():
 def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
     views = tuple((axis, candidates(field, step)) for axis, field in pictures)
     histograms = tuple(
-        Histogram.pooled(channel)
+        Histogram.pool(channel)
         for channel in zip(*(c.stack.histograms for _, c in views), strict=True)
     )
     return RegionViews.over(Region(shape, wraps, free), views, histograms)
@@ -190,7 +218,7 @@ def test_a_source_that_is_dear_is_avoided():
 def test_a_region_is_seen_with_its_axis_first():
     rng = np.random.default_rng(0)
     free, low = rng.random((3, 4, 5)) < 0.5, rng.integers(-9, 9, (2, 3, 4, 5)).astype(np.int8)
-    seen = Region((3, 4, 5), (True, False, True), free, low, low).seen(2)
+    seen = Region((3, 4, 5), (True, False, True), free, low, low).view_along(2)
     assert seen.shape == (5, 3, 4)
     assert seen.wraps == (True, True, False)
     assert np.array_equal(seen.free[4, 1, 2], free[1, 2, 4])
@@ -275,19 +303,19 @@ def test_a_target_porosity_makes_fields_lean_and_is_met_to_the_voxel():
     content = content_of([image] * 3)
     request = tb.Request(12, target={"porosity": 0.3})
     field = np.clip(content.fields(image) * 30, -127, 127).astype(np.int8)
-    (leaning,) = content.aims([Histogram.of(field)], request)
+    (leaning,) = content.target_histograms([Histogram.of(field)], request)
     counts = np.diff(leaning.up_to, prepend=0)
     assert counts[leaning.values < 0].sum() / counts.sum() == pytest.approx(0.3, abs=0.01)
     votes = rng.integers(-9000, 9000, (1, 12, 12, 12)).astype(np.int16)
-    made = content.delivered(votes, request)
+    made = content.to_values(votes, request)
     assert np.count_nonzero(made == 0) == round(0.3 * made.size)
     with pytest.raises(RequestError, match="field"):
-        content.delivered(votes, tb.Request(12, target={"porosity": np.full((12, 12, 12), 0.3)}))
+        content.to_values(votes, tb.Request(12, target={"porosity": np.full((12, 12, 12), 0.3)}))
 
 
 def test_pooled_histograms_count_alike():
     few, many = Histogram.of(np.array([1, 1, 2])), Histogram.of(np.repeat([2, 5], 3000))
-    pooled = Histogram.pooled([few, many])
+    pooled = Histogram.pool([few, many])
     shares = np.diff(pooled.up_to, prepend=0) / pooled.up_to[-1]
     assert pooled.values.tolist() == [1, 2, 5]
     assert np.allclose(shares, [1 / 3, 1 / 6 + 1 / 4, 1 / 4], atol=1e-5)

@@ -11,26 +11,38 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.pickling import ReferencedFiles
-from trabecula.synth.shared.content import Labels
-from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    noise,
+    votes_of,
+)
+from trabecula.synth.shared.content.kinds import (
+    Labels,
+)
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import (
-    two_point_step,
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import (
+    round_bytes,
+    transport_neighbourhoods,
+    transport_planes,
+)
+from trabecula.synth.shared.statistics.slices import (
+    Transport,
+    slice_target,
+)
+from trabecula.synth.shared.statistics.two_point import (
     correlations_of,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
     misfit,
     step_bytes,
     step_slab_bytes,
+    two_point_step,
 )
-from trabecula.synth.shared.statistics.moved import round_bytes
-from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
-from trabecula.synth.shared.statistics.slices import slice_target
-from trabecula.synth.shared.statistics.transport import Transport
-from trabecula.synth.shared.votes import noise, votes_of
-from trabecula.synth.sliced import layout
+from trabecula.synth.sliced import run as layout
 from trabecula.synth.sliced.domain import regions_around_known
 from trabecula.synth.sliced.specks import remove_specks
-from trabecula.synth.sliced.steps import slab_bytes, slope, distance_step
+from trabecula.synth.sliced.steps import distance_step, slab_bytes, slope
 from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
@@ -274,7 +286,7 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
         (novel_layout, "sliced_round", 13, 18),
         (novel_layout, "swept", 6, 2),
         (novel_layout, "swept", 7, 1),
-        (Labels, "delivered", 1, 1),
+        (Labels, "to_values", 1, 1),
     ],
     ids=["in the layout", "in a pass", "after a pass", "after the last"],
 )

@@ -9,15 +9,29 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.seeds import key
-from trabecula.synth.shared.fields import FULL, phase_fields, quantise
-from trabecula.synth.shared.statistics.bands import least_squares
-from trabecula.synth.shared.statistics.correlate import two_point_step, correlations_of, misfit
-from trabecula.synth.shared.statistics.moved import rotation
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+    phase_fields,
+    quantise,
+)
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
-from trabecula.synth.shared.statistics.slices import slice_target
-from trabecula.synth.shared.statistics.transport import Transport
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.statistics.sliced import (
+    rotation,
+    transport_neighbourhoods,
+)
+from trabecula.synth.shared.statistics.slices import (
+    Transport,
+    slice_target,
+)
+from trabecula.synth.shared.statistics.two_point import (
+    correlations_of,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
+    least_squares,
+    misfit,
+    two_point_step,
+)
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
@@ -203,7 +217,7 @@ def test_a_convolution_is_the_weighted_sum_around():
         if length <= 2:
             nearest = int(np.argmax(shift**2))  # the first of equals
             wanted += weights[nearest, length] * np.roll(values, tuple(shift), (0, 1, 2))
-    assert np.allclose(pairs.convolved(pairs.forward(values), weights.ravel()), wanted, atol=1e-5)
+    assert np.allclose(pairs.convolve(pairs.forward(values), weights.ravel()), wanted, atol=1e-5)
 
 
 def test_steps_bring_the_two_point_function_to_the_exemplars():

@@ -13,7 +13,7 @@ from trabecula.errors import InputError, UnknownNameError
 from trabecula.synth.shared.matching.kernels import vote
 from trabecula.synth.shared.orient import SETS, apply_symmetry, symmetries
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch
-from trabecula.synth.texture.gradient import GradientVotes, add_votes, fold_votes, empty_votes
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
 WIDTH = 4

@@ -248,7 +248,7 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
     region = Region(free.shape, wraps, free)
     cubes = {"box": (6,) * 3, "steps": (2,) * 3}
     grid = region.grid(**cubes)
-    covered = region.covered(**cubes)
+    covered = region.cover(**cubes)
     active = covered.active(grid, **cubes)
     for site in np.ndindex(grid):
         cells = [
@@ -317,7 +317,7 @@ def test_mirrored_copies_are_learnt_from():
     teeth = np.zeros((32, 32, 32), np.uint8)
     teeth[:] = (x % 8) > (y % 8)
 
-    def leaning(values):
+    def reweight(values):
         along = np.mean(values[:, 1:, 1:] != values[:, :-1, :-1])
         across = np.mean(values[:, 1:, :-1] != values[:, :-1, 1:])
         return across / along

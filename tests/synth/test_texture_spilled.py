@@ -10,9 +10,15 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
-from trabecula.synth.shared.auction import assign_phases
-from trabecula.synth.shared.brightest import brightest_voxels
-from trabecula.synth.shared.histogram import Histogram, match_histogram, mix_with_neighbours
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+    match_histogram,
+    mix_with_neighbours,
+)
+from trabecula.synth.shared.content.phase_fractions import (
+    assign_phases,
+    brightest_voxels,
+)
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
@@ -232,9 +238,9 @@ def test_slabs_change_no_field(tmp_path):
     grid = region.grid(box=(4, 4, 4), steps=(2, 2, 2))
 
     def everything():
-        covered = region.covered(box=(4, 4, 4), steps=(2, 2, 2))
+        covered = region.cover(box=(4, 4, 4), steps=(2, 2, 2))
         active = covered.active(grid, box=(4, 4, 4), steps=(2, 2, 2))
-        seen = covered.seen(1)
+        seen = covered.view_along(1)
         known = {"fixed": tb.Image(np.zeros(free.shape, np.uint8), "labels"), "known": ~free}
         request = tb.Request(free.shape, seed=1, **known)
         halves = regions_of(

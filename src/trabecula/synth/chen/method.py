@@ -15,18 +15,34 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine import memmap
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.chen import CAPABILITIES
 from trabecula.synth.chen.config import ChenConfig
-from trabecula.synth.chen.kernels import count_sources
-from trabecula.synth.shared.content import complete
-from trabecula.synth.shared.matching.planes import RegionViews, choose_pixels, cast_plane_votes
+from trabecula.synth.chen.pixels import (
+    choose_pixels,
+    position_excess,
+)
+from trabecula.synth.shared.content.fields import (
+    votes_of,
+)
+from trabecula.synth.shared.content.kinds import (
+    complete,
+)
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+    cast_plane_votes,
+)
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
-from trabecula.synth.shared.solid import SolidModel
-from trabecula.synth.shared.solid_fit import Solid
-from trabecula.synth.shared.solid_state import SolidState
-from trabecula.synth.shared.votes import votes_of
+from trabecula.synth.shared.solid.method import (
+    Solid,
+)
+from trabecula.synth.shared.solid.model import (
+    SolidModel,
+)
+from trabecula.synth.shared.solid.run import (
+    SolidState,
+)
 
 _DEAREST = 64  # times: beyond it a pixel costs no more
 
@@ -47,8 +63,10 @@ class ChenModel(SolidModel):
     capabilities = CAPABILITIES
     config: ChenConfig
 
-    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
-        excess = excess_of(state.sources, frame, self.config.position_penalty)
+    def _vote(
+        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
+    ) -> None:
+        excess = position_excess(state.sources, frame, self.config.position_penalty)
         factors = [np.maximum(np.rint(frame.full / over), 1).astype(np.int16) for over in excess]
         votes = cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim)
         self._make(frame, state, votes)
@@ -59,19 +77,19 @@ class ChenModel(SolidModel):
         field, state.sources = choose_pixels(
             frame, state.matches, weights, aim, dear=dear, trim=trim
         )
-        state.field = frame.region.bounded(field)
+        state.field = frame.region.clip_to_bounds(field)
         state.votes = votes_of(state.field)
 
     @property
     def _chooses(self) -> bool:
         return self.config.discrete
 
-    def _delivered(self, state: SolidState, request: Request) -> np.ndarray:
+    def _to_values(self, state: SolidState, request: Request) -> np.ndarray:
         """Grey values and colours are those of the pixels themselves: matching channel by channel
         would make new colours.
         """
         if self.content.distances or not self.config.discrete or state.sources is None:
-            return super()._delivered(state, request)
+            return super()._to_values(state, request)
         sources = state.sources
         pixels = np.concatenate([self._pixels(place) for place in range(len(self.views))])
         depth, height, across = request.shape
@@ -100,24 +118,3 @@ class ChenModel(SolidModel):
         return image.values.reshape(len(numbers), -1)[order.ravel()].reshape(
             -1, *image.values.shape[2:]
         )
-
-
-def excess_of(sources: np.ndarray | None, frame: RegionViews, strength: float) -> list[np.ndarray]:
-    """1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source of n >
-    1 times its even share.
-    """
-    shapes = [plane.grid.candidates.stack.field.shape[1:] for plane in frame.planes]
-    sizes = [int(np.prod(shape)) for shape in shapes]
-    if sources is None or not strength:
-        return [np.ones(shape) for shape in shapes]
-
-    def count(start: int, stop: int) -> np.ndarray:
-        found = np.zeros(sum(sizes), np.int64)
-        count_sources(sources, found, start, stop)
-        return found
-
-    counts = sum_slabs(count, len(sources))
-    even = max(1, int(counts.sum())) / sum(sizes)
-    over = 1 + strength * np.maximum(counts / even - 1, 0)
-    parts = np.split(over, np.cumsum(sizes)[:-1])
-    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trabecula.synth.shared.settings import keep_numbers
-from trabecula.synth.shared.solid_config import SolidConfig
+from trabecula.synth.shared.solid.config import (
+    SolidConfig,
+)
 
 
 @dataclass(frozen=True)

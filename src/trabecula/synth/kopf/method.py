@@ -12,16 +12,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.config import KopfConfig
-from trabecula.synth.kopf.kernels import count_bins
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
-from trabecula.synth.shared.solid import SolidModel
-from trabecula.synth.shared.solid_fit import Solid
-from trabecula.synth.shared.solid_state import SolidState
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+    cast_plane_votes,
+)
+from trabecula.synth.shared.solid.method import (
+    Solid,
+)
+from trabecula.synth.shared.solid.model import (
+    SolidModel,
+)
+from trabecula.synth.shared.solid.run import (
+    SolidState,
+)
 
 _BINS = 16
 
@@ -42,20 +53,24 @@ class KopfModel(SolidModel):
     capabilities = CAPABILITIES
     config: KopfConfig
 
-    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
+    def _vote(
+        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
+    ) -> None:
         factors = None
         if self.config.reweighting:
-            excess = excess_of(state.votes, frame, self.config.reweighting)
+            excess = histogram_excess(state.votes, frame, self.config.reweighting)
             factors = [
                 factors_of(plane.grid.candidates.stack.field, excess, frame.full)
                 for plane in frame.planes
             ]
         self._make(
-            frame, state, cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim)
+            frame,
+            state,
+            cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim),
         )
 
 
-def excess_of(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:
+def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:
     """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in
     the target.
     """
@@ -88,3 +103,18 @@ def _shares(target: Histogram) -> np.ndarray:
 
 def _bin(values: np.ndarray) -> np.ndarray:
     return (values.astype(np.int16) + 128) >> 4
+
+
+@kernel
+def count_bins(votes, free, counts, start, stop):
+    """How many voxels of planes start..stop of (C, Z, Y, X) int16 lie in each of 16 equal bins,
+    added to counts (C, 16).
+
+    Only those that are `free` (Z, Y, X) bool count; empty means all.
+    """
+    for c in range(votes.shape[0]):
+        for z in range(start, stop):
+            for y in range(votes.shape[2]):
+                for x in range(votes.shape[3]):
+                    if free.size == 0 or free[z, y, x]:
+                        counts[c, (votes[c, z, y, x] >> 12) + 8] += 1

@@ -11,8 +11,13 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
+from trabecula.synth.shared.content.fields import (
+    FULL,
+)
+from trabecula.synth.shared.slabs import (
+    for_plane_groups,
+    make_by_slabs,
+)
 
 
 def halve(field: np.ndarray) -> np.ndarray:
@@ -89,7 +94,7 @@ def _pair(k, side, wrap):
 
 
 @inline
-def _rounded(sixty_fourths, factor):
+def _scale_back(sixty_fourths, factor):
     value = ((sixty_fourths + 32) >> 6) * factor
     return np.int8(min(max(value, -FULL), FULL) if factor > 1 else value)
 
@@ -115,8 +120,8 @@ def _double(field, wraps, factor, fine, start, stop):
                 for x in range(min(X, (len(to) + 1) // 2)):
                     before = line[x - 1] if x > 0 else line[X - 1 if wraps[2] else 0]
                     after = line[x + 1] if x < X - 1 else line[0 if wraps[2] else X - 1]
-                    to[2 * x] = _rounded(3 * line[x] + before, factor)
+                    to[2 * x] = _scale_back(3 * line[x] + before, factor)
                     if 2 * x + 1 < len(to):
-                        to[2 * x + 1] = _rounded(3 * line[x] + after, factor)
+                        to[2 * x + 1] = _scale_back(3 * line[x] + after, factor)
                 for x in range(2 * X, len(to)):
                     to[x] = to[2 * X - 1]

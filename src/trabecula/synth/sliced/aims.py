@@ -14,14 +14,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.fields import FULL, mean_edge, quantise
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    mean_edge,
+    quantise,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
-from trabecula.synth.shared.statistics.correlate import Correlations, correlations_of
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
-from trabecula.synth.shared.statistics.soft import soft_indicator
+from trabecula.synth.shared.statistics.slices import (
+    SliceTarget,
+    slice_target,
+)
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+    correlations_of,
+    soft_indicator,
+)
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import FAR
 
@@ -103,7 +115,7 @@ class Pictures:
     def _histograms(self, stacks: dict[int, Stack]) -> tuple[Histogram, ...]:
         """One a channel, of all views together."""
         seen = [stacks[view.picture].histograms for view in self.views]
-        return tuple(Histogram.pooled(channel) for channel in zip(*seen, strict=True))
+        return tuple(Histogram.pool(channel) for channel in zip(*seen, strict=True))
 
     def _parts(self, index: int, clip: float) -> dict[int, list[np.ndarray]]:
         """Every picture as int8 fields of a level, one for each start and orientation."""
@@ -112,7 +124,9 @@ class Pictures:
             spacing = next(view.image.spacing for view in self.views if view.picture == number)
             turns = symmetries(self.orientations, ndim=2, spacing=spacing)
             thin = subsample(field, index, clip)
-            found[number] = [apply_symmetry(part[:, 0], turn)[:, None] for part in thin for turn in turns]
+            found[number] = [
+                apply_symmetry(part[:, 0], turn)[:, None] for part in thin for turn in turns
+            ]
         return found
 
     def _correlations(self, index: int, clip: float, softness: float) -> Correlations:

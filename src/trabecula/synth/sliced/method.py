@@ -24,26 +24,51 @@ from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import resumed
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.content import Content, content_of
-from trabecula.synth.shared.fields import mean_edge
-from trabecula.synth.shared.matching.planes import RegionViews
+from trabecula.synth.shared.content.fields import (
+    mean_edge,
+)
+from trabecula.synth.shared.content.kinds import (
+    Content,
+    content_of,
+)
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    basis_bytes,
+    principal_basis,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import refine_field
-from trabecula.synth.shared.neighbourhoods import basis_bytes, principal_basis
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.solid_fit import PROCESS, channels_of
-from trabecula.synth.shared.solid_forecast import SolidForecast
-from trabecula.synth.shared.solid_state import SolidState
-from trabecula.synth.shared.statistics.correlate import step_bytes, step_slab_bytes
-from trabecula.synth.shared.statistics.moved import round_bytes
+from trabecula.synth.shared.solid.forecast import (
+    SolidForecast,
+)
+from trabecula.synth.shared.solid.method import (
+    PROCESS,
+    channels_of,
+)
+from trabecula.synth.shared.solid.run import (
+    SolidState,
+)
+from trabecula.synth.shared.statistics.sliced import (
+    round_bytes,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
+    step_bytes,
+    step_slab_bytes,
+)
 from trabecula.synth.sliced import CAPABILITIES
-from trabecula.synth.sliced.aims import Layout, SlicedLevel, Pictures, reweight_target, subsample
+from trabecula.synth.sliced.aims import Layout, Pictures, SlicedLevel, reweight_target, subsample
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.domain import regions_around_known, torus_regions
-from trabecula.synth.sliced.layout import lay_out
-from trabecula.synth.sliced.passes import begun, passed
+from trabecula.synth.sliced.run import (
+    begun,
+    lay_out,
+    passed,
+)
 from trabecula.synth.sliced.specks import remove_specks
 
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
@@ -145,7 +170,7 @@ class SlicedModel(PictureModel):
             self._pass(frame, state, index, request, done)
             field, votes, state, done = state.field, state.votes, None, 0
         del field, frame
-        return self._delivered(fit_to(votes, request.shape), request)
+        return self._to_values(fit_to(votes, request.shape), request)
 
     def _resumed(self, top: int) -> tuple[SolidState | None, int, int]:
         """The state that an interrupted run left, its level and its rounds done; none, and the
@@ -160,14 +185,22 @@ class SlicedModel(PictureModel):
     def _laid_out(self, region: Region, top: int, request: Request) -> np.ndarray:
         layout = self.layouts[top]
         return lay_out(
-            layout, region, self.content.aims(layout.histograms, request), request.seed, self.config
+            layout,
+            region,
+            self.content.target_histograms(layout.histograms, request),
+            request.seed,
+            self.config,
         )
 
     def _frame(self, region: Region, index: int, request: Request) -> RegionViews:
         level = self.levels[index]
-        return RegionViews.over(region, level.views, self.content.aims(level.histograms, request))
+        return RegionViews.over(
+            region, level.views, self.content.target_histograms(level.histograms, request)
+        )
 
-    def _pass(self, frame: RegionViews, state: SolidState, index: int, request: Request, done: int) -> None:
+    def _pass(
+        self, frame: RegionViews, state: SolidState, index: int, request: Request, done: int
+    ) -> None:
         """Search and vote on one level."""
         config, level = self.config, self.levels[index]
         passed(
@@ -182,14 +215,14 @@ class SlicedModel(PictureModel):
             said=_stage(index),
         )
 
-    def _delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+    def _to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         """The result's values from votes of its shape, without specks."""
-        values = self.content.delivered(votes, request)
+        values = self.content.to_values(votes, request)
         if not self.config.specks:
             return values
         votes = remove_specks(votes, values, self.content.present, self.config.specks)  # type: ignore[attr-defined]
         del values
-        return self.content.delivered(votes, request)
+        return self.content.to_values(votes, request)
 
     def _top(self, request: Request) -> int:
         """The level that is laid out."""
@@ -220,7 +253,7 @@ class SlicedModel(PictureModel):
         return Plan(
             memory={
                 "interpreter and kernels": PROCESS,
-                "exemplar": self._kept(),
+                "exemplar": self._exemplar_bytes(),
                 "output": max(run.output, self._layout_bytes(request)),
                 "scratch": run.scratch,
             },
@@ -231,9 +264,13 @@ class SlicedModel(PictureModel):
         run, region = self._forecast(request), self._region(request, 0)
         moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
         moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]
-        return {"interpreter and kernels": PROCESS, "exemplar": self._kept(), "slab": max(moments)}
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "slab": max(moments),
+        }
 
-    def _kept(self) -> int:
+    def _exemplar_bytes(self) -> int:
         """Bytes of the pictures' fields and neighbourhoods."""
         candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
         slices = {id(s): s for layout in self.layouts for _, s in layout.views}.values()
@@ -251,7 +288,9 @@ class SlicedModel(PictureModel):
     def _forecast(self, request: Request) -> SolidForecast:
         """Of search and vote on the finest level."""
         region, target = self._region(request, 0), self.levels[0].correlations
-        run = SolidForecast(request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True)
+        run = SolidForecast(
+            request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True
+        )
         channels = len(self.levels[0].histograms)
         return replace(
             run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape)
@@ -276,8 +315,10 @@ class SlicedModel(PictureModel):
 def _fitted(field: np.ndarray, region: Region, *, finer: bool) -> np.ndarray:
     """A field (C, Z, Y, X) int8 on a region, which is `finer` by two or the same."""
     if finer:
-        return region.bounded(refine_field(field, region.wraps, distances=True, shape=region.shape))
-    return region.bounded(fit_to(field, region.shape))
+        return region.clip_to_bounds(
+            refine_field(field, region.wraps, distances=True, shape=region.shape)
+        )
+    return region.clip_to_bounds(fit_to(field, region.shape))
 
 
 def _stage(index: int) -> str:

@@ -15,10 +15,18 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+)
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import Correlations, two_point_step, step_slab_bytes
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
+    step_slab_bytes,
+    two_point_step,
+)
 
 FAR = 4.0
 """Voxels at which distances saturate here."""
@@ -45,10 +53,10 @@ def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np
     """
     distance = memmap.empty(field.shape, np.int8, least=0)  # another process may write it
     for channel, far in zip(field, distance, strict=True):
-        _by_few(partial(_divided, channel, region.wraps, far), channel.shape, anywhere=True)
+        _by_few(partial(_divide_by_slope, channel, region.wraps, far), channel.shape, anywhere=True)
     votes = two_point_step(distance, target, periodic=region.wraps, free=region.free)
     for channel, far, moved in zip(field, distance, votes, strict=True):
-        _by_few(partial(_multiplied, channel, region.wraps, far, moved), channel.shape)
+        _by_few(partial(_multiply_by_slope, channel, region.wraps, far, moved), channel.shape)
     return votes
 
 
@@ -76,7 +84,7 @@ def _by_few(
     for_slabs(few, shape[0], anywhere=anywhere)
 
 
-def _divided(
+def _divide_by_slope(
     channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int
 ) -> None:
     """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike:
@@ -88,7 +96,7 @@ def _divided(
     far[start:stop] = np.rint(ratio, out=ratio)
 
 
-def _multiplied(
+def _multiply_by_slope(
     channel: np.ndarray,
     wraps: Sequence[bool],
     far: np.ndarray,
@@ -120,9 +128,9 @@ def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> 
     for axis in (1, 2):
         _add_square(square, *_neighbours(channel[planes], axis, wraps[axis]))
     wide = np.sqrt(square, out=square)
-    mean = _averaged(wide[1:-1], wide[:-2], wide[2:])
+    mean = _average(wide[1:-1], wide[:-2], wide[2:])
     for axis in (1, 2):
-        mean = _averaged(mean, *_neighbours(mean, axis, wraps[axis]))
+        mean = _average(mean, *_neighbours(mean, axis, wraps[axis]))
     return np.maximum(mean, _FLAT, out=mean)
 
 
@@ -134,7 +142,7 @@ def _add_square(square: np.ndarray, before: np.ndarray, after: np.ndarray) -> No
     square += rise
 
 
-def _averaged(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _average(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """A quarter, a half, a quarter."""
     return (before + after + 2 * values) * np.float32(0.25)
 

@@ -93,7 +93,7 @@ class Feedback:
         """The state after a round that ended with `energy`."""
         scale = self.scale
         if self.trace:
-            before, now = self._compared(self.trace[-1]), self._compared(energy)
+            before, now = self._comparable(self.trace[-1]), self._comparable(energy)
             scale *= 1 + self.increase if now < before else 1 - self.decrease if now > before else 1
         scale = min(max(scale, 1 / self.limit), self.limit)
         return replace(self, scale=scale, trace=(*self.trace, energy))
@@ -105,10 +105,10 @@ class Feedback:
             return True
         if len(self.trace) < 2:
             return False
-        before, now = (self._compared(energy) for energy in self.trace[-2:])
+        before, now = (self._comparable(energy) for energy in self.trace[-2:])
         return abs(now - before) <= self.tolerance * before
 
-    def _compared(self, energy: Energy) -> float:
+    def _comparable(self, energy: Energy) -> float:
         return energy.weighted if self.literal else energy.robust
 
 
@@ -271,10 +271,10 @@ def total(values: Callable[[int], np.ndarray], count: int) -> float:
     """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no
     order.
     """
-    return math.fsum(chain.from_iterable(_listed(values, count)))
+    return math.fsum(chain.from_iterable(_values_by_plane(values, count)))
 
 
-def _listed(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
+def _values_by_plane(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
     """One plane after the other: numbers of Python take 32 bytes each."""
     for z in range(count):
         yield values(z).ravel().tolist()

@@ -18,7 +18,7 @@ from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.matching.grid import Grid, wrap_field
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch, total
-from trabecula.synth.texture.gradient import GradientVotes, add_votes, fold_votes, empty_votes
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
 _UNIT = 64  # the integer weight that stands for 1

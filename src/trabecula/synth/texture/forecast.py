@@ -13,11 +13,18 @@ from math import prod
 
 from trabecula.core.request import Request
 from trabecula.engine.parallel import thread_count
+from trabecula.synth.shared.matching.neighbour_search import (
+    search_bytes,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    block_bytes,
+    planes_together,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.nearest import search_bytes
-from trabecula.synth.shared.neighbourhoods import block_bytes, planes_together
-from trabecula.synth.shared.slabs import AT_ONCE
+from trabecula.synth.shared.slabs import (
+    AT_ONCE,
+)
 from trabecula.synth.texture import energy_rounds, graded
 
 _RANKS = 1 << 19  # bytes of counts of all ranks
@@ -85,7 +92,7 @@ class TextureForecast:
         beside = max(
             moment.beside for candidates in self.finest for moment in self._moments(candidates)
         )
-        return beside + max(map(self._pages, self.finest))
+        return beside + max(map(self._page_bytes, self.finest))
 
     @property
     def _peak(self) -> Moment:
@@ -115,7 +122,7 @@ class TextureForecast:
             )
         )
         between = threads * min(asked, max(AT_ONCE, request.shape[1] * request.shape[2]))
-        search = threads * self._search(candidates) + (16 + 48 * self.exact) * len(
+        search = threads * self._search_bytes(candidates) + (16 + 48 * self.exact) * len(
             candidates.features
         )
         ranks = (threads + 3) * _RANKS
@@ -124,7 +131,7 @@ class TextureForecast:
             Moment(held + voxels * 2 * channels + 9 * sites, vote),
             Moment(held + voxels * (3 * channels + 8 * self.leaning) + 5 * sites, ranks),
             Moment(
-                asked * (2 * channels + self._chosen(channels)),
+                asked * (2 * channels + self._value_bytes(channels)),
                 ranks * (3 if self.distances and channels > 1 else 1),
             ),
         ]
@@ -151,7 +158,7 @@ class TextureForecast:
             )
         return moments
 
-    def _chosen(self, channels: int) -> int:
+    def _value_bytes(self, channels: int) -> int:
         """Bytes of a voxel that the choice of the values takes beside the votes."""
         request = self.request
         free = 2 * (request.fixed is not None)
@@ -159,7 +166,7 @@ class TextureForecast:
         values = 2 * channels + 1 if self.distances and channels > 1 else self.itemsize
         return free + max(around, values)
 
-    def _search(self, candidates: Candidates) -> int:
+    def _search_bytes(self, candidates: Candidates) -> int:
         """By one thread: features, and the sums over blocks that they are made of."""
         shape, grid, threads = self._shape(candidates), self._grid(candidates), thread_count()
         basis, channels, depth = (
@@ -185,7 +192,7 @@ class TextureForecast:
             )
         )
 
-    def _pages(self, candidates: Candidates) -> int:
+    def _page_bytes(self, candidates: Candidates) -> int:
         shape, grid = self._shape(candidates), self._grid(candidates)
         channels, width = len(candidates.stack.field), candidates.basis.width
         known = 2 * channels + 10 if self.request.fixed is not None else 2
@@ -203,4 +210,4 @@ class TextureForecast:
         return self.region.grid(box=candidates.basis.box, steps=candidates.steps)
 
     def _shape(self, candidates: Candidates) -> tuple[int, ...]:
-        return self.region.covered(box=candidates.basis.box, steps=candidates.steps).shape
+        return self.region.cover(box=candidates.basis.box, steps=candidates.steps).shape

@@ -1,40 +1,150 @@
-"""A porosity that varies from place to place: what neighbourhoods are guided by, and what the field
-leans to.
+"""What a target asks for: the share of a phase at every voxel, on every level.
 
-Two means together. The search prefers neighbourhoods from places of the exemplar that are as dense
-as is asked for (one more feature: the share of the phase around them), and after every vote the
-field is shifted, smoothly, until the share around every voxel is the one asked for: struts grow or
-thin where the exemplar holds nothing dense or sparse enough.
+On a coarser level a phase has another share (thin struts vanish first): what is asked for is
+carried over along straight lines through (0, 0), (the exemplar's share, its share on that level)
+and (1, 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trabecula.core.errors import RequestError
+from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.box_sums import window_sums_of_planes, replace_by_window_sums, window_sums
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.box_sums import (
+    replace_by_window_sums,
+    window_sums,
+    window_sums_of_planes,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
 from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.texture.volume_fraction import phase_fraction
+from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.pyramid import halve
+
+BEYOND = 0.5
+"""How far outside the exemplar's own porosities the shift reaches with struts that still look like
+it: of the way to 0 and to 1."""
+
+
+def check_phases(present: tuple[int, ...], empty: int) -> None:
+    """Raise where a target porosity does not say how much of each phase there is to be."""
+    if len(present) != 2 or empty not in present:
+        raise RequestError(
+            f"a target porosity is honoured for a void and one other phase, the exemplar holds {len(present)} phases: "
+            "merge them (tb.segment with one threshold), or leave the target out"
+        )
+
+
+def target_fractions(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
+    """(Z, Y, X) float32: the share that the upper of two phases is to have at every voxel."""
+    shares = memmap.empty(request.shape, np.float32)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            porosity = np.asarray(_asked(request, slice(z, z + 1)), np.float32)
+            shares[z] = porosity if present[1] == empty else 1 - porosity
+
+    for_slabs(work, len(shares))
+    return shares
+
+
+def _asked(request: Request, planes: slice) -> float | np.ndarray:
+    """The porosity that is asked for on planes, or everywhere."""
+    target = {
+        name: value[planes] if isinstance(value, np.ndarray) else value
+        for name, value in request.target.items()
+    }
+    asked = porosity_of(target)
+    return 0.0 if asked is None else asked
+
+
+def fractions_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
+    """What shares at every voxel are at the resolution of each stack, finest first."""
+    own = phase_fraction(stacks[0])
+    found: list[np.ndarray] = []
+    for stack in stacks:
+        shares = halve(shares[None])[0] if found else shares
+        found.append(carry_over(shares, own, phase_fraction(stack)))
+    return found
+
+
+def carry_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
+    """What shares become on a level where the exemplar's own share is `there`."""
+    carried = memmap.empty(shares.shape, np.float32)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            carried[z] = np.interp(shares[z], (0.0, own, 1.0), (0.0, there, 1.0))
+
+    for_slabs(work, len(shares))
+    return carried
+
+
+def phase_fraction(stack: Stack) -> float:
+    """The share of the phase in the exemplars' volumes."""
+    inside = sum(
+        np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
+        for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True)
+    )
+    return float(inside / np.prod(stack.sides.astype(np.int64), axis=1).sum())
+
+
+def average_target(request: Request) -> Request:
+    """The request with one number as its target: the mean of what is asked for."""
+    if not any(map(np.ndim, request.target.values())):
+        return replace(request, target={"porosity": float(_asked(request, slice(None)))})
+    planes = np.zeros((request.shape[0], 2))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            asked = np.asarray(_asked(request, slice(z, z + 1)))[0]
+            inside = asked if request.mask is None else asked[request.mask[z]]
+            planes[z] = inside.sum(dtype=np.float64), inside.size
+
+    for_slabs(work, len(planes))
+    return replace(request, target={"porosity": math.fsum(planes[:, 0]) / math.fsum(planes[:, 1])})
+
 
 # voxels a side in which a share is taken: of the finest level, and of any at least
 _WINDOW, _LEAST = 24, 6
+
+
 _WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar
+
+
 _UNIT = 4096  # of a share, in whole numbers
+
+
 _PULL = 16_000  # features between a share of 0 and one of 1
+
+
 _NEAR = 32  # values of the field that count as near the interface: about a voxel
+
+
 _MOST = 40  # by which a field is shifted in one step
+
+
 _HASTE = 1.5  # of a step; from 3 on they would swing
+
+
 _LAST = 16  # steps at the end
+
+
 BYTES = 32
 """Of a voxel: the windows' sums, and what a step takes."""
+
+
 _AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
 
 
@@ -90,7 +200,7 @@ class FractionTarget:
         for_slabs(work, len(guide))
         return guide
 
-    def leaned(self, field: np.ndarray) -> np.ndarray:
+    def shift_field(self, field: np.ndarray) -> np.ndarray:
         """A field (1, Z, Y, X) int8, shifted towards what is asked for."""
         leaned = memmap.empty(field.shape, np.int8)
 
@@ -159,7 +269,7 @@ def guide_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Fracti
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
     leaning = FractionTarget.of(grid.region, shares, width)
     own, mean = phase_fraction(grid.candidates.stack), float(leaning.mean)
-    targets = tuple(Histogram.leaning(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
+    targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
     grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
     return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
 
@@ -181,7 +291,9 @@ def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
     ]
     mesh = np.ix_(*middle)
     share = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
-    return replace(candidates, features=append_guide(candidates.features >> 1, share.reshape(-1, 1)))
+    return replace(
+        candidates, features=append_guide(candidates.features >> 1, share.reshape(-1, 1))
+    )
 
 
 def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -153,10 +153,10 @@ def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
         return votes
     arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
     del votes  # each goes when it is folded, if nobody else holds on to it
-    return GradientVotes(*(_folded(arrays.pop(), shape) for _ in range(4)))
+    return GradientVotes(*(_fold(arrays.pop(), shape) for _ in range(4)))
 
 
-def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _fold(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     volumes = array.reshape(-1, *array.shape[-3:])
     folded = memmap.empty((*array.shape[:-3], *shape), array.dtype)
     results = folded.reshape(-1, *shape)
@@ -167,14 +167,14 @@ def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
                 plane = volume[z].copy()
                 for beyond in range(z + shape[0], len(volume), shape[0]):
                     plane += volume[beyond]
-                rows = _turned_back(plane, shape[1])
-                result[z] = _turned_back(rows.T, shape[2]).T
+                rows = _add_beyond(plane, shape[1])
+                result[z] = _add_beyond(rows.T, shape[2]).T
 
     for_slabs(work, shape[0])
     return folded
 
 
-def _turned_back(rows: np.ndarray, period: int) -> np.ndarray:
+def _add_beyond(rows: np.ndarray, period: int) -> np.ndarray:
     """The first `period` rows, with the others added to them in place."""
     for first in range(period, len(rows), period):
         beyond = rows[first : first + period]
@@ -193,7 +193,12 @@ def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
 
 
 def _add_counts(
-    votes: GradientVotes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int
+    votes: GradientVotes,
+    match: np.ndarray,
+    weight: np.ndarray,
+    rims: list[np.ndarray],
+    *,
+    step: int,
 ) -> None:
     """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []
@@ -205,17 +210,17 @@ def _add_counts(
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            cast, held = _summed(holds[0][z], match, weight)
+            cast, held = _sum_planes(holds[0][z], match, weight)
             votes.weights[z] += (holds[1] @ cast @ holds[2].T).astype(np.int32)
             votes.pairs[1, z] += (pairs[1] @ held @ holds[2].T).astype(np.int16)
             votes.pairs[2, z] += (holds[1] @ held @ pairs[2].T).astype(np.int16)
-            _, held = _summed(pairs[0][z], match, weight)
+            _, held = _sum_planes(pairs[0][z], match, weight)
             votes.pairs[0, z] += (holds[1] @ held @ holds[2].T).astype(np.int16)
 
     for_slabs(work, len(votes.weights))
 
 
-def _summed(
+def _sum_planes(
     near: np.ndarray, match: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The weights of sites on planes that are `near`, and how many of them vote, summed across the

@@ -21,30 +21,49 @@ from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
-from trabecula.synth.shared.content import Content, Labels, content_of
-from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
-from trabecula.synth.shared.matching.levels import levels_for
+from trabecula.synth.shared.coarse_to_fine import (
+    levels_for,
+)
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    isotropic_scale,
+    quantise,
+)
+from trabecula.synth.shared.content.kinds import (
+    Content,
+    Labels,
+    content_of,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    basis_bytes,
+)
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
-from trabecula.synth.shared.neighbourhoods import basis_bytes
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.statistics.correlate import (
+from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     correlations_at,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
     step_bytes,
     step_slab_bytes,
 )
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.exemplar_rounds import Job, Level, level_of, make_from_patches
+from trabecula.synth.texture.exemplar_rounds import (
+    Job,
+    Level,
+    level_of,
+    make_from_patches,
+)
 from trabecula.synth.texture.forecast import TextureForecast
-from trabecula.synth.texture.volume_fraction import (
+from trabecula.synth.texture.graded import (
     BEYOND,
-    check_phases,
     average_target,
+    check_phases,
     fractions_by_level,
-    requested_fractions,
+    target_fractions,
 )
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -109,8 +128,10 @@ class TextureModel(Model):
         for index in track(
             range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"
         ):
-            own = [self._quantised(field, index) for field in fields]
-            self.stacks.append(Stack.of([apply_symmetry(field, turn) for field in own for turn in turns]))
+            own = [self._quantise(field, index) for field in fields]
+            self.stacks.append(
+                Stack.of([apply_symmetry(field, turn) for field in own for turn in turns])
+            )
             self._own.append(own)
             fields = [halve(field) for field in fields]
         self.learnt: list[Level] | None = None
@@ -155,7 +176,7 @@ class TextureModel(Model):
         ]
         self.slices = novel_layout.slices_for(self._own[self.top])
 
-    def _quantised(self, field: np.ndarray, index: int) -> np.ndarray:
+    def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
         """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
         value is what it is.
         """
@@ -174,7 +195,7 @@ class TextureModel(Model):
             votes, told = make_from_patches(
                 Job(
                     self.levels[:used],
-                    regions_of(request, used, self.content.bounds(request), self._quantised),
+                    regions_of(request, used, self.content.bounds(request), self._quantise),
                     request,
                     self.config,
                     self.content.distances,
@@ -185,13 +206,13 @@ class TextureModel(Model):
         votes = fit_to(votes, request.shape)
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
-        return self.content.delivered(votes, request), {"levels": told} if told else {}
+        return self.content.to_values(votes, request), {"levels": told} if told else {}
 
     def _shares(self, request: Request, count: int) -> list[np.ndarray]:
         """What a target asks of each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
             return []
-        shares = requested_fractions(request, self.content.present, self.content.empty)
+        shares = target_fractions(request, self.content.present, self.content.empty)
         return fractions_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
@@ -224,7 +245,7 @@ class TextureModel(Model):
         return Plan(
             {
                 "interpreter and kernels": _PROCESS,
-                "exemplar": self._held(),
+                "exemplar": self._exemplar_bytes(),
                 "output": run.output,
                 "scratch": run.scratch,
             },
@@ -241,9 +262,13 @@ class TextureModel(Model):
         elif self.targets and request.fixed is None:
             shape = Region(request.shape, request.periodic).shape
             slab = max(slab, step_slab_bytes(shape, self.targets[0], request.periodic))
-        return {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "slab": slab}
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "slab": slab,
+        }
 
-    def _held(self) -> int:
+    def _exemplar_bytes(self) -> int:
         """Bytes of the exemplar's fields and neighbourhoods."""
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
@@ -264,7 +289,9 @@ class TextureModel(Model):
             correlations = self.aims[0].correlations
             step = novel_layout.step_bytes(correlations, request, self.top)
             finest = self.aims[0].candidates
-            return TextureForecast(request, region, finest, labels, itemsize, repeated=True, correcting=step)
+            return TextureForecast(
+                request, region, finest, labels, itemsize, repeated=True, correcting=step
+            )
         stepped = bool(self.targets) and request.fixed is None and not request.target
         return TextureForecast(
             request,

@@ -20,29 +20,46 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import Checkpoint, offer, resumed
 from trabecula.engine.parallel import thread_count
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, random_matches, coherent_search
+from trabecula.synth.shared.content.fields import (
+    noise,
+    votes_of,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import refine_field, match_votes, robust_weights, cast_votes
+from trabecula.synth.shared.matching.rounds import (
+    cast_votes,
+    match_votes,
+    refine_field,
+    robust_weights,
+)
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.statistics import correlate
-from trabecula.synth.shared.statistics.correlate import (
-    Correlations,
-    two_point_step,
-    correlations_at,
-    accumulate_debt,
-)
+from trabecula.synth.shared.statistics import two_point_steps
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
     adjusting_bytes,
     adjusting_slab_bytes,
     long_waves_of,
 )
-from trabecula.synth.shared.statistics.moved import round_bytes
-from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
-from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
-from trabecula.synth.shared.votes import noise, votes_of
+from trabecula.synth.shared.statistics.sliced import (
+    round_bytes,
+    transport_neighbourhoods,
+)
+from trabecula.synth.shared.statistics.slices import (
+    SliceTarget,
+    slice_target,
+)
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+    correlations_at,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
+    accumulate_debt,
+    two_point_step,
+)
 from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
@@ -186,7 +203,9 @@ def make_novel(
         p = schedule[number]
         while level > p.level:
             level -= 1
-            run.field = fit_to(refine_field(run.field, _AROUND, distances=True), regions[level].shape)
+            run.field = fit_to(
+                refine_field(run.field, _AROUND, distances=True), regions[level].shape
+            )
         grid = Grid.over(regions[level], candidates[number])
         done = 0 if state is None else state.number
         state = None  # nor does anybody else hold on to what it was
@@ -202,7 +221,9 @@ def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
     field and its votes.
     """
     shape = torus_shape(request.shape, request.periodic, 0, top)
-    return max(correlate.step_bytes(shape, correlations, request.periodic), adjusting_bytes(shape))
+    return max(
+        two_point_steps.step_bytes(shape, correlations, request.periodic), adjusting_bytes(shape)
+    )
 
 
 def slab_bytes(correlations: Correlations, slices: SliceTarget, request: Request, top: int) -> int:
@@ -212,7 +233,7 @@ def slab_bytes(correlations: Correlations, slices: SliceTarget, request: Request
     shape = torus_shape(request.shape, request.periodic, 0, top)
     adjusting = thread_count() * adjusting_slab_bytes(shape)
     return max(
-        correlate.step_slab_bytes(shape, correlations, request.periodic),
+        two_point_steps.step_slab_bytes(shape, correlations, request.periodic),
         adjusting,
         round_bytes(slices),
     )
@@ -239,7 +260,9 @@ def _laid_out(aims: Aims, slices: SliceTarget, region: Region, seed: int) -> np.
     else:
         begin, votes = state.number, state.arrays.pop("votes")
     for number in track(range(begin, _SLICED_ROUNDS), "laying out", total=_SLICED_ROUNDS - begin):
-        votes = transport_neighbourhoods(votes, slices, key=stage, number=number, strength=_STRENGTH)
+        votes = transport_neighbourhoods(
+            votes, slices, key=stage, number=number, strength=_STRENGTH
+        )
         if (number + 1) % _STEP_EVERY == 0:
             votes = two_point_step(
                 match_votes(region, votes, histograms), aims.correlations, periodic=_AROUND

@@ -64,31 +64,33 @@ def solve_votes(
     result = memmap.empty(votes.values.shape, np.int16)
     for channel in range(len(result)):
         guess = None if start is None else start[channel]
-        field = _begun(votes, channel, guess if mu > 0 else None)
+        field = _initial_field(votes, channel, guess if mu > 0 else None)
         if mu > 0:
             _solve(votes, channel, np.float32(mu * unit), field, tolerance)
-        for_slabs(partial(_rounded, field, result[channel]), len(field))
+        for_slabs(partial(_round, field, result[channel]), len(field))
         del field  # before the next one is made
     return result
 
 
-def _begun(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:
+def _initial_field(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:
     """The guess, or the weighted mean, as (Z, Y, X) float32."""
     field = memmap.empty(votes.weights.shape, np.float32)
     if guess is None:
-        for_slabs(partial(_weighted_mean, votes.values[channel], votes.weights, field), len(field))
+        for_slabs(partial(_average, votes.values[channel], votes.weights, field), len(field))
     else:
-        for_slabs(partial(_guessed, guess, votes.weights, field), len(field))
+        for_slabs(partial(_copy_guess, guess, votes.weights, field), len(field))
     return field
 
 
-def _guessed(
+def _copy_guess(
     guess: np.ndarray, weights: np.ndarray, field: np.ndarray, start: int, stop: int
 ) -> None:
     field[start:stop] = np.where(weights[start:stop] > 0, guess[start:stop], 0)
 
 
-def _solve(votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> None:
+def _solve(
+    votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float
+) -> None:
     """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
     weights, pairs, planes = votes.weights, votes.pairs, len(field)
     part = np.empty((planes, 2))
@@ -103,7 +105,7 @@ def _solve(votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray
     # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err
     # alike, the diagonal overstates
     # what holds a voxel in its place by this ratio.
-    paired, weight, held = sum_slabs(partial(_counted, pairs, weights), planes).tolist()
+    paired, weight, held = sum_slabs(partial(_count_votes, pairs, weights), planes).tolist()
     ratio = 1 + 2 * float(mu) * paired / max(weight, 1)
     enough = (tolerance / ratio) ** 2 * held
     for _ in range(_STEPS):
@@ -117,7 +119,7 @@ def _solve(votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray
         old = new
 
 
-def _counted(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
+def _count_votes(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Pairs, weights and voxels voted on."""
     part = weights[start:stop]
     return np.array(
@@ -134,7 +136,7 @@ def _sum(values):
 
 
 @kernel
-def _rounded(field, result, start, stop):
+def _round(field, result, start, stop):
     for z in range(start, stop):
         for y in range(field.shape[1]):
             for x in range(field.shape[2]):
@@ -143,7 +145,7 @@ def _rounded(field, result, start, stop):
 
 
 @kernel
-def _weighted_mean(values, weights, mean, start, stop):
+def _average(values, weights, mean, start, stop):
     for z in range(start, stop):
         for y in range(mean.shape[1]):
             for x in range(mean.shape[2]):

@@ -12,14 +12,31 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import known_voxels, pool_histograms, surroundings
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.content.joints import (
+    find_known,
+    pool_histograms,
+    surroundings,
+)
 from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
+from trabecula.synth.shared.matching.neighbour_search import (
+    best_among,
+    index_histogram,
+    usage_factors,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    grid_reach,
+    planes_together,
+    project_planes,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.nearest import best_among, index_histogram, usage_factors
-from trabecula.synth.shared.neighbourhoods import covered_shape, planes_together, project_planes
-from trabecula.synth.shared.slabs import count_true, make_by_slabs
+from trabecula.synth.shared.slabs import (
+    count_true,
+    make_by_slabs,
+)
 
 _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more
 
@@ -46,7 +63,7 @@ class Grid:
         `targets_of` the region.
         """
         box, steps = candidates.basis.box, candidates.steps
-        covered, shape = region.covered(box=box, steps=steps), region.grid(box=box, steps=steps)
+        covered, shape = region.cover(box=box, steps=steps), region.grid(box=box, steps=steps)
         active = covered.active(shape, box=box, steps=steps)
         if targets is None:
             targets = targets_of(covered, candidates.stack.histograms, width=candidates.basis.width)
@@ -65,7 +82,7 @@ class Grid:
     @property
     def reach(self) -> tuple[int, ...]:
         """Voxels that the neighbourhoods cover, those beyond an axis that wraps counted again."""
-        return covered_shape(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
+        return grid_reach(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
 
 
 def targets_of(
@@ -76,7 +93,7 @@ def targets_of(
     """
     if region.free is None or region.low is None or region.high is None:
         return histograms
-    near = surroundings(region.free, known_voxels(region.free, region.low, region.high), width)
+    near = surroundings(region.free, find_known(region.free, region.low, region.high), width)
     return pool_histograms(histograms, region.low, region.high, near, count_true(region.free))
 
 
@@ -170,7 +187,7 @@ def exact_search(
     """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and
     their distances.
     """
-    among, count, active = grid.candidates.prepared, len(grid.candidates.numbers), grid.active
+    among, count, active = grid.candidates.index, len(grid.candidates.numbers), grid.active
     shares = index_histogram(old, len(grid.candidates.features), active)
     factors = usage_factors(shares, weight=index_penalty * count, theta=1 / count)
     match, found = (memmap.empty(old.shape, np.int32, least=0) for _ in range(2))

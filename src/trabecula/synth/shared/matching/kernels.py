@@ -59,7 +59,7 @@ def _distance(a, b, most):
 
 
 @inline
-def _moved(match, shape, dz, dy, dx):
+def _neighbour_cell(match, shape, dz, dy, dx):
     """The index `dz, dy, dx` cells further in E, or -1 outside."""
     x = match % shape[2] + dx
     y = (match // shape[2]) % shape[1] + dy
@@ -145,7 +145,7 @@ def search(
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
                         mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
-                        candidate = _moved(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
+                        candidate = _neighbour_cell(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
                         if candidate >= 0 and candidate != best:
                             best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):

@@ -14,21 +14,38 @@ from typing import Any
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.content.fields import (
+    FULL,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
 from trabecula.synth.shared.matching.grid import Grid, targets_of
-from trabecula.synth.shared.matching.plane_kernels import add_votes, compare_pixels, divide, paint
+from trabecula.synth.shared.matching.kernels import reach
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.turned import axis_order, put_axis_first
+from trabecula.synth.shared.slabs import (
+    axis_order,
+    put_axis_first,
+)
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
+
+
 _MOST_FACTOR = 256  # times an int8 is an int16
+
+
 # planes that are summed up at once, at least: sites at their borders are gone through twice
 _THICK = 8
+
+
 _CACHED = 1 << 17  # voxels that are summed up at once where planes are small
+
+
+_TOGETHER = 16  # planes across x that enter a slab at once: a line of the cache
 
 
 @dataclass(frozen=True)
@@ -40,7 +57,7 @@ class ViewGrid:
     axis: int
     grid: Grid
 
-    def turned(self, field: np.ndarray) -> np.ndarray:
+    def put_axis_first(self, field: np.ndarray) -> np.ndarray:
         """A field (C, Z, Y, X) with the view's axis first of the three."""
         return put_axis_first(field, self.axis)
 
@@ -90,9 +107,11 @@ class RegionViews:
         steps = {candidates.step for _, candidates in views}
         # one for all views: a voxel of the cover belongs to all of them
         (width,), (step,) = widths, steps
-        covered = region.covered(box=(width,) * 3, steps=(step,) * 3)
+        covered = region.cover(box=(width,) * 3, steps=(step,) * 3)
         targets = targets_of(covered, histograms, width=width)
-        planes = tuple(ViewGrid.over(covered, axis, candidates, targets) for axis, candidates in views)
+        planes = tuple(
+            ViewGrid.over(covered, axis, candidates, targets) for axis, candidates in views
+        )
         return cls(covered, planes, targets)
 
 
@@ -121,7 +140,7 @@ def cast_plane_votes(
         field = plane.grid.candidates.stack.field
         factor = np.int16(1) if factors is None else factors[place].astype(np.int16)
         values = np.concatenate([field * factor, np.broadcast_to(factor, (1, *field.shape[1:]))])
-        views.append((values, matches[place], weights[place], *_laid(plane, trim)))
+        views.append((values, matches[place], weights[place], *view_layout(plane, trim)))
     shape = frame.region.shape
     votes = memmap.empty((len(frame.targets), *shape), np.int16)
 
@@ -137,71 +156,6 @@ def cast_plane_votes(
     return votes
 
 
-def choose_pixels(
-    frame: RegionViews,
-    matches: Sequence[np.ndarray],
-    weights: Sequence[np.ndarray],
-    mean: np.ndarray,
-    *,
-    dear: Sequence[np.ndarray],
-    trim: int = 0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of all pixels that the matched neighbourhoods of all views lay on a voxel, the one nearest to
-    the mean.
-
-    Parameters
-    ----------
-    matches, weights, trim
-        As in `cast_plane_votes`.
-    mean : (C, Z, Y, X) int16 or int8
-        256 times the field to come near to, or in int8 that field.
-    dear : sequence of (z, y, x) int32
-        What the squared distance of every voxel of a view's exemplar is multiplied by, 1 or more.
-
-    Returns
-    -------
-    field : (C, Z, Y, X) int8
-        The pixels' values; the mean where no neighbourhood reaches.
-    sources : (Z, Y, X) int32
-        Their numbers: view after view, in the order of each view's stack; -1 where there is none.
-    """
-    exemplars = [plane.grid.candidates.stack.field for plane in frame.planes]
-    pixels = np.concatenate([exemplar.reshape(len(mean), -1) for exemplar in exemplars], axis=1)
-    begins = np.cumsum([0] + [exemplar[0].size for exemplar in exemplars])[:-1]
-    laid = [_laid(plane, trim) for plane in frame.planes]
-    views: list[tuple[int, tuple[Any, ...]]] = [
-        (plane.axis, (int(begin), *own, *how))
-        for plane, *own, how, begin in zip(
-            frame.planes, exemplars, dear, matches, weights, laid, begins, strict=True
-        )
-    ]
-    shape = frame.region.shape
-    field, sources = memmap.empty(mean.shape, np.int8), memmap.empty(shape, np.int32)
-
-    def work(start: int, stop: int) -> None:
-        thick = planes_at_once(shape)
-        for first in range(start, stop, thick):
-            here = slice(first, min(first + thick, stop))
-            aim = mean[:, here]
-            aim = aim * np.int16(256) if aim.dtype == np.int8 else aim
-            cost, found = (
-                np.full(aim.shape[1:], 2**62, np.int64),
-                np.full(aim.shape[1:], -1, np.int32),
-            )
-            for axis, view in views:
-                seen, least, taken = (
-                    np.ascontiguousarray(np.moveaxis(part, axis - 3, -3))
-                    for part in (aim, cost, found)
-                )
-                compare_pixels(seen, least, taken, first, *view)
-                cost, found = (np.moveaxis(part, 0, axis) for part in (least, taken))
-            field[:, here], sources[here] = round_votes(aim), found
-            paint(pixels, sources[here], field, first)
-
-    for_slabs(work, shape[0], anywhere=True)
-    return field, sources
-
-
 def round_votes(votes: np.ndarray) -> np.ndarray:
     """Votes int16 as the field int8 that they are 256 times of, rounded."""
     return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
@@ -212,7 +166,7 @@ def planes_at_once(shape: tuple[int, ...]) -> int:
     return max(_THICK, _CACHED // (shape[1] * shape[2]))
 
 
-def _laid(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
+def view_layout(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
     """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the
     width and its axis.
     """
@@ -229,3 +183,116 @@ def _laid(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
         wraps,
         plane.axis,
     )
+
+
+@kernel
+def add_votes(
+    total, start, values, match, weight, shape, sides, strides, steps, width, trims, wraps, axis
+):
+    """Add the weighted sums of a view's matched neighbourhoods to a slab of the volume that begins
+    at plane `start`.
+
+    total (C, ...) int32, of the volume; values (C, z, y, x) int16, what the exemplar's voxels add;
+    match, weight (Z, Y, X) int32, where a site of weight 0 does not vote. The rim of `trims` voxels
+    does not vote, except at a border that does not wrap.
+    """
+    C, depth, height, across = total.shape
+    rows = height if axis == 0 else depth
+    together = _TOGETHER if axis == 2 else 1
+    planes = np.empty((together, C, rows, (match.shape[2] - 1) * steps[2] + width), np.int32)
+    if axis == 0:
+        for z in range(depth):
+            m, w = match[start + z], weight[start + z]
+            _vote_rows(
+                values, m, w, shape, sides, strides, steps, width, trims, wraps, 0, planes[0]
+            )
+            total[:, z] += planes[0, :, :, :across]
+    elif axis == 1:
+        for y in range(height):
+            m, w = match[y], weight[y]
+            _vote_rows(
+                values, m, w, shape, sides, strides, steps, width, trims, wraps, start, planes[0]
+            )
+            total[:, :, y] += planes[0, :, :, :across]
+    else:
+        for first in range(0, across, together):
+            count = min(together, across - first)
+            for n in range(count):
+                m, w = match[first + n], weight[first + n]
+                _vote_rows(
+                    values,
+                    m,
+                    w,
+                    shape,
+                    sides,
+                    strides,
+                    steps,
+                    width,
+                    trims,
+                    wraps,
+                    start,
+                    planes[n],
+                )
+            for c in range(C):
+                for z in range(depth):
+                    for y in range(height):
+                        for n in range(count):
+                            total[c, z, y, first + n] += planes[n, c, z, y]
+
+
+@inline
+def _vote_rows(
+    values, match, weight, shape, sides, strides, steps, width, trims, wraps, start, plane
+):
+    """The weighted sums of the sites of one plane, in as many of its rows from `start` on as
+    `plane` (C, rows, ...) has.
+    """
+    C, SY, SX, step = len(values), match.shape[0], match.shape[1], steps[2]
+    weights = np.empty(width, np.int32)
+    plane[:] = 0
+    for turn in range(2 if wraps[1] else 1):
+        low = start + turn * sides[1]
+        high = low + plane.shape[1]
+        for sy in range(
+            max(0, (low - width + steps[1]) // steps[1]), min(SY, (high - 1) // steps[1] + 1)
+        ):
+            y0, y1 = reach(sy, SY, width, trims[1], wraps[1])
+            y0, y1 = max(y0, low - sy * steps[1]), min(y1, high - sy * steps[1])
+            if y0 >= y1:
+                continue
+            for sx in range(SX):
+                w = weight[sy, sx]
+                if w == 0:
+                    continue
+                # Whole rows, with weight 0 at the rim: the compiler makes eight voxels one
+                # addition.
+                x0, x1 = reach(sx, SX, width, trims[2], wraps[2])
+                weights[:] = w
+                weights[:x0] = 0
+                weights[x1:] = 0
+                m = match[sy, sx]
+                ez = m // (shape[2] * shape[1]) * strides[0]
+                ey = (m // shape[2]) % shape[1] * strides[1]
+                ex = m % shape[2] * strides[2]
+                for c in range(C):
+                    for dy in range(y0, y1):
+                        to = plane[c, sy * steps[1] + dy - low, sx * step : sx * step + width]
+                        row = values[c, ez, ey + dy, ex : ex + width]
+                        for x in range(width):
+                            to[x] += weights[x] * np.int32(row[x])
+    for x in range(sides[2], plane.shape[2] if wraps[2] else 0):
+        plane[:, :, x - sides[2]] += plane[:, :, x]
+
+
+@kernel
+def divide(total, votes, start):
+    """Votes (C, Z, Y, X) int16 from plane `start` on: 256 times the sums (C + 1, ...) over the last
+    of them, the weights.
+    """
+    C, depth, height, across = total.shape
+    for c in range(C - 1):
+        for z in range(depth):
+            for y in range(height):
+                for x in range(across):
+                    below = max(total[C - 1, z, y, x], np.int32(1))
+                    votes[c, start + z, y, x] = np.int64(total[c, z, y, x]) * 256 // below

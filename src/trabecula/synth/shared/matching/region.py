@@ -11,11 +11,23 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.engine import memmap
-from trabecula.synth.shared.content import free_voxels
-from trabecula.synth.shared.neighbourhoods import Triple, covered_shape, grid_shape
+from trabecula.synth.shared.content.kinds import (
+    free_voxels,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    Triple,
+    grid_reach,
+    grid_shape,
+)
 from trabecula.synth.shared.pyramid import halve
-from trabecula.synth.shared.slabs import intersection, for_plane_groups, complement, make_by_slabs
-from trabecula.synth.shared.turned import axis_order, put_axis_first
+from trabecula.synth.shared.slabs import (
+    axis_order,
+    complement,
+    for_plane_groups,
+    intersection,
+    make_by_slabs,
+    put_axis_first,
+)
 
 
 @dataclass(frozen=True)
@@ -40,21 +52,21 @@ class Region:
         z, y, x = (a if wrap else o for a, o, wrap in zip(around, opened, self.wraps, strict=True))
         return z, y, x
 
-    def covered(self, *, box: Triple, steps: Triple) -> Region:
+    def cover(self, *, box: Triple, steps: Triple) -> Region:
         """The region with its open axes continued to what a grid of neighbourhoods covers; what is
         added is not free.
         """
-        reach = covered_shape(self.grid(box=box, steps=steps), box=box, steps=steps)
+        reach = grid_reach(self.grid(box=box, steps=steps), box=box, steps=steps)
         shape = tuple(
             side if wrap else far
             for side, far, wrap in zip(self.shape, reach, self.wraps, strict=True)
         )
 
-        def grown(values: np.ndarray | None, fill: int) -> np.ndarray | None:
-            return None if values is None else _grown(values, shape, fill)
+        def extend(values: np.ndarray | None, fill: int) -> np.ndarray | None:
+            return None if values is None else _extend(values, shape, fill)
 
         return Region(
-            shape, self.wraps, grown(self.free, 0), grown(self.low, -127), grown(self.high, 127)
+            shape, self.wraps, extend(self.free, 0), extend(self.low, -127), extend(self.high, 127)
         )
 
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
@@ -63,16 +75,18 @@ class Region:
         """
         free = self.free
 
-        def found(start: int, stop: int) -> np.ndarray | bool:
+        def planes(start: int, stop: int) -> np.ndarray | bool:
             return (
                 True
                 if free is None
-                else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
+                else np.stack(
+                    [self._active_plane(free, z, grid, box, steps) for z in range(start, stop)]
+                )
             )
 
-        return make_by_slabs(found, grid, bool)
+        return make_by_slabs(planes, grid, bool)
 
-    def _found(
+    def _active_plane(
         self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple
     ) -> np.ndarray:
         """One plane of the active sites."""
@@ -90,7 +104,7 @@ class Region:
             )
         return found
 
-    def seen(self, axis: int) -> Region:
+    def view_along(self, axis: int) -> Region:
         """The region with `axis` first: what its planes across that axis are, one after the other."""
 
         def view(values: np.ndarray | None) -> np.ndarray | None:
@@ -100,7 +114,7 @@ class Region:
         shape, wraps = tuple(self.shape[a] for a in order), tuple(self.wraps[a] for a in order)
         return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
 
-    def halved(self) -> Region:
+    def halve(self) -> Region:
         """At half the resolution: free where any of eight voxels is; bounds are not carried over."""
         shape = tuple(-(-side // 2) for side in self.shape)
         free = self.free
@@ -115,7 +129,7 @@ class Region:
 
         return Region(shape, self.wraps, make_by_slabs(any_of_eight, shape, bool))
 
-    def bounded(self, field: np.ndarray) -> np.ndarray:
+    def clip_to_bounds(self, field: np.ndarray) -> np.ndarray:
         """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into
         it.
         """
@@ -156,14 +170,14 @@ def regions_of(
             regions.append(replace(region, low=low, high=high))
         if index == count - 1:
             break
-        region = region.halved()
+        region = region.halve()
         if bounds is not None and known is None:
             bounds = (halve(bounds[0]), halve(bounds[1]))
         elif bounds is not None and known is not None:
             share = _share(known)
             bounds = (
-                _halved_known(bounds[0], known, share),
-                _halved_known(bounds[1], known, share),
+                _halve_known(bounds[0], known, share),
+                _halve_known(bounds[1], known, share),
             )
             known = make_by_slabs(
                 lambda a, b, share=share: share[0, a:b] > 0,  # type: ignore[misc]
@@ -179,7 +193,7 @@ def _share(known: np.ndarray) -> np.ndarray:
     return halve(make_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
 
 
-def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _halve_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
     """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else
     what it is anywhere.
     """
@@ -208,7 +222,7 @@ def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.zeros((len(bound), 1, 1, 1), np.float32)
 
 
-def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
+def _extend(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
     """(..., Z, Y, X), continued by a value to `shape`; itself where there is nothing to add."""
     have = values.shape[-3:]
     if have == shape:

@@ -8,14 +8,24 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.joints import spread_offset
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+    match_histogram,
+)
+from trabecula.synth.shared.content.joints import (
+    spread_offset,
+)
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.kernels import vote, weigh
+from trabecula.synth.shared.matching.neighbourhoods import (
+    SCALE,
+    Triple,
+)
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.pyramid import double
-from trabecula.synth.shared.slabs import make_by_slabs
+from trabecula.synth.shared.slabs import (
+    make_by_slabs,
+)
 
 
 def refine_field(
@@ -72,13 +82,13 @@ def match_votes(
     what is known put back.
     """
     if targets is None:
-        return region.bounded(
+        return region.clip_to_bounds(
             make_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
         )
     field = memmap.empty(votes.shape, np.int8)
     for mean, target, channel in zip(votes, targets, field, strict=True):
         match_histogram(mean, target, region.free, out=channel)
-    return region.bounded(field)
+    return region.clip_to_bounds(field)
 
 
 def _rounded(votes: np.ndarray) -> np.ndarray:

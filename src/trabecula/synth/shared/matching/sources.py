@@ -18,16 +18,24 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.nearest import NeighbourIndex as Nearest
-from trabecula.synth.shared.nearest import build_index
-from trabecula.synth.shared.neighbourhoods import (
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.matching.neighbour_index import (
+    NeighbourIndex as Nearest,
+)
+from trabecula.synth.shared.matching.neighbour_index import (
+    build_index,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
     Basis,
     Triple,
     box_of,
-    principal_basis,
     project,
     steps_of,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    principal_basis,
 )
 
 _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
@@ -60,7 +68,7 @@ class Stack:
         )
         return cls(whole, starts[:-1], sides, histograms)
 
-    def allowed(self, box: Triple) -> np.ndarray:
+    def corners_within(self, box: Triple) -> np.ndarray:
         """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz,
         gy, gx) bool.
         """
@@ -116,7 +124,7 @@ class Candidates:
         """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2
         million.
         """
-        within = stack.allowed(box_of(width, flat=flat))
+        within = stack.corners_within(box_of(width, flat=flat))
         basis = principal_basis(
             stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat
         )
@@ -144,7 +152,7 @@ class Candidates:
         return np.flatnonzero(self.allowed)
 
     @cached_property
-    def prepared(self) -> Nearest:
+    def index(self) -> Nearest:
         """The candidates as the exact search wants them."""
         return build_index(
             self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed

@@ -22,8 +22,10 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.box_sums import window_sums_of_planes
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+)
 
 _FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
 _PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side
@@ -59,7 +61,7 @@ class LongWaves:
     bands: np.ndarray
     softness: float
 
-    def extended(self, side: int) -> LongWaves:
+    def extend(self, side: int) -> LongWaves:
         """Return the same for volumes whose shortest side is given: windows up to half of it.
 
         Wider windows than the exemplars have are continued with the ratio of the last two
@@ -98,7 +100,7 @@ def long_waves_of(fields: Sequence[np.ndarray], level: int, *, softness: float) 
     variances, bands = (np.zeros((len(fields[0]), len(widths))) for _ in range(2))
     for c in range(len(fields[0])):
         channels, counts = [field[c] for field in fields], sum(field[c].size for field in fields)
-        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (
+        mean = sum(_soft_window_sums(channel, softness, _LEAST)[1] for channel in channels) / (
             _FINE * counts
         )
         for n, width in enumerate(widths):
@@ -133,7 +135,7 @@ def adjust_long_waves(
     wraps : three bools
         Axes on which windows go on beyond a face.
     """
-    waves = target.extended(min(votes.shape[1:]))
+    waves = target.extend(min(votes.shape[1:]))
     if not waves.widths:
         return
     for _ in range(_ROUNDS):
@@ -177,7 +179,7 @@ def _table(softness: float) -> np.ndarray:
     return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
 
 
-def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
+def _soft_window_sums(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
     """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing,
     and that of everything.
     """
@@ -193,11 +195,11 @@ def _squares_of(
     """The sum of squares over all windows of a width, and their number; then of the band that ends
     with a wider one.
     """
-    narrow, _ = _summed_soft(channel, softness, width)
+    narrow, _ = _soft_window_sums(channel, softness, width)
     alone = _Band(narrow, None, 1 / (_FINE * width**3), 1.0, mean).squares_within(width)
     if wider is None:
         return *alone, *alone
-    wide, _ = _summed_soft(channel, softness, wider)
+    wide, _ = _soft_window_sums(channel, softness, wider)
     band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
     return *alone, *band.squares_within(wider)
 

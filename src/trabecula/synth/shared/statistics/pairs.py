@@ -99,7 +99,7 @@ class Pairs:
         if self.free is not None:
             free = self.free
             spectrum = self.forward(lambda z: free[z].astype(np.float32))
-            return np.maximum(self._by_length(np.rint(self._correlated(spectrum, spectrum))), 0)
+            return np.maximum(self._by_length(np.rint(self._correlate(spectrum, spectrum))), 0)
         z, y, x = (
             np.full(len(offset), float(side)) if wrap else side - np.abs(offset).astype(float)
             for offset, side, wrap in zip(self.offsets, self.shape, self.wraps, strict=True)
@@ -123,7 +123,7 @@ class Pairs:
         return 8 * int(np.prod([len(offset) for offset in self.offsets]))
 
     @property
-    def kept_bytes(self) -> int:
+    def lines_bytes(self) -> int:
         """Of what `curve` takes meanwhile: lines at the offsets, and a few numbers for each of
         these.
         """
@@ -155,9 +155,9 @@ class Pairs:
         """The mean product of two fields over all pairs of each bin, from their transforms: (bins,)
         float64.
         """
-        return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
+        return self._by_length(self._correlate(first, second)) / np.maximum(self.fits, 1)
 
-    def convolved(
+    def convolve(
         self, spectrum: np.ndarray, weights: np.ndarray, *, shorter_than: int = 0
     ) -> np.ndarray:
         """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X)
@@ -199,7 +199,7 @@ class Pairs:
         _flat_transforms(plane, (height, width), kernel)
         return kernel
 
-    def _correlated(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def _correlate(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Sums over all pairs of every offset, mean of both orders."""
 
         def product(y: int) -> np.ndarray:
@@ -228,12 +228,12 @@ class Pairs:
 
         def lines(start: int, stop: int) -> None:
             for y in range(start, stop):
-                kept[:, y] = _taken(np.fft.ifft(product(y), axis=0), places[0], 0)
+                kept[:, y] = _take(np.fft.ifft(product(y), axis=0), places[0], 0)
 
         def planes(start: int, stop: int) -> None:
             for z in range(start, stop):
-                rows = _taken(np.fft.ifft(kept[z], axis=0), places[1], 0)
-                values[z] = _taken(np.fft.irfft(rows, width, axis=1), places[2], 1)
+                rows = _take(np.fft.ifft(kept[z], axis=0), places[1], 0)
+                values[z] = _take(np.fft.irfft(rows, width, axis=1), places[2], 1)
 
         for_slabs(lines, height, least=_enough(depth * width), anywhere=True)
         for_slabs(planes, len(kept), least=_enough(height * width), anywhere=anywhere)
@@ -271,7 +271,7 @@ def _box_response(side: int, width: int) -> np.ndarray:
     return response.astype(np.float32)
 
 
-def _taken(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
+def _take(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
     """The values at places along an axis, which may be negative; the values themselves where that
     is all in their order.
     """

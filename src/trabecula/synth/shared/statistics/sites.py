@@ -11,15 +11,22 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.neighbourhoods import Triple, covered_shape
-from trabecula.synth.shared.statistics.sliced_kernels import add, draw_starts
-from trabecula.synth.shared.votes import UNIT
+from trabecula.engine.random import below, philox
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    Triple,
+    grid_reach,
+)
 
 BATCH = 1 << 21
 """Values of neighbourhoods that are put back at a time, if not those of one row of sites are more.
 """
+
 
 _FEW = 512  # neighbourhoods that are rebuilt at once: what is made of them stays in the cache
 
@@ -40,7 +47,7 @@ class Sites:
     active: np.ndarray | None
 
     @classmethod
-    def drawn(
+    def draw(
         cls,
         shape: Sequence[int],
         *,
@@ -62,7 +69,7 @@ class Sites:
             -(-side // t) if wrap else (side - int(start) - w) // t + 1
             for start, (side, w, t, wrap) in zip(starts, along, strict=True)
         )
-        covered = covered_shape((z, y, x), box=box, steps=steps)
+        covered = grid_reach((z, y, x), box=box, steps=steps)
         at = [
             (start + np.arange(reach)) % side
             for start, reach, side in zip(starts, covered, shape, strict=True)
@@ -192,3 +199,71 @@ def _holding(
 
     for_slabs(work, counts[0])
     return active
+
+
+@kernel
+def draw_starts(key, number, sides, starts):
+    words = philox(key, number, 0, 0, 1)
+    for axis in range(3):
+        starts[axis] = below(words[axis], sides[axis])
+
+
+@kernel
+def add(
+    blocks,
+    numbers,
+    first,
+    steps,
+    box,
+    places_z,
+    places_y,
+    places_x,
+    rest,
+    total,
+    votes,
+    start,
+    stop,
+):
+    """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
+
+    blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,)
+    the number of the first site along z and y; places_*: where what all sites cover along an axis
+    lies; rest (C,) is added to each.
+    """
+    width, voxels = box[2], box[0] * box[1] * box[2]
+    channels = len(total)
+    line = np.empty((channels, len(places_x)), np.int32)
+    count = np.empty(len(places_x), np.int32)
+    low, high = first[0] * steps[0], (first[0] + numbers.shape[0] - 1) * steps[0] + box[0]
+    near, far = first[1] * steps[1], (first[1] + numbers.shape[1] - 1) * steps[1] + box[1]
+    for z in range(low, high):
+        for y in range(near, far):
+            if places_y[y] < start or places_y[y] >= stop:
+                continue
+            line[:] = 0
+            count[:] = 0
+            for sz in range(numbers.shape[0]):
+                dz = z - (first[0] + sz) * steps[0]
+                if dz < 0 or dz >= box[0]:
+                    continue
+                for sy in range(numbers.shape[1]):
+                    dy = y - (first[1] + sy) * steps[1]
+                    if dy < 0 or dy >= box[1]:
+                        continue
+                    at = (dz * box[1] + dy) * width
+                    for sx in range(numbers.shape[2]):
+                        row = numbers[sz, sy, sx]
+                        if row < 0:
+                            continue
+                        x = sx * steps[2]
+                        for c in range(channels):
+                            for dx in range(width):
+                                line[c, x + dx] += blocks[row, at + c * voxels + dx]
+                        for dx in range(width):
+                            count[x + dx] += 1
+            for x in range(len(places_x)):
+                for c in range(channels):
+                    total[c, places_z[z], places_y[y], places_x[x]] += (
+                        line[c, x] + rest[c] * count[x]
+                    )
+                votes[places_z[z], places_y[y], places_x[x]] += count[x]

@@ -21,17 +21,41 @@ several views, a voxel becomes the mean over all of them (`transport_planes`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.moved import SlicedRound, add_transported
-from trabecula.synth.shared.statistics.slices import SliceTarget
-from trabecula.synth.shared.turned import axis_order, restore_axis_order, put_axis_first, shape_with_axis_first
-from trabecula.synth.shared.votes import UNIT
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, one_blas_thread, thread_count
+from trabecula.engine.random import philox
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    SCALE,
+    project,
+    steps_of,
+)
+from trabecula.synth.shared.slabs import (
+    axis_order,
+    put_axis_first,
+    restore_axis_order,
+    shape_with_axis_first,
+)
+from trabecula.synth.shared.statistics.sites import (
+    BATCH,
+    Sites,
+)
+from trabecula.synth.shared.statistics.slices import (
+    AT_ONCE,
+    BINS,
+    FINE,
+    SliceTarget,
+    Transport,
+)
 
 
 def transport_neighbourhoods(
@@ -76,7 +100,7 @@ def transport_neighbourhoods(
     round_ = SlicedRound(key, number, step, strength)
     total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
     add_transported(field, slices, round_, periodic, free, total, votes)
-    return _replaced(field, total, votes, free)
+    return _write_means(field, total, votes, free)
 
 
 def transport_planes(
@@ -111,7 +135,10 @@ def transport_planes(
     for place, (axis, slices) in enumerate(views):
         round_ = SlicedRound(key, number * len(views) + place, step, strength)
         around = [periodic[a] for a in axis_order(axis)]
-        seen, made = put_axis_first(field, axis), None if free is None else put_axis_first(free, axis)
+        seen, made = (
+            put_axis_first(field, axis),
+            None if free is None else put_axis_first(free, axis),
+        )
         if axis == 0:
             add_transported(seen, slices, round_, around, made, total, votes)
             continue
@@ -122,10 +149,10 @@ def transport_planes(
         restore_axis_order(sums, axis, total, add=True)
         restore_axis_order(counts, axis, votes, add=True)
         del sums, counts  # before the next view's
-    return _replaced(field, total, votes, free)
+    return _write_means(field, total, votes, free)
 
 
-def _replaced(
+def _write_means(
     field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None
 ) -> np.ndarray:
     """The mean of what was put back wherever there is something, and the voxel is free."""
@@ -139,3 +166,96 @@ def _replaced(
 
     for_slabs(work, len(votes), anywhere=True)
     return replaced
+
+
+@dataclass(frozen=True)
+class SlicedRound:
+    """What is drawn for one round, how far apart its neighbourhoods lie, and how far they move."""
+
+    key: np.uint64
+    number: int
+    step: int
+    strength: float
+
+
+def add_transported(
+    field: np.ndarray,
+    slices: SliceTarget,
+    round_: SlicedRound,
+    periodic: Sequence[bool],
+    free: np.ndarray | None,
+    total: np.ndarray,
+    votes: np.ndarray,
+) -> None:
+    """Add the moved neighbourhoods that hold a voxel to total (C, Z, Y, X) int32, and their number
+    to votes (Z, Y, X) int32.
+    """
+    basis, size = slices.basis, slices.features.shape[1]
+    steps = steps_of(round_.step, flat=basis.flat)
+    sites = Sites.draw(
+        field.shape[1:],
+        box=basis.box,
+        steps=steps,
+        periodic=periodic,
+        free=free,
+        key=round_.key,
+        number=round_.number,
+    )
+    if not sites.holds_any():
+        return
+    features = project(sites.levels(field), basis, step=round_.step, active=sites.active)
+    count = features.shape[-1]
+    turn = rotation(round_.key, round_.number, size).astype(np.float32)
+    back = turn.T.astype(np.float64)
+
+    def along(start: int, stop: int) -> Iterator[np.ndarray]:
+        for rows in sites.rows(features, start, stop, few=AT_ONCE):
+            yield rows.astype(np.float32) @ turn[:count]
+
+    with one_blas_thread():
+        transport = Transport.between(along, len(features), slices.features @ turn)
+
+    def rebuilt(rows: np.ndarray) -> np.ndarray:
+        # Turned back it is size**2 too large.
+        moved = transport.moves(rows.astype(np.float32) @ turn[:count]) @ back
+        moved *= round_.strength / size**2
+        np.rint(moved, out=moved)
+        moved[:, :count] += rows
+        blocks = moved @ slices.back
+        blocks *= UNIT / (SCALE * FINE)
+        return np.rint(blocks, out=blocks)
+
+    sites.put_back(features, rebuilt, slices.rest.astype(np.int32), total, votes)
+
+
+def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
+    """A random turn of `size` axes (a power of two) times `size`, in whole numbers: Hadamard's
+    matrix twice, with random signs before, between and behind."""
+    matrix: np.ndarray = np.ones((1, 1))
+    while len(matrix) < size:
+        matrix = np.block([[matrix, matrix], [matrix, -matrix]])
+    signs = np.empty(3 * size)
+    draw_signs(key, number, signs)
+    first, second, third = signs.reshape(3, size)
+    with one_blas_thread():
+        return np.asarray((first[:, None] * matrix * second) @ matrix * third)
+
+
+def round_bytes(slices: SliceTarget) -> int:
+    """Memory that a round takes whatever the volume: features of the exemplars, and neighbourhoods
+    that are put back.
+    """
+    size, (components, length), threads = (
+        slices.features.shape[1],
+        slices.back.shape,
+        thread_count(),
+    )
+    batch = 4 * BATCH + BATCH // length * (2 * components + 40)
+    of_a_thread = AT_ONCE * (20 * size + 8 * length) + 24 * size * BINS
+    return slices.features.nbytes + batch + 40 * size * BINS + threads * of_a_thread
+
+
+@kernel
+def draw_signs(key, number, signs):
+    for i in range(len(signs)):
+        signs[i] = 1.0 - 2.0 * np.float64(philox(key, number, i, 0, 2)[0] & np.uint64(1))

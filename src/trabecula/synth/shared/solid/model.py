@@ -24,31 +24,71 @@ from trabecula.engine import memmap
 from trabecula.engine.checkpoint import resumed
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.content import Content, content_of
-from trabecula.synth.shared.fields import FULL, mean_edge, quantise
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import features_of, exact_search, random_matches, coherent_search
-from trabecula.synth.shared.matching.levels import grain_of, levels_for, variance_in
-from trabecula.synth.shared.matching.planes import RegionViews, ViewGrid
+from trabecula.synth.shared.coarse_to_fine import (
+    levels_for,
+)
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    mean_edge,
+    quantise,
+    votes_of,
+)
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.content.kinds import (
+    Content,
+    content_of,
+)
+from trabecula.synth.shared.matching.grid import (
+    coherent_search,
+    exact_search,
+    features_of,
+    random_matches,
+)
+from trabecula.synth.shared.matching.planes import (
+    RegionViews,
+    ViewGrid,
+)
+from trabecula.synth.shared.matching.principal_components import (
+    grain_of,
+    variance_in,
+)
 from trabecula.synth.shared.matching.region import Region, regions_of
-from trabecula.synth.shared.matching.rounds import join_to_known, refine_field, match_votes, robust_weights
+from trabecula.synth.shared.matching.rounds import (
+    join_to_known,
+    match_votes,
+    refine_field,
+    robust_weights,
+)
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.solid_config import SolidConfig
-from trabecula.synth.shared.solid_fit import PROCESS, levels_that_fit
-from trabecula.synth.shared.solid_forecast import SolidForecast
-from trabecula.synth.shared.solid_state import SolidState, equal_weights
-from trabecula.synth.shared.statistics.correlate import (
+from trabecula.synth.shared.solid.config import (
+    SolidConfig,
+)
+from trabecula.synth.shared.solid.forecast import (
+    SolidForecast,
+)
+from trabecula.synth.shared.solid.method import (
+    PROCESS,
+    levels_that_fit,
+)
+from trabecula.synth.shared.solid.run import (
+    SolidState,
+    equal_weights,
+)
+from trabecula.synth.shared.statistics.two_point import (
     Correlations,
-    two_point_step,
     correlations_at,
+)
+from trabecula.synth.shared.statistics.two_point_steps import (
     accumulate_debt,
     step_bytes,
     step_slab_bytes,
+    two_point_step,
 )
-from trabecula.synth.shared.votes import votes_of
 
 
 @dataclass(frozen=True)
@@ -83,10 +123,10 @@ class SolidModel(PictureModel):
         count = levels_that_fit(min(min(picture.shape) for picture in pictures), config)
         self.levels: list[SolidLevel] = []
         for index in track(range(count), "learning the picture"):
-            own = {n: self._quantised(field, index) for n, field in fields.items()}
-            made = {n: self._learnt(field, index, pictures[n]) for n, field in own.items()}
+            own = {n: self._quantise(field, index) for n, field in fields.items()}
+            made = {n: self._learn_picture(field, index, pictures[n]) for n, field in own.items()}
             stacks = [made[n].stack.histograms for n in self.numbers]
-            histograms = tuple(Histogram.pooled(channel) for channel in zip(*stacks, strict=True))
+            histograms = tuple(Histogram.pool(channel) for channel in zip(*stacks, strict=True))
             seen = tuple((view.axis, made[n]) for view, n in zip(views, self.numbers, strict=True))
             target = None
             if self.content.distances and any(config.corrections):
@@ -100,7 +140,7 @@ class SolidModel(PictureModel):
             self.levels.append(SolidLevel(seen, histograms, target))
             fields = {n: halve(field) for n, field in fields.items()}
 
-    def _learnt(self, field: np.ndarray, index: int, picture: Image) -> Candidates:
+    def _learn_picture(self, field: np.ndarray, index: int, picture: Image) -> Candidates:
         """The neighbourhoods of one picture (C, 1, y, x) int8 on one level."""
         config = self.config
         turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
@@ -118,7 +158,7 @@ class SolidModel(PictureModel):
             flat=True,
         )
 
-    def _quantised(self, field: np.ndarray, index: int) -> np.ndarray:
+    def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
         """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
         value is what it is.
         """
@@ -129,7 +169,7 @@ class SolidModel(PictureModel):
     def make(self, request: Request) -> np.ndarray:
         used = levels_for(request.shape, len(self.levels), width=self.config.neighbourhood)
         regions = regions_of(
-            request, used, self.content.bounds(request, thin=True), self._quantised, thin=True
+            request, used, self.content.bounds(request, thin=True), self._quantise, thin=True
         )
         state, begin, done = self._resumed(used)
         del regions[begin + 1 :]
@@ -137,7 +177,9 @@ class SolidModel(PictureModel):
             index = len(regions) - 1
             level = self.levels[index]
             frame = RegionViews.over(
-                regions.pop(), level.views, self.content.aims(level.histograms, request)
+                regions.pop(),
+                level.views,
+                self.content.target_histograms(level.histograms, request),
             )
             if state is None:
                 state = self._started(frame, self._key(request, index))
@@ -145,7 +187,7 @@ class SolidModel(PictureModel):
                 state, done = self._continued(frame, self.levels[index + 1], state), 0
             self._run(frame, state, index, used, request, done)
         assert state is not None  # there is at least one level
-        return self._delivered(state, request)
+        return self._to_values(state, request)
 
     def _resumed(self, used: int) -> tuple[SolidState | None, int, int]:
         """The state that an interrupted run left, its level and its rounds done; none, and the
@@ -161,7 +203,13 @@ class SolidModel(PictureModel):
         return key(request.seed, f"{self.capabilities.name}/{index}")
 
     def _run(
-        self, frame: RegionViews, state: SolidState, index: int, used: int, request: Request, done: int
+        self,
+        frame: RegionViews,
+        state: SolidState,
+        index: int,
+        used: int,
+        request: Request,
+        done: int,
     ) -> None:
         """The rounds of a level from round `done` on."""
         config, target = self.config, self.levels[index].correlations
@@ -204,7 +252,7 @@ class SolidModel(PictureModel):
         field = refine_field(
             state.field, region.wraps, distances=self.content.distances, shape=region.shape
         )
-        field = region.bounded(field)
+        field = region.clip_to_bounds(field)
         matches = [
             carry_matches(match, old, plane.grid.candidates, plane.grid.shape, factor=2)
             for match, (_, old), plane in zip(
@@ -214,13 +262,19 @@ class SolidModel(PictureModel):
         return SolidState(matches, votes_of(field), field)
 
     def _round(
-        self, frame: RegionViews, state: SolidState, stage: np.uint64, number: int, trim: int, sweeps: int
+        self,
+        frame: RegionViews,
+        state: SolidState,
+        stage: np.uint64,
+        number: int,
+        trim: int,
+        sweeps: int,
     ) -> None:
         """Search in every view, then vote."""
         weights = []
         for place, plane in enumerate(frame.planes):
             old = state.matches[place]
-            match, distance = self._matched(
+            match, distance = self._search(
                 plane, old, state.field, stage + np.uint64(place), number, sweeps
             )
             state.matches[place] = match
@@ -234,7 +288,9 @@ class SolidModel(PictureModel):
             state.debt, state.field, target, periodic=frame.region.wraps, free=frame.region.free
         )
 
-    def _correct(self, frame: RegionViews, state: SolidState, target: Correlations, steps: int) -> None:
+    def _correct(
+        self, frame: RegionViews, state: SolidState, target: Correlations, steps: int
+    ) -> None:
         """Steps on the two-point function, of the voxels that are made."""
         region = frame.region
         for _ in range(steps):
@@ -243,7 +299,7 @@ class SolidModel(PictureModel):
             )
             state.field = match_votes(region, state.votes, frame.targets)
 
-    def _matched(
+    def _search(
         self,
         plane: ViewGrid,
         old: np.ndarray,
@@ -253,7 +309,7 @@ class SolidModel(PictureModel):
         sweeps: int,
     ) -> tuple[np.ndarray, np.ndarray]:
         config = self.config
-        seen = plane.turned(field)
+        seen = plane.put_axis_first(field)
         if config.search == "exact":
             return exact_search(
                 plane.grid, old, features_of(plane.grid, seen), index_penalty=config.index_penalty
@@ -277,20 +333,22 @@ class SolidModel(PictureModel):
         )
 
     @abstractmethod
-    def _vote(self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int) -> None:
+    def _vote(
+        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
+    ) -> None:
         """Bring the state to what its matches vote for, with these weights (sz, sy, sx) int32, one
         a view.
         """
 
-    def _delivered(self, state: SolidState, request: Request) -> np.ndarray:
-        return self.content.delivered(fit_to(state.votes, request.shape), request)
+    def _to_values(self, state: SolidState, request: Request) -> np.ndarray:
+        return self.content.to_values(fit_to(state.votes, request.shape), request)
 
     def _plan(self, request: Request) -> Plan:
         run = self._forecast(request)
         return Plan(
             memory={
                 "interpreter and kernels": PROCESS,
-                "exemplar": self._kept(),
+                "exemplar": self._exemplar_bytes(),
                 "output": run.output,
                 "scratch": run.scratch,
             },
@@ -302,9 +360,13 @@ class SolidModel(PictureModel):
         slab = run.slab
         if run.correcting and target is not None:
             slab = max(slab, step_slab_bytes(run.shape, target, request.periodic))
-        return {"interpreter and kernels": PROCESS, "exemplar": self._kept(), "slab": slab}
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "slab": slab,
+        }
 
-    def _kept(self) -> int:
+    def _exemplar_bytes(self) -> int:
         """Bytes of the pictures' fields and neighbourhoods."""
         # Views of one picture share its candidates; the exact search holds their features once
         # more, in another order.

@@ -11,11 +11,15 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.plan import Plan
-from trabecula.synth.shared.matching.levels import grain_of
-from trabecula.synth.shared.neighbourhoods import basis_bytes
+from trabecula.synth.shared.matching.principal_components import (
+    basis_bytes,
+    grain_of,
+)
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import ROOM, PictureMethod
-from trabecula.synth.shared.solid_config import SolidConfig
+from trabecula.synth.shared.solid.config import (
+    SolidConfig,
+)
 
 PROCESS = 180 << 20
 """Bytes of the interpreter with NumPy, Numba and the kernels loaded."""

@@ -19,14 +19,24 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.slabs import for_plane_groups, count_true, complement, make_by_slabs, tally_by_slabs
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.slabs import (
+    complement,
+    count_true,
+    for_plane_groups,
+    make_by_slabs,
+    tally_by_slabs,
+)
 
 _STEPS = 20  # relaxations of the membrane: it reaches about half as many voxels
+
+
 _PARTS = 1 << 20  # resolution of a mixed histogram
 
 
-def known_voxels(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def find_known(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The voxels whose value is given, at least its sign."""
     return make_by_slabs(
         lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool
@@ -77,12 +87,14 @@ def _middles(
     return np.bincount(middle + 128, minlength=256)
 
 
-def spread_offset(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
+def spread_offset(
+    votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray
+) -> np.ndarray:
     """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into
     what is free.
     """
     result = memmap.empty(votes.shape, np.int16)
-    known = known_voxels(free, low, high)
+    known = find_known(free, low, high)
     offset, other = memmap.empty(free.shape, np.float32), memmap.empty(free.shape, np.float32)
     for channel, least, most, to in zip(votes, low, high, result, strict=True):
         for_plane_groups(partial(_miss, channel, least, most, known, offset), free.shape)

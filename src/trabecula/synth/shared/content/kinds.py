@@ -12,10 +12,14 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.shared.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
-from trabecula.synth.shared.fields import (
+from trabecula.synth.shared.content.bounds import (
+    Bounds,
+    distance_bounds,
+    sign_bounds,
+    value_bounds,
+)
+from trabecula.synth.shared.content.fields import (
     FULL,
-    labels_of,
     mean_edge,
     phase_fields,
     phases_present,
@@ -23,11 +27,27 @@ from trabecula.synth.shared.fields import (
     value_fields,
     values_of,
 )
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import pool_fractions, surroundings
-from trabecula.synth.shared.slabs import intersection, for_plane_groups, count_true, complement, tally_by_slabs
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+)
+from trabecula.synth.shared.content.joints import (
+    pool_fractions,
+    surroundings,
+)
+from trabecula.synth.shared.content.phase_fractions import (
+    labels_of,
+)
+from trabecula.synth.shared.slabs import (
+    complement,
+    count_true,
+    for_plane_groups,
+    intersection,
+    tally_by_slabs,
+)
 
 _BLUR = 1.0  # voxels
+
+
 _BESIDE = 8  # voxels around what is made that say how dense it should be
 
 
@@ -75,14 +95,16 @@ class Content(ABC):
         planes, as known slices are.
         """
 
-    def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
+    def target_histograms(
+        self, histograms: Sequence[Histogram], request: Request
+    ) -> tuple[Histogram, ...]:
         """The histograms of a field's channels that a request asks for: the exemplar's, or such as
         meet its target.
         """
         return tuple(histograms)
 
     @abstractmethod
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         """The result's values from the last votes (C, Z, Y, X) int16."""
 
 
@@ -124,9 +146,11 @@ class Labels(Content):
         """The labels that the field's channels stand for."""
         return self.present[1:] if len(self.present) == 2 else self.present
 
-    def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
+    def target_histograms(
+        self, histograms: Sequence[Histogram], request: Request
+    ) -> tuple[Histogram, ...]:
         """A target porosity makes values inside every phase as much more or less frequent."""
-        asked = self._asked(request)
+        asked = self._requested_fractions(request)
         if asked is None:
             return tuple(histograms)
         aims = []
@@ -134,21 +158,21 @@ class Labels(Content):
             range(len(self.present))[-len(histograms) :], histograms, strict=True
         ):
             own, wanted = float(self.fractions[phase]), float(asked[phase])
-            aims.append(Histogram.leaning(histogram, wanted / own, (1 - wanted) / (1 - own)))
+            aims.append(Histogram.reweight(histogram, wanted / own, (1 - wanted) / (1 - own)))
         return tuple(aims)
 
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         free = free_voxels(request)
-        wanted = self._wanted(request, free) if self.histogram or request.target else None
+        wanted = self._target_fractions(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
         return complete(values, request, empty=self.empty)
 
-    def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
+    def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
         """The fractions of what is made: the exemplar's, or where something is known beside it, of
         both together; or what a target leaves to it."""
-        asked = self._asked(request)
+        asked = self._requested_fractions(request)
         if asked is not None:
-            return self._left(asked, request, free)
+            return self._remaining_fractions(asked, request, free)
         if free is None or request.fixed is None or request.known is None:
             return self.fractions
         counts = _counts(request.fixed.values, surroundings(free, request.known, _BESIDE))
@@ -156,7 +180,7 @@ class Labels(Content):
         own = counts[list(self.present)] / max(1, held)
         return pool_fractions(held, count_true(free), own, self.fractions)
 
-    def _asked(self, request: Request) -> np.ndarray | None:
+    def _requested_fractions(self, request: Request) -> np.ndarray | None:
         """The fractions that a target porosity asks for: the other phases keep their proportions."""
         asked = porosity_of(request.target)
         if asked is None:
@@ -173,7 +197,9 @@ class Labels(Content):
         )
         return np.asarray(shares / shares.sum())
 
-    def _left(self, asked: np.ndarray, request: Request, free: np.ndarray | None) -> np.ndarray:
+    def _remaining_fractions(
+        self, asked: np.ndarray, request: Request, free: np.ndarray | None
+    ) -> np.ndarray:
         """The fractions of what is made, so that with what is known they are those asked for, as
         far as they can be.
         """
@@ -234,9 +260,11 @@ class Values(Content):
     def _fields(self, values: np.ndarray) -> np.ndarray:
         return value_fields(values, colour=self.kind == "colour", low=self.low, high=self.high)
 
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         if self.histograms is not None:
-            return complete(values_of(votes, self.histograms, free_voxels(request)), request, empty=0)
+            return complete(
+                values_of(votes, self.histograms, free_voxels(request)), request, empty=0
+            )
         values = plain_values(votes, low=self.low, high=self.high, dtype=self.dtype)
         return complete(values, request, empty=0)
 
@@ -248,7 +276,11 @@ def _deep(fields: np.ndarray) -> np.ndarray:
 
 def free_voxels(request: Request) -> np.ndarray | None:
     """The voxels that are to be made; None where all are."""
-    return request.mask if request.known is None else intersection(request.mask, complement(request.known))
+    return (
+        request.mask
+        if request.known is None
+        else intersection(request.mask, complement(request.known))
+    )
 
 
 def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:

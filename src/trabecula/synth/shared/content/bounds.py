@@ -8,10 +8,16 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.slabs import for_plane_groups, count_true, complement, make_by_slabs
+from trabecula.synth.shared.slabs import (
+    complement,
+    count_true,
+    for_plane_groups,
+    make_by_slabs,
+)
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
+
 
 _ANY = 1e4  # farther than any distance
 
@@ -31,7 +37,7 @@ def distance_bounds(
     nearer than half as far.
     """
     unknown = None if thin else distance_transform(known, spacing=spacing)
-    low, high = _unfilled(len(labels), known)
+    low, high = _empty_bounds(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
         inside = make_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
         within, without = _depth(inside, known, spacing), _depth(complement(inside), known, spacing)
@@ -53,7 +59,7 @@ def distance_bounds(
 def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) -> Bounds:
     """Of blurred indicators: how far the blur of a known voxel is known depends on its neighbours;
     its side of the middle does not."""
-    low, high = _unfilled(len(labels), known)
+    low, high = _empty_bounds(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
 
         def held(start: int, stop: int, label: int = label) -> Bounds:
@@ -68,7 +74,7 @@ def value_bounds(
     fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray
 ) -> Bounds:
     """Of fields that are the values themselves, stretched: `fields` says how."""
-    low, high = _unfilled(len(fields(values[:1])), known)
+    low, high = _empty_bounds(len(fields(values[:1])), known)
 
     def work(start: int, stop: int) -> None:
         there, held = known[start:stop], fields(values[start:stop])
@@ -79,7 +85,7 @@ def value_bounds(
     return low, high
 
 
-def _unfilled(channels: int, known: np.ndarray) -> Bounds:
+def _empty_bounds(channels: int, known: np.ndarray) -> Bounds:
     shape = (channels, *known.shape)
     return memmap.empty(shape, np.float32), memmap.empty(shape, np.float32)
 

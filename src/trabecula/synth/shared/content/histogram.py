@@ -18,7 +18,11 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
+
+
 _BINS = 1 << 16
+
+
 _PARTS = 1 << 20  # resolution of a histogram that leans
 
 
@@ -38,7 +42,7 @@ class Histogram:
         return cls(present, np.cumsum(counts))
 
     @classmethod
-    def pooled(cls, histograms: Sequence[Histogram]) -> Histogram:
+    def pool(cls, histograms: Sequence[Histogram]) -> Histogram:
         """Of several of one type of values, as of one sample in which each counts alike."""
         present = np.unique(np.concatenate([histogram.values for histogram in histograms]))
         parts = np.zeros(len(present), np.int64)
@@ -51,7 +55,7 @@ class Histogram:
         return cls(present, np.cumsum(parts))
 
     @classmethod
-    def leaning(cls, target: Histogram, positive: float, negative: float) -> Histogram:
+    def reweight(cls, target: Histogram, positive: float, negative: float) -> Histogram:
         """A target of numbers whose values above zero weigh `positive` times as much, and those
         below `negative` times.
         """
@@ -63,7 +67,7 @@ class Histogram:
         present = parts > 0
         return cls(target.values[present], np.cumsum(parts[present]))
 
-    def ranked(self, middle: np.ndarray, size: int) -> np.ndarray:
+    def values_at(self, middle: np.ndarray, size: int) -> np.ndarray:
         """The values at these places of a ranking of `size`."""
         place = middle * int(self.up_to[-1]) // max(1, size)
         return self.values[
@@ -108,7 +112,7 @@ def matching_table(
 ) -> np.ndarray:
     """What every rank of a field is mapped to (`look_up`), so that its histogram is the target's."""
     total = rank_counts(field, inside)
-    return target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
+    return target.values_at(np.cumsum(total) - total // 2, int(total.sum()))
 
 
 def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:

@@ -14,15 +14,25 @@ from math import prod
 from trabecula.core.request import Request
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.matching.grid import planes_together
-from trabecula.synth.shared.matching.planes import planes_at_once
+from trabecula.synth.shared.matching.neighbourhoods import (
+    block_bytes,
+)
+from trabecula.synth.shared.matching.planes import (
+    planes_at_once,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.neighbourhoods import block_bytes
-from trabecula.synth.shared.slabs import AT_ONCE
-from trabecula.synth.shared.turned import shape_with_axis_first
+from trabecula.synth.shared.slabs import (
+    AT_ONCE,
+    shape_with_axis_first,
+)
 
 _RANKS = 3 << 20  # tables of 65536 ranks
+
+
 _BETWEEN = 32  # bytes of a voxel that NumPy takes in between, beside known voxels
+
+
 _AROUND = 1 << 16  # bytes around one that is read from a file: the system maps them with it
 
 
@@ -63,7 +73,7 @@ class SolidForecast:
     def shape(self) -> tuple[int, ...]:
         """What is covered in every view."""
         _, candidates = self.views[0]
-        return self.region.covered(
+        return self.region.cover(
             box=(candidates.basis.width,) * 3, steps=(candidates.step,) * 3
         ).shape
 
@@ -86,7 +96,11 @@ class SolidForecast:
         """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
         the pages of a few planes.
         """
-        each = max(self._searched(), self._summed(), self._between()) + self._pages() + _RANKS
+        each = (
+            max(self._search_bytes(), self._vote_bytes(), self._work_bytes())
+            + self._page_bytes()
+            + _RANKS
+        )
         return self.scratch + thread_count() * each + _RANKS
 
     def _moments(self) -> list[int]:
@@ -98,8 +112,8 @@ class SolidForecast:
         )
         sites = [prod(grid) for grid in self._grids()]
         most, every = max(sites), sum(sites)
-        kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._held()
-        between = threads * self._between()
+        kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._known_bytes()
+        between = threads * self._work_bytes()
         search = kept + 4 * (every - most) + voxels * channels
         if self.exact or self.repeated:
             depths = [candidates.features.shape[1] for _, candidates in self.views]
@@ -109,15 +123,15 @@ class SolidForecast:
         else:
             search += 8 * most
         moments = [
-            search + threads * self._searched(),
+            search + threads * self._search_bytes(),
             kept
             + 4 * every
             + voxels * (2 * channels + (4 if self.chosen else 0))
-            + threads * self._summed(),
+            + threads * self._vote_bytes(),
             kept + 4 * every + voxels * (channels + 2) + between,
             kept
             + 2 * channels * asked * (self.shape != self.request.shape)
-            + asked * self._delivered()
+            + asked * self._value_bytes()
             + between,
         ]
         if self.request.fixed is not None:
@@ -129,13 +143,13 @@ class SolidForecast:
             moments.append(kept + self.correcting + voxels * 2 * channels)
         return moments
 
-    def _held(self) -> int:
+    def _known_bytes(self) -> int:
         """What is known, and where."""
         parts = int(self.request.mask is not None or self.request.fixed is not None)
         parts += 2 * self._channels * (self.request.fixed is not None)
         return prod(self.shape) * parts * 8 // 7
 
-    def _delivered(self) -> int:
+    def _value_bytes(self) -> int:
         """Bytes of a voxel that the choice of the values takes beside the votes."""
         free = 2 * (self.request.fixed is not None)
         around = 6 if self.request.fixed is not None and self.distances else 0
@@ -149,7 +163,7 @@ class SolidForecast:
         """Planes of a slab of a thread, at most."""
         return -(-max(self.shape) // (4 * thread_count() if thread_count() > 1 else 1))
 
-    def _searched(self) -> int:
+    def _search_bytes(self) -> int:
         """What one thread makes of features, and what they come from."""
         most = 0
         for (axis, candidates), grid in zip(self.views, self._grids(), strict=True):
@@ -165,14 +179,14 @@ class SolidForecast:
             most = max(most, made * thick + block_bytes(candidates.basis, grid))
         return most
 
-    def _summed(self) -> int:
+    def _vote_bytes(self) -> int:
         """What one thread holds of votes, or of distances to pixels."""
         each = max(5 * (self._channels + 1), 6 * self._channels + 30 if self.chosen else 0)
         return (
             each * min(planes_at_once(self.shape), self._thickest) * self.shape[1] * self.shape[2]
         )
 
-    def _between(self) -> int:
+    def _work_bytes(self) -> int:
         """What NumPy takes in between in one thread."""
         each = (
             _BETWEEN
@@ -187,7 +201,7 @@ class SolidForecast:
             * min(prod(self.shape), max(AT_ONCE, self.shape[1] * self.shape[2]))
         )
 
-    def _pages(self) -> int:
+    def _page_bytes(self) -> int:
         """Of a few planes, and of some rows in every plane of the views that lie across."""
         width = self.views[0][1].basis.width
         plane = self.shape[1] * self.shape[2]
@@ -204,7 +218,9 @@ class SolidForecast:
 
     def _grids(self) -> list[tuple[int, int, int]]:
         bare = Region(self.shape, self.region.wraps)
-        return [bare.seen(axis).grid(box=c.basis.box, steps=c.steps) for axis, c in self.views]
+        return [
+            bare.view_along(axis).grid(box=c.basis.box, steps=c.steps) for axis, c in self.views
+        ]
 
     @property
     def _channels(self) -> int:

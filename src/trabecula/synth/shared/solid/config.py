@@ -125,6 +125,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 
+
 _RANGES = {
     "neighbourhood": (4, 12),
     "levels": (1, 8),
@@ -137,6 +138,7 @@ _RANGES = {
     "variance": (0.5, 1),
     "components": (4, 128),
 }
+
 
 _CHOICES = {
     "histogram": (True, False),

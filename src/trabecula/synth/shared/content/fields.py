@@ -16,10 +16,16 @@ from trabecula.core.image import Image
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.auction import assign_phases
-from trabecula.synth.shared.brightest import brightest_voxels
-from trabecula.synth.shared.histogram import Histogram, look_up, match_histogram, matching_table
-from trabecula.synth.shared.slabs import for_plane_groups, count_true, make_by_slabs
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+    look_up,
+    match_histogram,
+    matching_table,
+)
+from trabecula.synth.shared.slabs import (
+    for_plane_groups,
+    make_by_slabs,
+)
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
@@ -93,49 +99,6 @@ def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -
     ) - np.float32(FULL)
 
 
-def labels_of(
-    fields: np.ndarray,
-    present: tuple[int, ...],
-    fractions: np.ndarray | None,
-    inside: np.ndarray | None = None,
-) -> np.ndarray:
-    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume
-    `fractions`.
-
-    Without fractions two phases are split at zero, and more go to the largest field.
-    Two phases are split where the fraction is met to the voxel. More go to the largest field, each
-    shifted by a constant so that the fractions come out, but for ties: zeros alone need not agree
-    where three phases meet. Where `inside` (Z, Y, X) bool is given, fractions are those of the
-    voxels inside.
-    """
-    labels = np.asarray(present, np.uint8)
-    if fractions is None:
-        return make_by_slabs(
-            lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8
-        )
-    size = fields[0].size if inside is None else count_true(inside)
-    if len(present) == 2:
-        upper = brightest_voxels(fields[0], round(size * float(fractions[1])), inside)
-        return _in_place(upper.view(np.uint8), labels)
-    return _in_place(assign_phases(fields, np.rint(size * fractions).astype(np.int64), inside), labels)
-
-
-def _largest(fields: np.ndarray) -> np.ndarray:
-    """The phase that each voxel of (C, Z, Y, X) belongs to."""
-    return (fields[0] > 0).astype(np.intp) if len(fields) == 1 else fields.argmax(0)
-
-
-def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The labels of phases (Z, Y, X) uint8 that are counted from 0, written over them."""
-
-    def work(start: int, stop: int) -> None:
-        phases[start:stop] = labels[phases[start:stop]]
-
-    if not np.array_equal(labels, np.arange(len(labels))):
-        for_plane_groups(work, phases.shape)
-    return phases
-
-
 def values_of(
     fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None
 ) -> np.ndarray:
@@ -178,3 +141,41 @@ def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype
 
     for_plane_groups(work, values.shape[:3])
     return values
+
+
+UNIT = 256
+"""An int8 step of a field in the int16 of votes."""
+
+
+_WORDS = 4  # of 64 bits that the generator makes at once
+
+
+def votes_of(field: np.ndarray) -> np.ndarray:
+    """A field (C, Z, Y, X) int8 as votes (int16)."""
+    votes = memmap.empty(field.shape, np.int16, least=0)  # another process may write it
+
+    def work(start: int, stop: int) -> None:
+        np.multiply(field[:, start:stop], np.int16(UNIT), out=votes[:, start:stop], dtype=np.int16)
+
+    for_slabs(work, field.shape[1], anywhere=True)
+    return votes
+
+
+def noise(shape: Sequence[int], key: int) -> np.ndarray:
+    """White noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one
+    generator.
+    """
+    votes = memmap.empty(shape, np.int16)
+    channels, depth, height, width = votes.shape
+
+    def work(start: int, stop: int) -> None:
+        for c in range(channels):
+            for z in range(start, stop):
+                before = (c * depth + z) * height * width
+                generator = np.random.Philox(key=key, counter=before // _WORDS)
+                generator.random_raw(before % _WORDS)
+                raw = generator.random_raw(height * width) >> np.uint64(50)
+                votes[c, z] = raw.astype(np.int16).reshape(height, width) - np.int16(8192)
+
+    for_slabs(work, depth)
+    return votes

@@ -25,93 +25,22 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.bands import split_into_bands, best_length, least_squares
-from trabecula.synth.shared.statistics.long_waves import LongWaves
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    UNIT,
+    votes_of,
+)
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.soft import Soft
-from trabecula.synth.shared.votes import UNIT, votes_of
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+    Soft,
+)
 
-_SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
-# farthest distance in voxels of the finest level, and at least so many of a level's own
-_REACH, _NEAR = 30, 6
 _LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
+
+
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
 _SHORT = 2.0
-
-
-@dataclass(frozen=True)
-class Correlations:
-    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft
-    indicator, of pairs nearest to z, then to y, then to x.
-
-    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
-    voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
-    leave alone waves longer than twice their largest window.
-    """
-
-    curves: np.ndarray
-    softness: float
-    edges: tuple[float, ...]
-    held: np.ndarray
-    waves: LongWaves | None = None
-
-    @property
-    def r_max(self) -> int:
-        """The largest distance."""
-        return self.curves.shape[1] // 3 - 1
-
-
-def correlations_of(
-    fields: Sequence[np.ndarray],
-    *,
-    softness: float,
-    r_max: int,
-    edges: Sequence[float] = (1.0, 1.0, 1.0),
-) -> Correlations:
-    """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of
-    them counted alike.
-
-    A picture is a volume of one plane across the axis that it is seen across: it says nothing of
-    pairs along that axis.
-
-    Parameters
-    ----------
-    fields : sequence of arrays
-    softness : float
-        Width of the soft step in int8 steps of the field: FULL / clip is one voxel.
-    r_max : int
-        Largest distance, in the unit of `edges`.
-    edges : three floats
-        Sides of a voxel.
-    """
-    steps = (float(edges[0]), float(edges[1]), float(edges[2]))
-    sums = np.zeros((len(fields[0]), 3 * (r_max + 1)))
-    fits = np.zeros(3 * (r_max + 1))
-    for field in fields:
-        pairs = Pairs(field.shape[1:], r_max, edges=steps)
-        fits += pairs.fits
-        for c, channel in enumerate(field):
-            spectrum = pairs.forward(Soft.of(channel, softness).plane)
-            sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
-    return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
-
-
-def correlations_at(
-    fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
-) -> Correlations:
-    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that
-    suit it.
-
-    `clip` is the distance in voxels of the level at which its int8 fields saturate.
-    """
-    # a picture has no depth
-    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)
-    reach = min(_REACH, shortest * 2**level // 2 - 1)
-    softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
-    return correlations_of(
-        fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges
-    )
 
 
 def accumulate_debt(
@@ -192,7 +121,7 @@ def step_bytes(
     most = max(
         slope + around.spectrum_bytes + around.kernel_bytes,
         slope + change,
-        change + pairs.kept_bytes,
+        change + pairs.lines_bytes,
     )
     held = pairs.spectrum_bytes + around.spectrum_bytes + pairs.table_bytes + around.table_bytes
     return held + most + pairs.slab_bytes
@@ -249,7 +178,7 @@ def _step(
         (r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0
     )
     excess = pairs.curve(spectrum, spectrum) - aim
-    centred = around.forward(partial(soft.centred, mean))
+    centred = around.forward(partial(soft.centre, mean))
 
     # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
     # 16 to 40 have no other hold.
@@ -278,7 +207,7 @@ def _direction(
     push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs, shorter_than: int
 ) -> _Direction:
     """What lowers the two-point function where it is pushed, on the interface of `moving` voxels."""
-    slope = around.convolved(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
+    slope = around.convolve(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
     sums = np.zeros(len(slope))
 
     def work(start: int, stop: int) -> None:
@@ -301,3 +230,62 @@ def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np
             votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
     for_slabs(work, len(votes))
+
+
+BANDS = (1, 2, 3, 5, 8, 12)
+"""Where the bands of distances begin, voxels; the last one reaches to r_max."""
+
+
+_RIDGE = 1e-3
+
+
+_LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
+
+
+def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
+    """What to push at every distance, one array a band, scaled to its largest; bands without any
+    are left out.
+    """
+    r = np.arange(len(push)) % (len(push) // 3)
+    bands = []
+    for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
+        part = np.where((r >= low) & (r < high), push, 0.0)
+        if part.any():
+            bands.append(part / np.abs(part).max())
+    return bands
+
+
+def least_squares(changes: np.ndarray, excess: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """How much of each change takes the excess away best; exact sums and no LAPACK, so the same
+    everywhere.
+    """
+    count = len(changes)
+
+    def dot(a: np.ndarray, b: np.ndarray) -> float:
+        return math.fsum((a * b * weights).tolist())
+
+    matrix = [
+        [dot(changes[i], changes[j]) for j in range(count)] + [-dot(changes[i], excess)]
+        for i in range(count)
+    ]
+    for i in range(count):
+        matrix[i][i] = matrix[i][i] * (1 + _RIDGE) + 1e-300
+    for i in range(count):  # symmetric and positive definite: the diagonal serves as it comes
+        for j in range(i + 1, count):
+            factor = matrix[j][i] / matrix[i][i]
+            matrix[j] = [a - factor * b for a, b in zip(matrix[j], matrix[i], strict=True)]
+    shares = [0.0] * count
+    for i in reversed(range(count)):
+        known = math.fsum(matrix[i][j] * shares[j] for j in range(i + 1, count))
+        shares[i] = (matrix[i][-1] - known) / matrix[i][i]
+    return np.array(shares)
+
+
+def best_length(
+    excess: np.ndarray, change: np.ndarray, square: np.ndarray, weights: np.ndarray
+) -> float:
+    """The step, of a few lengths, that leaves least: a move by a changes the curve by a change +
+    a^2 square.
+    """
+    left = excess + _LENGTHS[:, None] * change + _LENGTHS[:, None] ** 2 * square
+    return float(_LENGTHS[np.argmin((left**2 * weights).sum(axis=1))])
