@@ -6,15 +6,9 @@ import pytest
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.synth.chen.config import ChenConfig
-from trabecula.synth.chen.pixels import (
-    position_excess,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-)
+from trabecula.synth.chen.pixels import position_excess
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 

@@ -16,14 +16,8 @@ from trabecula.engine.parallel import threads
 from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.grid import Grid, exact_search
-from trabecula.synth.shared.matching.neighbour_index import (
-    build_index,
-)
-from trabecula.synth.shared.matching.neighbour_search import (
-    index_histogram,
-    k_nearest,
-    reranked,
-)
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbour_search import index_histogram, k_nearest, reranked
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.texture.energy import energy, mismatch, total

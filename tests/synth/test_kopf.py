@@ -7,16 +7,9 @@ import trabecula as tb
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.synth.kopf.config import KopfConfig
-from trabecula.synth.kopf.method import (
-    factors_of,
-    histogram_excess,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-)
+from trabecula.synth.kopf.method import factors_of, histogram_excess
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 

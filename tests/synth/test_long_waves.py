@@ -11,13 +11,8 @@ import pytest
 import trabecula as tb
 from trabecula.engine import memmap
 from trabecula.measure.evenness import evenness
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    votes_of,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.shared.content.fields import FULL, votes_of
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import match_votes
 from trabecula.synth.shared.statistics.long_waves import (
@@ -27,12 +22,8 @@ from trabecula.synth.shared.statistics.long_waves import (
     long_waves_of,
 )
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.two_point import (
-    correlations_of,
-)
-from trabecula.synth.shared.statistics.two_point_steps import (
-    two_point_step,
-)
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import two_point_step
 
 AROUND = (True, True, True)
 SOFTNESS = 50.0

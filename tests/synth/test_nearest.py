@@ -9,14 +9,8 @@ from hypothesis import strategies as st
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
-from trabecula.synth.shared.matching.neighbour_index import (
-    build_index,
-)
-from trabecula.synth.shared.matching.neighbour_search import (
-    index_histogram,
-    k_nearest,
-    reranked,
-)
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbour_search import index_histogram, k_nearest, reranked
 
 
 def everything(points, queries, k, allowed=None):

@@ -14,23 +14,13 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.parallel import threads
-from trabecula.synth.chen.pixels import (
-    choose_pixels,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import random_matches
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-    cast_plane_votes,
-)
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.slabs import (
-    put_axis_first,
-    restore_axis_order,
-)
+from trabecula.synth.shared.slabs import put_axis_first, restore_axis_order
 
 SHAPE = (24, 22, 23)
 QUICK = {
@@ -189,7 +179,7 @@ def test_what_planes_say_does_not_depend_on_slabs(wraps, thick, tmp_path):
 
     def said():
         votes = cast_plane_votes(frame, matches, weights, trim=1)
-        return votes, *choose_pixels(frame, matches, weights, votes, dear=dear, trim=1)
+        return votes, *choose_pixels(frame, matches, weights, votes, costs=dear, trim=1)
 
     whole = said()
     with threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=thick):
@@ -209,7 +199,7 @@ def test_a_field_itself_is_what_pixels_come_near_to():
     weights = [np.ones(match.shape, np.int32) for match in matches]
     dear = [np.ones(picture.shape[1:], np.int32)] * 2
     field = np.random.default_rng(2).integers(-90, 91, (1, *frame.region.shape)).astype(np.int8)
-    near, of_field = choose_pixels(frame, matches, weights, field, dear=dear)
-    same, of_votes = choose_pixels(frame, matches, weights, field.astype(np.int16) * 256, dear=dear)
+    near, of_field = choose_pixels(frame, matches, weights, field, costs=dear)
+    same, of_votes = choose_pixels(frame, matches, weights, field.astype(np.int16) * 256, costs=dear)
     assert np.array_equal(near, same)
     assert np.array_equal(of_field, of_votes)

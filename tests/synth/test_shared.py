@@ -6,28 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    phase_fields,
-    quantise,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-    match_histogram,
-)
-from trabecula.synth.shared.content.phase_fractions import (
-    brightest_voxels,
-    labels_of,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    SCALE,
-    grid_reach,
-    grid_shape,
-    project,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    principal_basis,
-)
+from trabecula.synth.shared.content.fields import FULL, phase_fields, quantise
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram
+from trabecula.synth.shared.content.phase_fractions import brightest_voxels, labels_of
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, grid_reach, grid_shape, project
+from trabecula.synth.shared.matching.principal_components import principal_basis
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
 

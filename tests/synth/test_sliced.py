@@ -8,15 +8,9 @@ from trabecula import measure
 from trabecula.core.request import Request
 from trabecula.errors import InputError, RequestError
 from trabecula.exemplar.views import views_of
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.content.kinds import (
-    content_of,
-)
-from trabecula.synth.shared.statistics.two_point import (
-    correlations_of,
-)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import content_of
+from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.sliced.aims import Pictures, make_isotropic, reweight_target, subsample
 from trabecula.synth.sliced.domain import regions_around_known, torus_regions
 from trabecula.synth.sliced.specks import remove_specks

@@ -9,45 +9,20 @@ import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
-from trabecula.synth.chen.pixels import (
-    choose_pixels,
-)
-from trabecula.synth.shared.content.fields import (
-    UNIT,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.content.kinds import (
-    content_of,
-)
+from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import content_of
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
-from trabecula.synth.shared.matching.neighbourhoods import (
-    SCALE,
-    project,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-    cast_plane_votes,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    principal_basis,
-)
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, project
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
+from trabecula.synth.shared.matching.principal_components import principal_basis
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
-from trabecula.synth.shared.statistics.sliced import (
-    transport_neighbourhoods,
-    transport_planes,
-)
-from trabecula.synth.shared.statistics.slices import (
-    slice_target,
-)
-from trabecula.synth.shared.statistics.two_point import (
-    correlations_of,
-)
-from trabecula.synth.shared.statistics.two_point_steps import (
-    misfit,
-)
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
+from trabecula.synth.shared.statistics.slices import slice_target
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import misfit
 
 WIDTH = 6
 
@@ -181,7 +156,7 @@ def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
     weights = [np.ones(match.shape, np.int32) for match in matches]
     mean = cast_plane_votes(frame, matches, weights)
     even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    field, sources = choose_pixels(frame, matches, weights, mean, dear=even)
+    field, sources = choose_pixels(frame, matches, weights, mean, costs=even)
     pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.planes])
     assert np.array_equal(pixels[sources], field[0])
     lying = [set() for _ in range(field[0].size)]
@@ -207,10 +182,10 @@ def test_a_source_that_is_dear_is_avoided():
     weights = [np.ones(match.shape, np.int32) for match in matches]
     mean = cast_plane_votes(frame, matches, weights)
     dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    before = choose_pixels(frame, matches, weights, mean, dear=dear)[1]
+    before = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
     half = frame.planes[0].grid.candidates.stack.field[0].size
     dear[0][:] = 10_000
-    after = choose_pixels(frame, matches, weights, mean, dear=dear)[1]
+    after = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
     assert np.mean(before < half) > 0.3
     assert np.mean(after < half) < 0.5 * np.mean(before < half)
 

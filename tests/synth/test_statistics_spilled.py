@@ -11,14 +11,8 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.pickling import ReferencedFiles
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    noise,
-    votes_of,
-)
-from trabecula.synth.shared.content.kinds import (
-    Labels,
-)
+from trabecula.synth.shared.content.fields import FULL, noise, votes_of
+from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.sliced import (
@@ -26,13 +20,8 @@ from trabecula.synth.shared.statistics.sliced import (
     transport_neighbourhoods,
     transport_planes,
 )
-from trabecula.synth.shared.statistics.slices import (
-    Transport,
-    slice_target,
-)
-from trabecula.synth.shared.statistics.two_point import (
-    correlations_of,
-)
+from trabecula.synth.shared.statistics.slices import Transport, slice_target
+from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import (
     misfit,
     step_bytes,

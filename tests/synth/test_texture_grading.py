@@ -12,11 +12,7 @@ from trabecula.engine import parallel
 from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.texture.graded import (
-    FractionTarget,
-    carry_over,
-    settle_fractions,
-)
+from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
 
 SHAPE = (72, 36, 36)

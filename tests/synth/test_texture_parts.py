@@ -317,7 +317,7 @@ def test_mirrored_copies_are_learnt_from():
     teeth = np.zeros((32, 32, 32), np.uint8)
     teeth[:] = (x % 8) > (y % 8)
 
-    def reweight(values):
+    def leaning(values):
         along = np.mean(values[:, 1:, 1:] != values[:, :-1, :-1])
         across = np.mean(values[:, 1:, :-1] != values[:, :-1, 1:])
         return across / along

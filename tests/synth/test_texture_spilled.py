@@ -10,15 +10,8 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-    match_histogram,
-    mix_with_neighbours,
-)
-from trabecula.synth.shared.content.phase_fractions import (
-    assign_phases,
-    brightest_voxels,
-)
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram, mix_with_neighbours
+from trabecula.synth.shared.content.phase_fractions import assign_phases, brightest_voxels
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 

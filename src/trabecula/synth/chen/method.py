@@ -19,32 +19,16 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.chen import CAPABILITIES
 from trabecula.synth.chen.config import ChenConfig
-from trabecula.synth.chen.pixels import (
-    choose_pixels,
-    position_excess,
-)
-from trabecula.synth.shared.content.fields import (
-    votes_of,
-)
-from trabecula.synth.shared.content.kinds import (
-    complete,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-    cast_plane_votes,
-)
+from trabecula.synth.chen.pixels import choose_pixels, position_excess
+from trabecula.synth.shared.content.fields import votes_of
+from trabecula.synth.shared.content.kinds import complete
+from trabecula.synth.shared.matching.planes import cast_plane_votes
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
-from trabecula.synth.shared.solid.method import (
-    Solid,
-)
-from trabecula.synth.shared.solid.model import (
-    SolidModel,
-)
-from trabecula.synth.shared.solid.run import (
-    SolidState,
-)
+from trabecula.synth.shared.solid.method import Solid
+from trabecula.synth.shared.solid.model import SolidModel
+from trabecula.synth.shared.solid.run import SolidRounds, SolidStage
 
-_DEAREST = 64  # times: beyond it a pixel costs no more
+_LARGEST_COST = 64  # times that of a pixel used evenly
 
 
 class Chen(Solid):
@@ -57,40 +41,49 @@ class Chen(Solid):
         return ChenModel(self.config, exemplars, views)
 
 
+class ChenRounds(SolidRounds):
+    """A run in which voxels become pixels of the pictures, all of them used evenly."""
+
+    config: ChenConfig
+
+    def cast(self, stage: SolidStage, trim: int) -> None:
+        """Cast the votes, and give every voxel the matched pixel that is nearest to their mean."""
+        views = stage.views
+        excess = position_excess(self.sources, views, self.config.position_penalty)
+        factors = [np.maximum(np.rint(views.full / over), 1).astype(np.int16) for over in excess]
+        votes = cast_plane_votes(views, self.matches, self.weights, factors=factors, trim=trim)
+        self.use_votes(stage, votes)
+        if self.config.discrete:
+            aim = self.field if self.config.histogram else votes
+            costs = [
+                np.minimum(np.rint(over * 4), 4 * _LARGEST_COST).astype(np.int32) for over in excess
+            ]
+            field, self.sources = choose_pixels(
+                views, self.matches, self.weights, aim, costs=costs, trim=trim
+            )
+            self.field = views.region.clip_to_bounds(field)
+            self.votes = votes_of(self.field)
+        self.weights = []
+
+
 class ChenModel(SolidModel):
     """Pictures as pyramids of fields."""
 
     capabilities = CAPABILITIES
+    rounds_type = ChenRounds
     config: ChenConfig
-
-    def _vote(
-        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
-    ) -> None:
-        excess = position_excess(state.sources, frame, self.config.position_penalty)
-        factors = [np.maximum(np.rint(frame.full / over), 1).astype(np.int16) for over in excess]
-        votes = cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim)
-        self._make(frame, state, votes)
-        if not self.config.discrete:
-            return
-        aim = state.field if self.config.histogram else votes
-        dear = [np.minimum(np.rint(over * 4), 4 * _DEAREST).astype(np.int32) for over in excess]
-        field, state.sources = choose_pixels(
-            frame, state.matches, weights, aim, dear=dear, trim=trim
-        )
-        state.field = frame.region.clip_to_bounds(field)
-        state.votes = votes_of(state.field)
 
     @property
     def _chooses(self) -> bool:
         return self.config.discrete
 
-    def _to_values(self, state: SolidState, request: Request) -> np.ndarray:
+    def _to_values(self, rounds: SolidRounds, request: Request) -> np.ndarray:
         """Grey values and colours are those of the pixels themselves: matching channel by channel
         would make new colours.
         """
-        if self.content.distances or not self.config.discrete or state.sources is None:
-            return super()._to_values(state, request)
-        sources = state.sources
+        if self.content.distances or not self.config.discrete or rounds.sources is None:
+            return super()._to_values(rounds, request)
+        sources = rounds.sources
         pixels = np.concatenate([self._pixels(place) for place in range(len(self.views))])
         depth, height, across = request.shape
         values = memmap.empty((*request.shape, *pixels.shape[1:]), pixels.dtype)

@@ -25,7 +25,7 @@ def choose_pixels(
     weights: Sequence[np.ndarray],
     mean: np.ndarray,
     *,
-    dear: Sequence[np.ndarray],
+    costs: Sequence[np.ndarray],
     trim: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of all pixels that the matched neighbourhoods of all views lay on a voxel, the one nearest to
@@ -37,7 +37,7 @@ def choose_pixels(
         As in `cast_plane_votes`.
     mean : (C, Z, Y, X) int16 or int8
         256 times the field to come near to, or in int8 that field.
-    dear : sequence of (z, y, x) int32
+    costs : sequence of (z, y, x) int32
         What the squared distance of every voxel of a view's exemplar is multiplied by, 1 or more.
 
     Returns
@@ -54,7 +54,7 @@ def choose_pixels(
     views: list[tuple[int, tuple[Any, ...]]] = [
         (plane.axis, (int(begin), *own, *how))
         for plane, *own, how, begin in zip(
-            frame.planes, exemplars, dear, matches, weights, laid, begins, strict=True
+            frame.planes, exemplars, costs, matches, weights, laid, begins, strict=True
         )
     ]
     shape = frame.region.shape
@@ -115,7 +115,7 @@ def compare_pixels(
     start,
     first,
     field,
-    dear,
+    costs,
     match,
     weight,
     shape,
@@ -132,7 +132,7 @@ def compare_pixels(
 
     mean (C, ...) int16, 256 times a value; cost (...) int64 the least so far and chosen (...) int32
     the voxel that it belongs to, numbered from `first`, both updated; all three of the slab, with
-    the axis of the view first. field (C, z, y, x) int8; dear (z, y, x) int32, a factor of the
+    the axis of the view first. field (C, z, y, x) int8; costs (z, y, x) int32, a factor of the
     squared distance. Of equals the first one stays. The rest as in `add_votes`.
     """
     C, EY, EX = len(field), field.shape[2], field.shape[3]
@@ -165,8 +165,8 @@ def compare_pixels(
                                 c, plane, y, x
                             ]
                             apart += d * d
-                        # A distance of 0 would hide what is dear.
-                        apart = (apart + 256) * dear[ez, ey + dy, ex + dx]
+                        # A distance of 0 would hide what is costs.
+                        apart = (apart + 256) * costs[ez, ey + dy, ex + dx]
                         if apart < cost[plane, y, x]:
                             cost[plane, y, x] = apart
                             chosen[plane, y, x] = first + (ez * EY + ey + dy) * EX + ex + dx

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trabecula.synth.shared.settings import keep_numbers
-from trabecula.synth.shared.solid.config import (
-    SolidConfig,
-)
+from trabecula.synth.shared.solid.config import SolidConfig
 
 
 @dataclass(frozen=True)

@@ -17,22 +17,11 @@ from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.config import KopfConfig
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-    cast_plane_votes,
-)
-from trabecula.synth.shared.solid.method import (
-    Solid,
-)
-from trabecula.synth.shared.solid.model import (
-    SolidModel,
-)
-from trabecula.synth.shared.solid.run import (
-    SolidState,
-)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
+from trabecula.synth.shared.solid.method import Solid
+from trabecula.synth.shared.solid.model import SolidModel
+from trabecula.synth.shared.solid.run import SolidRounds, SolidStage
 
 _BINS = 16
 
@@ -47,27 +36,29 @@ class Kopf(Solid):
         return KopfModel(self.config, exemplars, views)
 
 
+class KopfRounds(SolidRounds):
+    """A run with the soft histogram matching of the paper's weights."""
+
+    config: KopfConfig
+
+    def factors(self, stage: SolidStage) -> list[np.ndarray] | None:
+        """Return smaller factors for values that are too frequent in the last votes."""
+        if not self.config.reweighting:
+            return None
+        views = stage.views
+        excess = histogram_excess(self.votes, views, self.config.reweighting)
+        return [
+            factors_of(view.grid.candidates.stack.field, excess, views.full)
+            for view in views.planes
+        ]
+
+
 class KopfModel(SolidModel):
     """Pictures as pyramids of fields."""
 
     capabilities = CAPABILITIES
+    rounds_type = KopfRounds
     config: KopfConfig
-
-    def _vote(
-        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
-    ) -> None:
-        factors = None
-        if self.config.reweighting:
-            excess = histogram_excess(state.votes, frame, self.config.reweighting)
-            factors = [
-                factors_of(plane.grid.candidates.stack.field, excess, frame.full)
-                for plane in frame.planes
-            ]
-        self._make(
-            frame,
-            state,
-            cast_plane_votes(frame, state.matches, weights, factors=factors, trim=trim),
-        )
 
 
 def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:

@@ -11,13 +11,8 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.content.fields import (
-    FULL,
-)
-from trabecula.synth.shared.slabs import (
-    for_plane_groups,
-    make_by_slabs,
-)
+from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 
 def halve(field: np.ndarray) -> np.ndarray:

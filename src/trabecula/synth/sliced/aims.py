@@ -14,21 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    mean_edge,
-    quantise,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.slices import (
-    SliceTarget,
-    slice_target,
-)
+from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     correlations_of,

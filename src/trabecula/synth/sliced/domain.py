@@ -12,13 +12,9 @@ from trabecula.core.request import Request
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.bounds import Bounds
-from trabecula.synth.shared.content.fields import (
-    quantise,
-)
+from trabecula.synth.shared.content.fields import quantise
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.slabs import (
-    complement,
-)
+from trabecula.synth.shared.slabs import complement
 
 
 def torus_regions(request: Request, top: int, least: int) -> list[Region]:

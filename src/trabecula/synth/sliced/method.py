@@ -20,55 +20,25 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.core.seeds import key
-from trabecula.engine.checkpoint import resumed
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.content.fields import (
-    mean_edge,
-)
-from trabecula.synth.shared.content.kinds import (
-    Content,
-    content_of,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    basis_bytes,
-    principal_basis,
-)
+from trabecula.synth.shared.coarse_to_fine import levels_that_fit
+from trabecula.synth.shared.content.fields import channels_of, mean_edge
+from trabecula.synth.shared.content.kinds import Content, content_of
+from trabecula.synth.shared.matching.principal_components import basis_bytes, principal_basis
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import refine_field
 from trabecula.synth.shared.orient import symmetries
-from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
+from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.solid.forecast import (
-    SolidForecast,
-)
-from trabecula.synth.shared.solid.method import (
-    PROCESS,
-    channels_of,
-)
-from trabecula.synth.shared.solid.run import (
-    SolidState,
-)
-from trabecula.synth.shared.statistics.sliced import (
-    round_bytes,
-)
-from trabecula.synth.shared.statistics.two_point_steps import (
-    step_bytes,
-    step_slab_bytes,
-)
+from trabecula.synth.shared.solid.forecast import SolidForecast
+from trabecula.synth.shared.solid.method import PROCESS
+from trabecula.synth.shared.statistics.sliced import round_bytes
+from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
 from trabecula.synth.sliced import CAPABILITIES
-from trabecula.synth.sliced.aims import Layout, Pictures, SlicedLevel, reweight_target, subsample
+from trabecula.synth.sliced.aims import Layout, Pictures, SlicedLevel, subsample
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.domain import regions_around_known, torus_regions
-from trabecula.synth.sliced.run import (
-    begun,
-    lay_out,
-    passed,
-)
+from trabecula.synth.sliced.run import SlicedRounds
 from trabecula.synth.sliced.specks import remove_specks
 
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
@@ -101,7 +71,11 @@ class Sliced(PictureMethod):
         turns = len(symmetries(chosen, ndim=2))
         content = content_of(exemplars)
         features = 0
-        for index in range(1 + _top_for(min(min(image.shape) for image in exemplars), config)):
+        for index in range(
+            levels_that_fit(
+                min(min(image.shape) for image in exemplars), config.levels, width=self._width()
+            )
+        ):
             for image in exemplars:
                 features += turns * 4**index * _bytes_of(content.fields(image), index, config)
         basis = basis_bytes(
@@ -132,7 +106,9 @@ class SlicedModel(PictureModel):
             )
             chosen = "all" if alone else "none"
         pictures = Pictures(fields, views, chosen)
-        self.top = _top_for(min(min(view.image.shape) for view in views), config)
+        width = max(config.neighbourhood, config.layout_width)
+        smallest = min(min(view.image.shape) for view in views)
+        self.top = levels_that_fit(smallest, config.levels, width=width) - 1
         indices = range(self.top + 1)
         self.levels: list[SlicedLevel] = [
             pictures.level(index, config) for index in track(indices, "learning the picture")
@@ -152,68 +128,13 @@ class SlicedModel(PictureModel):
         return max(_LEAST, self.config.neighbourhood, self.config.layout_width)
 
     def make(self, request: Request) -> np.ndarray:
-        regions = self._regions(request)
-        top = len(regions) - 1
-        state, begin, done = self._resumed(top)
-        if state is None:
-            field = self._laid_out(regions[top], top, request)
-            # The layout is made of coarse neighbourhoods already, but not beside known voxels.
-            begin -= bool(top and request.fixed is None)
-        del regions[begin + 1 :]
-        while regions:
-            index = len(regions) - 1
-            frame = self._frame(regions.pop(), index, request)
-            if state is None:
-                state = begun(
-                    frame, _fitted(field, frame.region, finer=index < top), _key(request, index)
-                )
-            self._pass(frame, state, index, request, done)
-            field, votes, state, done = state.field, state.votes, None, 0
-        del field, frame
-        return self._to_values(fit_to(votes, request.shape), request)
+        return self._to_values(fit_to(self._votes(request), request.shape), request)
 
-    def _resumed(self, top: int) -> tuple[SolidState | None, int, int]:
-        """The state that an interrupted run left, its level and its rounds done; none, and the
-        coarsest level.
-        """
-        for index in range(top + 1):
-            left = resumed(_stage(index))
-            if left is not None:
-                return SolidState.of(left.arrays), index, left.number
-        return None, top, 0
-
-    def _laid_out(self, region: Region, top: int, request: Request) -> np.ndarray:
-        layout = self.layouts[top]
-        return lay_out(
-            layout,
-            region,
-            self.content.target_histograms(layout.histograms, request),
-            request.seed,
-            self.config,
-        )
-
-    def _frame(self, region: Region, index: int, request: Request) -> RegionViews:
-        level = self.levels[index]
-        return RegionViews.over(
-            region, level.views, self.content.target_histograms(level.histograms, request)
-        )
-
-    def _pass(
-        self, frame: RegionViews, state: SolidState, index: int, request: Request, done: int
-    ) -> None:
-        """Search and vote on one level."""
-        config, level = self.config, self.levels[index]
-        passed(
-            frame,
-            state,
-            reweight_target(level.correlations, level.histograms, frame.targets, softness=1.0),
-            config,
-            stage=_key(request, index),
-            done=done,
-            rounds=config.rounds[min(index, len(config.rounds) - 1)],
-            steps=config.corrections[min(index, len(config.corrections) - 1)],
-            said=_stage(index),
-        )
+    def _votes(self, request: Request) -> np.ndarray:
+        """Return the last votes alone: the run's other arrays are dropped."""
+        rounds = SlicedRounds(self, request, self._regions(request))
+        rounds.run()
+        return rounds.votes
 
     def _to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         """The result's values from votes of its shape, without specks."""
@@ -312,24 +233,6 @@ class SlicedModel(PictureModel):
         )
 
 
-def _fitted(field: np.ndarray, region: Region, *, finer: bool) -> np.ndarray:
-    """A field (C, Z, Y, X) int8 on a region, which is `finer` by two or the same."""
-    if finer:
-        return region.clip_to_bounds(
-            refine_field(field, region.wraps, distances=True, shape=region.shape)
-        )
-    return region.clip_to_bounds(fit_to(field, region.shape))
-
-
-def _stage(index: int) -> str:
-    """Of the rounds of a level, among those of a run."""
-    return f"level {index}"
-
-
-def _key(request: Request, index: int) -> np.uint64:
-    return key(request.seed, f"sliced/{index}")
-
-
 def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
     """What one start of a picture (C, 1, Y, X) takes on a level."""
     taken = 0
@@ -344,11 +247,3 @@ def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
         rows = int(np.prod([side - width + 1 for side in part.shape[2:]]))
         taken += rows * (4 << max(2, (count - 1).bit_length()) if sliced else 2 * count + 12)
     return taken
-
-
-def _top_for(smallest: int, config: SlicedConfig) -> int:
-    """The coarsest level at which a picture has room for the neighbourhoods."""
-    top, least = 0, max(config.neighbourhood, config.layout_width) + ROOM
-    while top + 1 < config.levels and smallest >> (top + 1) >= least:
-        top += 1
-    return top

@@ -15,18 +15,10 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    UNIT,
-)
+from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.two_point import (
-    Correlations,
-)
-from trabecula.synth.shared.statistics.two_point_steps import (
-    step_slab_bytes,
-    two_point_step,
-)
+from trabecula.synth.shared.statistics.two_point import Correlations
+from trabecula.synth.shared.statistics.two_point_steps import step_slab_bytes, two_point_step
 
 FAR = 4.0
 """Voxels at which distances saturate here."""

@@ -8,6 +8,7 @@ distances of features.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,7 +18,14 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.matching.grid import Grid, wrap_field
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch, total
+from trabecula.synth.texture.energy import (
+    Energy,
+    Feedback,
+    adaptive_weights,
+    energy,
+    mismatch,
+    total,
+)
 from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
@@ -38,6 +46,13 @@ class Balance:
         """Before the first round."""
         rise, fall = (config.increase, config.decrease) if config.adaptive else (0.0, 0.0)
         return cls(Feedback(tolerance=config.tolerance, most=rounds, increase=rise, decrease=fall))
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> Balance:
+        """Rebuild it from plain JSON."""
+        feedback = stored["feedback"]
+        trace = tuple(Energy(**energy) for energy in feedback["trace"])
+        return cls(Feedback(**{**feedback, "trace": trace}), stored["reference"])
 
     def trace(self) -> list[dict[str, Any]]:
         """Every round's energies, as plain JSON."""

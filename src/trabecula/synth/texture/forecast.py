@@ -13,18 +13,11 @@ from math import prod
 
 from trabecula.core.request import Request
 from trabecula.engine.parallel import thread_count
-from trabecula.synth.shared.matching.neighbour_search import (
-    search_bytes,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    block_bytes,
-    planes_together,
-)
+from trabecula.synth.shared.matching.neighbour_search import search_bytes
+from trabecula.synth.shared.matching.neighbourhoods import block_bytes, planes_together
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.slabs import (
-    AT_ONCE,
-)
+from trabecula.synth.shared.slabs import AT_ONCE
 from trabecula.synth.texture import energy_rounds, graded
 
 _RANKS = 1 << 19  # bytes of counts of all ranks

@@ -24,9 +24,7 @@ from trabecula.synth.shared.box_sums import (
     window_sums,
     window_sums_of_planes,
 )
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack

@@ -21,38 +21,21 @@ from trabecula.core.request import Request
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
-from trabecula.synth.shared.coarse_to_fine import (
-    levels_for,
-)
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    isotropic_scale,
-    quantise,
-)
-from trabecula.synth.shared.content.kinds import (
-    Content,
-    Labels,
-    content_of,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    basis_bytes,
-)
+from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
+from trabecula.synth.shared.content.fields import FULL, channels_of, isotropic_scale, quantise
+from trabecula.synth.shared.content.kinds import Content, Labels, content_of
+from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
+from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.statistics.two_point import (
-    Correlations,
-    correlations_at,
-)
-from trabecula.synth.shared.statistics.two_point_steps import (
-    step_bytes,
-    step_slab_bytes,
-)
+from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
-    Job,
+    ExemplarRounds,
     Level,
     level_of,
     make_from_patches,
@@ -67,8 +50,6 @@ from trabecula.synth.texture.graded import (
 )
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-# positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
-_ROOM = 4
 
 
 class Texture(Method):
@@ -80,16 +61,16 @@ class Texture(Method):
     def learn(self, exemplars: Sequence[Image]) -> TextureModel:
         width = max(self.config.neighbourhood)
         for exemplar in exemplars:
-            if min(exemplar.shape) < width + _ROOM:
+            if min(exemplar.shape) < width + ROOM:
                 raise InputError(
-                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at least {width + _ROOM} "
+                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at least {width + ROOM} "
                     "voxels along every axis: give a larger exemplar, or a smaller neighbourhood"
                 )
         return TextureModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         """The principal components, and the finest level's fields and candidates."""
-        channels = _channels(exemplars)
+        channels = channels_of(exemplars)
         shapes = [exemplar.shape for exemplar in exemplars]
         distances = exemplars[0].kind == "labels" and self.config.field == "distance"
         turns = len(symmetries(self.config.orientations, spacing=exemplars[0].spacing))
@@ -126,7 +107,13 @@ class TextureModel(Model):
         self.top = novel_layout.top_for(smallest) if self.novelty else 0
         self.stacks, self._own = [], []
         for index in track(
-            range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"
+            range(
+                max(
+                    levels_that_fit(smallest, config.levels, width=max(config.neighbourhood)),
+                    self.top + 1,
+                )
+            ),
+            "learning the exemplar",
         ):
             own = [self._quantise(field, index) for field in fields]
             self.stacks.append(
@@ -150,7 +137,8 @@ class TextureModel(Model):
 
     def _levels(self) -> list[Level]:
         smallest = min(min(exemplar.shape) for exemplar in self.exemplars)
-        stacks = self.stacks[: _levels_that_fit(smallest, self.config)]
+        count = levels_that_fit(smallest, self.config.levels, width=max(self.config.neighbourhood))
+        stacks = self.stacks[:count]
         return [
             level_of(stack, index, self.config, distances=self.content.distances)
             for index, stack in enumerate(stacks)
@@ -188,27 +176,28 @@ class TextureModel(Model):
         if self._makes_new(request):
             schedule = novel_layout.passes(self.novelty, self.top)
             votes = novel_layout.make_novel(self.aims, self.slices, schedule, request, self.config)
-            told: list[dict[str, Any]] = []
+            energies: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             # Nothing is held by a name here: what is made of it is.
-            votes, told = make_from_patches(
-                Job(
+            # No array is held by a name here: the run drops what it no longer needs.
+            votes, energies = make_from_patches(
+                ExemplarRounds(
                     self.levels[:used],
                     regions_of(request, used, self.content.bounds(request), self._quantise),
                     request,
                     self.config,
-                    self.content.distances,
-                    self.targets,
-                    self._shares(request, used),
+                    distances=self.content.distances,
+                    targets=self.targets,
+                    fractions=self._fractions(request, used),
                 )
             )
         votes = fit_to(votes, request.shape)
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
-        return self.content.to_values(votes, request), {"levels": told} if told else {}
+        return self.content.to_values(votes, request), {"levels": energies} if energies else {}
 
-    def _shares(self, request: Request, count: int) -> list[np.ndarray]:
+    def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """What a target asks of each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
             return []
@@ -307,22 +296,6 @@ class TextureModel(Model):
             if stepped
             else 0,
         )
-
-
-def _channels(exemplars: Sequence[Image]) -> int:
-    first = exemplars[0]
-    if first.kind != "labels":
-        return 3 if first.kind == "colour" else 1
-    present = len(np.unique(np.concatenate([np.unique(exemplar.values) for exemplar in exemplars])))
-    return 1 if present == 2 else present
-
-
-def _levels_that_fit(smallest: int, config: TextureConfig) -> int:
-    """Resolutions at which the exemplar has room for the widest neighbourhood."""
-    count = 1
-    while count < config.levels and smallest // 2**count >= max(config.neighbourhood) + _ROOM:
-        count += 1
-    return count
 
 
 def _has_room(mask: np.ndarray, width: int) -> bool:

@@ -8,12 +8,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.slabs import (
-    complement,
-    count_true,
-    for_plane_groups,
-    make_by_slabs,
-)
+from trabecula.synth.shared.slabs import complement, count_true, for_plane_groups, make_by_slabs
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""

@@ -22,10 +22,7 @@ from trabecula.synth.shared.content.histogram import (
     match_histogram,
     matching_table,
 )
-from trabecula.synth.shared.slabs import (
-    for_plane_groups,
-    make_by_slabs,
-)
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
@@ -37,6 +34,15 @@ def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
         int(label)
         for label in np.unique(np.concatenate([np.unique(image.values) for image in images]))
     )
+
+
+def channels_of(exemplars: Sequence[Image]) -> int:
+    """Count the channels of the fields of images."""
+    first = exemplars[0]
+    if first.kind != "labels":
+        return 3 if first.kind == "colour" else 1
+    present = len(phases_present(exemplars))
+    return 1 if present == 2 else present
 
 
 def phase_fields(

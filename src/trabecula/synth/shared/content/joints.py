@@ -19,9 +19,7 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.slabs import (
     complement,
     count_true,

@@ -12,12 +12,7 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.shared.content.bounds import (
-    Bounds,
-    distance_bounds,
-    sign_bounds,
-    value_bounds,
-)
+from trabecula.synth.shared.content.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
 from trabecula.synth.shared.content.fields import (
     FULL,
     mean_edge,
@@ -27,16 +22,9 @@ from trabecula.synth.shared.content.fields import (
     value_fields,
     values_of,
 )
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.content.joints import (
-    pool_fractions,
-    surroundings,
-)
-from trabecula.synth.shared.content.phase_fractions import (
-    labels_of,
-)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.joints import pool_fractions, surroundings
+from trabecula.synth.shared.content.phase_fractions import labels_of
 from trabecula.synth.shared.slabs import (
     complement,
     count_true,

@@ -21,16 +21,8 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, in_order, sum_slabs
-from trabecula.synth.shared.content.histogram import (
-    mix_with_neighbours,
-    rank_counts,
-    row_of_ranks,
-)
-from trabecula.synth.shared.slabs import (
-    count_true,
-    for_plane_groups,
-    make_by_slabs,
-)
+from trabecula.synth.shared.content.histogram import mix_with_neighbours, rank_counts, row_of_ranks
+from trabecula.synth.shared.slabs import count_true, for_plane_groups, make_by_slabs
 
 
 def labels_of(

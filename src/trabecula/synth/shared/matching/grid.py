@@ -12,14 +12,8 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.content.joints import (
-    find_known,
-    pool_histograms,
-    surroundings,
-)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
 from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
 from trabecula.synth.shared.matching.neighbour_search import (
     best_among,
@@ -33,10 +27,7 @@ from trabecula.synth.shared.matching.neighbourhoods import (
 )
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.slabs import (
-    count_true,
-    make_by_slabs,
-)
+from trabecula.synth.shared.slabs import count_true, make_by_slabs
 
 _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more
 

@@ -15,11 +15,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.matching.neighbour_index import (
-    LEAF,
-    NeighbourIndex,
-    as_feature_table,
-)
+from trabecula.synth.shared.matching.neighbour_index import LEAF, NeighbourIndex, as_feature_table
 
 _QUERIES = 64  # queries of one matrix product: their products with all centres stay in the cache
 

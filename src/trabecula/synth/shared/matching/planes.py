@@ -16,21 +16,14 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.content.fields import (
-    FULL,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
+from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
 from trabecula.synth.shared.matching.kernels import reach
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.slabs import (
-    axis_order,
-    put_axis_first,
-)
+from trabecula.synth.shared.slabs import axis_order, put_axis_first
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
 

@@ -11,14 +11,8 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.engine import memmap
-from trabecula.synth.shared.content.kinds import (
-    free_voxels,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    Triple,
-    grid_reach,
-    grid_shape,
-)
+from trabecula.synth.shared.content.kinds import free_voxels
+from trabecula.synth.shared.matching.neighbourhoods import Triple, grid_reach, grid_shape
 from trabecula.synth.shared.pyramid import halve
 from trabecula.synth.shared.slabs import (
     axis_order,

@@ -8,24 +8,14 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-    match_histogram,
-)
-from trabecula.synth.shared.content.joints import (
-    spread_offset,
-)
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram
+from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.kernels import vote, weigh
-from trabecula.synth.shared.matching.neighbourhoods import (
-    SCALE,
-    Triple,
-)
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.pyramid import double
-from trabecula.synth.shared.slabs import (
-    make_by_slabs,
-)
+from trabecula.synth.shared.slabs import make_by_slabs
 
 
 def refine_field(
@@ -126,3 +116,8 @@ def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int 
 def trims_of(grid: Grid, trim: int) -> Triple:
     """The rim that does not vote along each axis; a flat neighbourhood is one voxel thick."""
     return (0 if grid.candidates.basis.flat else trim, trim, trim)
+
+
+def equal_weights(active: np.ndarray) -> np.ndarray:
+    """Return the weights int32 of sites (sz, sy, sx) that vote alike: 1, and 0 where not active."""
+    return make_by_slabs(lambda start, stop: active[start:stop], active.shape, np.int32)

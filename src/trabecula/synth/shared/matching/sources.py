@@ -18,24 +18,14 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.matching.neighbour_index import (
-    NeighbourIndex as Nearest,
-)
-from trabecula.synth.shared.matching.neighbour_index import (
-    build_index,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    Basis,
-    Triple,
-    box_of,
-    project,
-    steps_of,
-)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.neighbour_index import NeighbourIndex as Nearest
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbourhoods import Basis, Triple, box_of, project, steps_of
 from trabecula.synth.shared.matching.principal_components import (
+    grain_of,
     principal_basis,
+    variance_in,
 )
 
 _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
@@ -117,16 +107,23 @@ class Candidates:
         step: int,
         variance: float,
         most: int,
-        grain: int = 1,
+        smooth: bool = False,
         k: int = 10,
         flat: bool = False,
     ) -> Candidates:
         """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2
         million.
         """
+        grain = grain_of(width, smooth=smooth)
         within = stack.corners_within(box_of(width, flat=flat))
         basis = principal_basis(
-            stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat
+            stack.field,
+            within,
+            width=width,
+            variance=variance_in(grain, variance),
+            most=most,
+            grain=grain,
+            flat=flat,
         )
         stride = step if np.count_nonzero(within) > _MANY else 1
         every_z, every_y, every_x = steps_of(stride, flat=flat)

@@ -14,18 +14,11 @@ from math import prod
 from trabecula.core.request import Request
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.matching.grid import planes_together
-from trabecula.synth.shared.matching.neighbourhoods import (
-    block_bytes,
-)
-from trabecula.synth.shared.matching.planes import (
-    planes_at_once,
-)
+from trabecula.synth.shared.matching.neighbourhoods import block_bytes
+from trabecula.synth.shared.matching.planes import planes_at_once
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.slabs import (
-    AT_ONCE,
-    shape_with_axis_first,
-)
+from trabecula.synth.shared.slabs import AT_ONCE, shape_with_axis_first
 
 _RANKS = 3 << 20  # tables of 65536 ranks
 

@@ -8,7 +8,6 @@ each method's own (`_vote`).
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
@@ -19,75 +18,25 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.core.seeds import key
-from trabecula.engine import memmap
-from trabecula.engine.checkpoint import resumed
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.coarse_to_fine import (
-    levels_for,
-)
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    mean_edge,
-    quantise,
-    votes_of,
-)
-from trabecula.synth.shared.content.histogram import (
-    Histogram,
-)
-from trabecula.synth.shared.content.kinds import (
-    Content,
-    content_of,
-)
-from trabecula.synth.shared.matching.grid import (
-    coherent_search,
-    exact_search,
-    features_of,
-    random_matches,
-)
-from trabecula.synth.shared.matching.planes import (
-    RegionViews,
-    ViewGrid,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    grain_of,
-    variance_in,
-)
-from trabecula.synth.shared.matching.region import Region, regions_of
-from trabecula.synth.shared.matching.rounds import (
-    join_to_known,
-    match_votes,
-    refine_field,
-    robust_weights,
-)
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
+from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import Content, content_of
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.solid.config import (
-    SolidConfig,
-)
-from trabecula.synth.shared.solid.forecast import (
-    SolidForecast,
-)
-from trabecula.synth.shared.solid.method import (
-    PROCESS,
-    levels_that_fit,
-)
-from trabecula.synth.shared.solid.run import (
-    SolidState,
-    equal_weights,
-)
-from trabecula.synth.shared.statistics.two_point import (
-    Correlations,
-    correlations_at,
-)
+from trabecula.synth.shared.solid.config import SolidConfig
+from trabecula.synth.shared.solid.forecast import SolidForecast
+from trabecula.synth.shared.solid.method import PROCESS
+from trabecula.synth.shared.solid.run import SolidRounds
+from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
 from trabecula.synth.shared.statistics.two_point_steps import (
-    accumulate_debt,
     step_bytes,
     step_slab_bytes,
-    two_point_step,
 )
 
 
@@ -106,6 +55,7 @@ class SolidModel(PictureModel):
     """Pictures as pyramids of fields with the neighbourhoods of every level."""
 
     spills: ClassVar[bool] = True
+    rounds_type: ClassVar[type[SolidRounds]] = SolidRounds
     config: Any
 
     def __init__(
@@ -120,10 +70,14 @@ class SolidModel(PictureModel):
             next(n for n, other in enumerate(pictures) if other is picture) for picture in pictures
         ]
         fields = {n: self.content.fields(pictures[n]) for n in sorted(set(self.numbers))}
-        count = levels_that_fit(min(min(picture.shape) for picture in pictures), config)
+        count = levels_that_fit(
+            min(min(picture.shape) for picture in pictures),
+            config.levels,
+            width=config.neighbourhood,
+        )
         self.levels: list[SolidLevel] = []
         for index in track(range(count), "learning the picture"):
-            own = {n: self._quantise(field, index) for n, field in fields.items()}
+            own = {n: self.quantise_level(field, index) for n, field in fields.items()}
             made = {n: self._learn_picture(field, index, pictures[n]) for n, field in own.items()}
             stacks = [made[n].stack.histograms for n in self.numbers]
             histograms = tuple(Histogram.pool(channel) for channel in zip(*stacks, strict=True))
@@ -145,20 +99,18 @@ class SolidModel(PictureModel):
         config = self.config
         turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
         stack = Stack.of([apply_symmetry(field[:, 0], turn)[:, None] for turn in turns])
-        width = config.neighbourhood
-        grain = grain_of(width, smooth=index == 0 and self.content.distances)
         return Candidates.of(
             stack,
-            width=width,
+            width=config.neighbourhood,
             step=config.step,
-            variance=variance_in(grain, config.variance),
+            variance=config.variance,
             most=config.components,
-            grain=grain,
+            smooth=index == 0 and self.content.distances,
             k=config.nearest,
             flat=True,
         )
 
-    def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
+    def quantise_level(self, field: np.ndarray, index: int) -> np.ndarray:
         """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
         value is what it is.
         """
@@ -167,181 +119,13 @@ class SolidModel(PictureModel):
         return quantise(field, clip=FULL)
 
     def make(self, request: Request) -> np.ndarray:
-        used = levels_for(request.shape, len(self.levels), width=self.config.neighbourhood)
-        regions = regions_of(
-            request, used, self.content.bounds(request, thin=True), self._quantise, thin=True
-        )
-        state, begin, done = self._resumed(used)
-        del regions[begin + 1 :]
-        while regions:
-            index = len(regions) - 1
-            level = self.levels[index]
-            frame = RegionViews.over(
-                regions.pop(),
-                level.views,
-                self.content.target_histograms(level.histograms, request),
-            )
-            if state is None:
-                state = self._started(frame, self._key(request, index))
-            elif index < begin:
-                state, done = self._continued(frame, self.levels[index + 1], state), 0
-            self._run(frame, state, index, used, request, done)
-        assert state is not None  # there is at least one level
-        return self._to_values(state, request)
+        rounds = self.rounds_type(self, request)
+        rounds.run()
+        return self._to_values(rounds, request)
 
-    def _resumed(self, used: int) -> tuple[SolidState | None, int, int]:
-        """The state that an interrupted run left, its level and its rounds done; none, and the
-        coarsest level.
-        """
-        for index in range(used):
-            left = resumed(_stage(index))
-            if left is not None:
-                return SolidState.of(left.arrays), index, left.number
-        return None, used - 1, 0
-
-    def _key(self, request: Request, index: int) -> np.uint64:
-        return key(request.seed, f"{self.capabilities.name}/{index}")
-
-    def _run(
-        self,
-        frame: RegionViews,
-        state: SolidState,
-        index: int,
-        used: int,
-        request: Request,
-        done: int,
-    ) -> None:
-        """The rounds of a level from round `done` on."""
-        config, target = self.config, self.levels[index].correlations
-        rounds = config.first_rounds if index == used - 1 else _at(config.rounds, index)
-        trims = self._trims(rounds) if index == 0 else [0] * rounds
-        steps, sweeps = _at(config.corrections, index), _at(config.sweeps, index)
-        for number in track(range(done, rounds), f"level {used - index} of {used}"):
-            self._round(frame, state, self._key(request, index), number, trims[number], sweeps)
-            if target is not None and steps and request.fixed is None:
-                last = index == 0 and number == rounds - 1
-                state.debt = None if last else self._owed(frame, state, target)
-                self._correct(frame, state, target, steps)
-            state.offer(_stage(index), number + 1)
-
-    def _trims(self, rounds: int) -> list[int]:
-        """How much of a neighbourhood's rim does not vote, round by round of the finest level."""
-        trims = [self.config.trim] * rounds
-        if not self.content.distances:
-            # A mean of grey values loses their grain: in the end every voxel takes one
-            # neighbourhood's from each view.
-            trims[-2:] = [(self.config.neighbourhood - self.config.step) // 2] * len(trims[-2:])
-        return trims
-
-    def _started(self, frame: RegionViews, stage: np.uint64) -> SolidState:
-        """Random patches."""
-        matches = [
-            random_matches(plane.grid, stage + np.uint64(place))
-            for place, plane in enumerate(frame.planes)
-        ]
-        shape = (len(frame.targets), *frame.region.shape)
-        state = SolidState(matches, memmap.zeros(shape, np.int16), memmap.zeros(shape, np.int8))
-        self._vote(frame, state, [equal_weights(plane.grid.active) for plane in frame.planes], 0)
-        return state
-
-    def _continued(self, frame: RegionViews, coarser: SolidLevel, state: SolidState) -> SolidState:
-        """The result so far at twice the resolution: its field doubled (a distance doubles too),
-        its matches moved along.
-        """
-        region = frame.region
-        field = refine_field(
-            state.field, region.wraps, distances=self.content.distances, shape=region.shape
-        )
-        field = region.clip_to_bounds(field)
-        matches = [
-            carry_matches(match, old, plane.grid.candidates, plane.grid.shape, factor=2)
-            for match, (_, old), plane in zip(
-                state.matches, coarser.views, frame.planes, strict=True
-            )
-        ]
-        return SolidState(matches, votes_of(field), field)
-
-    def _round(
-        self,
-        frame: RegionViews,
-        state: SolidState,
-        stage: np.uint64,
-        number: int,
-        trim: int,
-        sweeps: int,
-    ) -> None:
-        """Search in every view, then vote."""
-        weights = []
-        for place, plane in enumerate(frame.planes):
-            old = state.matches[place]
-            match, distance = self._search(
-                plane, old, state.field, stage + np.uint64(place), number, sweeps
-            )
-            state.matches[place] = match
-            weights.append(robust_weights(plane.grid, distance, self.config.robustness))
-            del old, match, distance
-        self._vote(frame, state, weights, trim)
-
-    def _owed(self, frame: RegionViews, state: SolidState, target: Correlations) -> np.ndarray:
-        """What the steps to come owe the two-point function, of the voxels that are made."""
-        return accumulate_debt(
-            state.debt, state.field, target, periodic=frame.region.wraps, free=frame.region.free
-        )
-
-    def _correct(
-        self, frame: RegionViews, state: SolidState, target: Correlations, steps: int
-    ) -> None:
-        """Steps on the two-point function, of the voxels that are made."""
-        region = frame.region
-        for _ in range(steps):
-            state.votes = two_point_step(
-                state.field, target, debt=state.debt, periodic=region.wraps, free=region.free
-            )
-            state.field = match_votes(region, state.votes, frame.targets)
-
-    def _search(
-        self,
-        plane: ViewGrid,
-        old: np.ndarray,
-        field: np.ndarray,
-        stage: np.uint64,
-        number: int,
-        sweeps: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        config = self.config
-        seen = plane.put_axis_first(field)
-        if config.search == "exact":
-            return exact_search(
-                plane.grid, old, features_of(plane.grid, seen), index_penalty=config.index_penalty
-            )
-        return coherent_search(
-            plane.grid,
-            old,
-            seen,
-            stage=stage,
-            first=number * sweeps + 1,
-            count=sweeps,
-            tries=config.tries,
-            index_penalty=config.index_penalty,
-        )
-
-    def _make(self, frame: RegionViews, state: SolidState, votes: np.ndarray) -> None:
-        """Votes as the next state: joined to what is known, with the histograms asked for."""
-        state.votes = join_to_known(frame.region, votes)
-        state.field = match_votes(
-            frame.region, state.votes, frame.targets if self.config.histogram else None
-        )
-
-    @abstractmethod
-    def _vote(
-        self, frame: RegionViews, state: SolidState, weights: Sequence[np.ndarray], trim: int
-    ) -> None:
-        """Bring the state to what its matches vote for, with these weights (sz, sy, sx) int32, one
-        a view.
-        """
-
-    def _to_values(self, state: SolidState, request: Request) -> np.ndarray:
-        return self.content.to_values(fit_to(state.votes, request.shape), request)
+    def _to_values(self, rounds: SolidRounds, request: Request) -> np.ndarray:
+        """Return the result's values from the last votes."""
+        return self.content.to_values(fit_to(rounds.votes, request.shape), request)
 
     def _plan(self, request: Request) -> Plan:
         run = self._forecast(request)
@@ -387,9 +171,9 @@ class SolidModel(PictureModel):
             itemsize=self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1),
             chosen=self._chooses,
             exact=self.config.search == "exact",
-            repeated=_at(self.config.sweeps, 0) > 1,
+            repeated=at_level(self.config.sweeps, 0) > 1,
         )
-        if target is None or request.fixed is not None or not _at(self.config.corrections, 0):
+        if target is None or request.fixed is not None or not at_level(self.config.corrections, 0):
             return run
         return replace(run, correcting=step_bytes(run.shape, target, request.periodic))
 
@@ -397,13 +181,3 @@ class SolidModel(PictureModel):
     def _chooses(self) -> bool:
         """Whether voxels become pixels of the pictures."""
         return False
-
-
-def _stage(index: int) -> str:
-    """Of the rounds of a level, among those of a run."""
-    return f"level {index}"
-
-
-def _at(counts: tuple[int, ...], index: int) -> int:
-    """What a setting says of a level: finest first, the last counts for the rest."""
-    return counts[min(index, len(counts) - 1)]

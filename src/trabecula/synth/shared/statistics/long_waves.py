@@ -22,10 +22,7 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.box_sums import window_sums_of_planes
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    UNIT,
-)
+from trabecula.synth.shared.content.fields import FULL, UNIT
 
 _FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
 _PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side

@@ -14,14 +14,8 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.engine.random import below, philox
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    UNIT,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    Triple,
-    grid_reach,
-)
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.matching.neighbourhoods import Triple, grid_reach
 
 BATCH = 1 << 21
 """Values of neighbourhoods that are put back at a time, if not those of one row of sites are more.

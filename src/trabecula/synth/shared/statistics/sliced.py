@@ -30,32 +30,16 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, one_blas_thread, thread_count
 from trabecula.engine.random import philox
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    UNIT,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    SCALE,
-    project,
-    steps_of,
-)
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, project, steps_of
 from trabecula.synth.shared.slabs import (
     axis_order,
     put_axis_first,
     restore_axis_order,
     shape_with_axis_first,
 )
-from trabecula.synth.shared.statistics.sites import (
-    BATCH,
-    Sites,
-)
-from trabecula.synth.shared.statistics.slices import (
-    AT_ONCE,
-    BINS,
-    FINE,
-    SliceTarget,
-    Transport,
-)
+from trabecula.synth.shared.statistics.sites import BATCH, Sites
+from trabecula.synth.shared.statistics.slices import AT_ONCE, BINS, FINE, SliceTarget, Transport
 
 
 def transport_neighbourhoods(

@@ -18,18 +18,9 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.content.fields import (
-    UNIT,
-)
-from trabecula.synth.shared.matching.neighbourhoods import (
-    SCALE,
-    Basis,
-    Triple,
-    project,
-)
-from trabecula.synth.shared.matching.principal_components import (
-    principal_basis,
-)
+from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, Basis, Triple, project
+from trabecula.synth.shared.matching.principal_components import principal_basis
 
 FINE = 4096  # what an orthonormal basis is multiplied by on the way back
 

@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.parallel import sum_slabs
-from trabecula.synth.shared.content.fields import (
-    FULL,
-)
+from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import Pairs
 

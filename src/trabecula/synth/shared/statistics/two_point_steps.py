@@ -25,16 +25,9 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.content.fields import (
-    FULL,
-    UNIT,
-    votes_of,
-)
+from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.two_point import (
-    Correlations,
-    Soft,
-)
+from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
 _LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
 
