@@ -28,7 +28,7 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     step_slab_bytes,
     two_point_step,
 )
-from trabecula.synth.sliced import run as layout
+from trabecula.synth.sliced import run
 from trabecula.synth.sliced.domain import regions_around_known
 from trabecula.synth.sliced.specks import remove_specks
 from trabecula.synth.sliced.steps import distance_step, slab_bytes, slope
@@ -272,9 +272,9 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "sliced_round", 13, 18),
-        (novel_layout, "swept", 6, 2),
-        (novel_layout, "swept", 7, 1),
+        (novel_layout, "transport_neighbourhoods", 13, 18),
+        (novel_layout, "coherent_search", 6, 2),
+        (novel_layout, "coherent_search", 7, 1),
         (Labels, "to_values", 1, 1),
     ],
     ids=["in the layout", "in a pass", "after a pass", "after the last"],
@@ -308,8 +308,7 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     picture = tb.Image((smooth((1, 40, 40), 8)[0, 0] > 15).astype(np.uint8), "labels")
     model = tb.method("sliced", preset="fast", layout_rounds=5).fit(picture)
-    aims, request = model.layouts[0], Request((16, 16, 16), seed=1)
-    own, done = layout.transport_planes, []
+    own, done = run.transport_planes, []
 
     def broken(*parts, **settings):
         done.append(settings["number"])
@@ -318,10 +317,8 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
         return own(*parts, **settings)
 
     def made():
-        with checkpoint.kept_at(tmp_path / "a.part"), checkpoint.running("sliced", {}, request, ()):
-            return layout.lay_out(
-                aims, Region(request.shape, AROUND), aims.histograms, 1, model.config
-            )
+        with checkpoint.kept_at(tmp_path / "a.part"):
+            return model.generate((16, 16, 16), seed=1).values
 
     whole = made()
     monkeypatch.setattr(layout, "transport_planes", broken)
