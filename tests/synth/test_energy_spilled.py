@@ -17,7 +17,12 @@ from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.grid import Grid, exact_search
 from trabecula.synth.shared.matching.neighbour_index import build_index
-from trabecula.synth.shared.matching.neighbour_search import index_histogram, k_nearest, reranked
+from trabecula.synth.shared.matching.neighbour_search import (
+    index_histogram,
+    k_nearest,
+    rerank,
+    usage_factors,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.texture.energy import energy, mismatch, total
@@ -186,7 +191,9 @@ def test_exact_matches_are_those_of_the_whole_table(spilled, mask):
     count = len(grid.candidates.numbers)
     index, distance = k_nearest(features[grid.active], grid.candidates.index)
     shares = index_histogram(old[grid.active], len(grid.candidates.features))
-    chosen, apart = reranked(index, distance, shares, weight=0.5 * count, theta=1 / count)
+    chosen, apart = rerank(
+        index, distance, usage_factors(shares, weight=0.5 * count, theta=1 / count)
+    )
     assert (chosen != index[:, 0]).any()
     with spilled(), threads(2):
         match, found = (
@@ -256,7 +263,10 @@ def graded(mask, wraps):
         grid, np.linspace(0.2, 0.6, 21 * 120, dtype=np.float32).reshape(shape), 0
     )
     votes = rng.integers(-9000, 9000, (1, *grid.region.shape)).astype(np.int16)
-    leaned, last = leaning.shift_field((votes >> 8).astype(np.int8)), settle_fractions(votes, leaning)
+    leaned, last = (
+        leaning.shift_field((votes >> 8).astype(np.int8)),
+        settle_fractions(votes, leaning),
+    )
     parts = leaning.wanted, leaning.counted, grid.guide, leaned, last, grid.candidates.features
     return [np.array(part) for part in parts], (leaning.mean, leaning.width)
 

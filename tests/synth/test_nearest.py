@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
 from trabecula.synth.shared.matching.neighbour_index import build_index
-from trabecula.synth.shared.matching.neighbour_search import index_histogram, k_nearest, reranked
+from trabecula.synth.shared.matching.neighbour_search import (
+    index_histogram,
+    k_nearest,
+    rerank,
+    usage_factors,
+)
 
 
 def everything(points, queries, k, allowed=None):
@@ -114,18 +119,18 @@ def test_reranking_follows_the_paper():
     distance = np.array([[100, 120, 130], [100, 170, 180], [0, 1, 2]], np.int64)
     histogram = np.array([0.75, 0.25, 0.0, 0.0])
     # index 0 costs 1.5 times as much
-    match, apart = reranked(index, distance, histogram, weight=1.0)
+    match, apart = rerank(index, distance, usage_factors(histogram, weight=1.0))
     assert match.tolist() == [1, 0, 3]
     assert apart.tolist() == [120, 100, 0]
-    match, _ = reranked(index, distance, histogram, weight=2.0)
+    match, _ = rerank(index, distance, usage_factors(histogram, weight=2.0))
     assert match.tolist() == [1, 1, 3]
-    match, _ = reranked(index, distance, histogram, weight=0.0)
+    match, _ = rerank(index, distance, usage_factors(histogram, weight=0.0))
     assert match.tolist() == [0, 0, 3]
 
 
 def test_reranking_keeps_the_nearer_of_equals():
     index, distance = np.array([[5, 4, 1]], np.int32), np.array([[8, 8, 8]], np.int64)
-    assert reranked(index, distance, np.zeros(6))[0].tolist() == [5]
+    assert rerank(index, distance, usage_factors(np.zeros(6)))[0].tolist() == [5]
 
 
 @given(seed=st.integers(0, 1000), weight=st.floats(0, 100))
@@ -134,7 +139,7 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
     index = rng.integers(0, 20, (9, 6)).astype(np.int32)
     distance = np.sort(rng.integers(0, 500, (9, 6)), axis=1)
     histogram = index_histogram(rng.integers(0, 20, 40), 20)
-    match, apart = reranked(index, distance, histogram, weight=weight)
+    match, apart = rerank(index, distance, usage_factors(histogram, weight=weight))
     modified = distance * (1 + weight * np.maximum(histogram[index] - 0.05, 0))
     assert np.allclose(
         apart * (1 + weight * np.maximum(histogram[match] - 0.05, 0)), modified.min(1), rtol=1e-12
@@ -147,7 +152,10 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
         (lambda: build_index(np.zeros((4, 3))), "int16"),
         (lambda: build_index(np.zeros((4, 0), np.int16)), "table"),
         (lambda: build_index(np.zeros((0, 3), np.int16)), "no candidate"),
-        (lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)), "no candidate"),
+        (
+            lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)),
+            "no candidate",
+        ),
         (lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
         (lambda: build_index(np.zeros((4, 3), np.int16), k=0), "k=0"),
         (

@@ -200,6 +200,8 @@ def test_a_field_itself_is_what_pixels_come_near_to():
     dear = [np.ones(picture.shape[1:], np.int32)] * 2
     field = np.random.default_rng(2).integers(-90, 91, (1, *frame.region.shape)).astype(np.int8)
     near, of_field = choose_pixels(frame, matches, weights, field, costs=dear)
-    same, of_votes = choose_pixels(frame, matches, weights, field.astype(np.int16) * 256, costs=dear)
+    same, of_votes = choose_pixels(
+        frame, matches, weights, field.astype(np.int16) * 256, costs=dear
+    )
     assert np.array_equal(near, same)
     assert np.array_equal(of_field, of_votes)

@@ -61,7 +61,10 @@ FIELD, EXEMPLAR = smooth((19, 22, 25), 1, channels=2), smooth((18, 20, 16), 2, c
 FREE = np.ones(FIELD.shape[1:], bool)
 FREE[4:9, 5:, 3:20] = False
 TARGET = correlations_of([EXEMPLAR], softness=50, r_max=6)
-CUBES, SQUARES = slice_target([EXEMPLAR], width=4), slice_target([EXEMPLAR[:, :1]], width=4, flat=True)
+CUBES, SQUARES = (
+    slice_target([EXEMPLAR], width=4),
+    slice_target([EXEMPLAR[:, :1]], width=4, flat=True),
+)
 STAGE = key(5, "s")
 
 
@@ -84,13 +87,18 @@ def known(wraps):
         pytest.param(lambda: two_point_step(FIELD, TARGET, debt=0.01 * TARGET.curves), id="step"),
         pytest.param(lambda: two_point_step(FIELD, TARGET, periodic=AROUND), id="step around"),
         pytest.param(
-            lambda: two_point_step(FIELD, TARGET, periodic=MIXED, free=FREE), id="step of what is free"
+            lambda: two_point_step(FIELD, TARGET, periodic=MIXED, free=FREE),
+            id="step of what is free",
         ),
         pytest.param(lambda: misfit(FIELD, TARGET, periodic=MIXED, free=FREE), id="misfit"),
         pytest.param(
-            lambda: distance_step(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)), id="step of distances"
+            lambda: distance_step(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)),
+            id="step of distances",
         ),
-        pytest.param(lambda: transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2), id="round"),
+        pytest.param(
+            lambda: transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2),
+            id="round",
+        ),
         pytest.param(
             lambda: transport_neighbourhoods(
                 votes_of(FIELD), CUBES, key=STAGE, number=3, periodic=MIXED, free=FREE
@@ -117,9 +125,7 @@ def known(wraps):
         pytest.param(lambda: noise((2, 7, 5, 9), 11), id="noise"),
         pytest.param(lambda: known(MIXED), id="around what is known"),
         pytest.param(
-            lambda: remove_specks(
-                votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9
-            ),
+            lambda: remove_specks(votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9),
             id="specks",
         ),
     ],
@@ -140,10 +146,14 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
 
 def test_rounds_are_put_back_batch_by_batch(monkeypatch):
     """However few neighbourhoods at a time: planes of sites, some of their rows, one row."""
-    wanted = transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE)
+    wanted = transport_neighbourhoods(
+        votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+    )
     for batch in (1 << 16, 1 << 12, 1):
         monkeypatch.setattr("trabecula.synth.shared.statistics.sites.BATCH", batch)
-        found = transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE)
+        found = transport_neighbourhoods(
+            votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+        )
         assert np.array_equal(found, wanted)
 
 
@@ -212,7 +222,10 @@ def test_the_forecast_of_a_step_holds(periodic):
 
 ALONE = smooth((64, 60, 72), 7)
 ITS = correlations_of([EXEMPLAR[:1]], softness=50, r_max=6)
-CUBE, SQUARE = slice_target([EXEMPLAR[:1]], width=4), slice_target([EXEMPLAR[:1, :1]], width=4, flat=True)
+CUBE, SQUARE = (
+    slice_target([EXEMPLAR[:1]], width=4),
+    slice_target([EXEMPLAR[:1, :1]], width=4, flat=True),
+)
 
 
 @pytest.mark.parametrize(
@@ -321,7 +334,7 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
             return model.generate((16, 16, 16), seed=1).values
 
     whole = made()
-    monkeypatch.setattr(layout, "transport_planes", broken)
+    monkeypatch.setattr(run, "transport_planes", broken)
     with pytest.raises(KeyboardInterrupt):
         made()
     assert np.array_equal(made(), whole)

@@ -63,7 +63,9 @@ def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
     field = smooth((13, 12, 15), 0)
     votes = field.astype(np.int16) * UNIT
     slices = slice_target([field], width=4, variance=1.0, most=64)
-    after = transport_neighbourhoods(votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic)
+    after = transport_neighbourhoods(
+        votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic
+    )
     assert np.abs(after.astype(int) - votes).max() <= 2 * UNIT
 
 
@@ -91,7 +93,9 @@ def test_only_what_is_free_changes():
     free = np.zeros((16, 16, 16), bool)
     free[3:9, 4:12, :] = True
     votes = field.astype(np.int16) * UNIT
-    after = transport_neighbourhoods(votes, slice_target([other], width=4), key=key(0, "s"), number=0, free=free)
+    after = transport_neighbourhoods(
+        votes, slice_target([other], width=4), key=key(0, "s"), number=0, free=free
+    )
     assert np.array_equal(after[:, ~free], votes[:, ~free])
     assert np.mean(after[:, free] != votes[:, free]) > 0.9
     target = correlations_of([other], softness=60, r_max=5)
@@ -218,7 +222,8 @@ def test_a_field_at_its_target_stays_and_debt_moves_the_target():
     field = smooth((20, 20, 20), 14)
     target = correlations_of([field], softness=60, r_max=6)
     assert (
-        np.abs(two_point_step(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
+        np.abs(two_point_step(field, target).astype(int) - field.astype(int) * UNIT).max()
+        <= UNIT // 8
     )
     debt = np.zeros((1, 3, 7))
     debt[0, :, 1:4] = 2e-3

@@ -394,12 +394,12 @@ def test_lambda_keeps_its_limits():
 
 def test_it_stops_when_settled_or_out_of_rounds():
     state = Feedback(tolerance=0.01, most=4)
-    assert not state.done
+    assert not state.is_over
     for value, done in ((100.0, False), (50.0, False), (49.6, True), (30.0, True)):
         state = state.after(at(value))
-        assert state.done is done
-    assert not Feedback(trace=(at(5.0),)).done
-    assert Feedback(trace=(at(0.0), at(0.0))).done
+        assert state.is_over is done
+    assert not Feedback(trace=(at(5.0),)).is_over
+    assert Feedback(trace=(at(0.0), at(0.0))).is_over
 
 
 @pytest.mark.parametrize(("ndim", "counts"), [(3, (1, 8, 16, 48)), (2, (1, 4, 4, 8))])
@@ -410,7 +410,9 @@ def test_symmetries_are_a_group_of_the_right_size(ndim, counts):
         images = {apply_symmetry(probe, each).tobytes() for each in group}
         assert len(group) == len(images) == count
         assert apply_symmetry(probe, group[0]).tobytes() == probe.tobytes()
-        again = {apply_symmetry(apply_symmetry(probe, a), b).tobytes() for a in group for b in group}
+        again = {
+            apply_symmetry(apply_symmetry(probe, a), b).tobytes() for a in group for b in group
+        }
         assert again == images
         assert sum(each.mirrors for each in group) == (0 if count == 1 else count // 2)
 

@@ -168,7 +168,9 @@ def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
     )
     expected = np.zeros(field.size, bool)
     expected[[place for place in order if inside.ravel()[place]][:count]] = True
-    assert np.array_equal(brightest_voxels(field, count, inside if masked else None).ravel(), expected)
+    assert np.array_equal(
+        brightest_voxels(field, count, inside if masked else None).ravel(), expected
+    )
 
 
 def test_ties_are_settled_in_raster_order_across_slabs(tmp_path):

@@ -1,4 +1,6 @@
-"""Settings of `chen`: the only home of its defaults, besides those that it shares with its rivals."""
+"""Settings of `chen`: the only home of its defaults, besides those that it shares with
+its rivals.
+"""
 
 from __future__ import annotations
 

@@ -75,11 +75,12 @@ class ChenModel(SolidModel):
 
     @property
     def _chooses(self) -> bool:
+        """Return whether voxels become pixels of the pictures."""
         return self.config.discrete
 
     def _to_values(self, rounds: SolidRounds, request: Request) -> np.ndarray:
-        """Grey values and colours are those of the pixels themselves: matching channel by channel
-        would make new colours.
+        """Return the pixels' own grey values and colours: matching channel by channel would make
+        new colours.
         """
         if self.content.distances or not self.config.discrete or rounds.sources is None:
             return super()._to_values(rounds, request)
@@ -96,8 +97,8 @@ class ChenModel(SolidModel):
         return complete(values, request, empty=0)
 
     def _pixels(self, place: int) -> np.ndarray:
-        """The values of a view's pixels in the order of its sources on the finest level: (n,) or
-        (n, 3).
+        """Return the values of a view's pixels in the order of its sources on the finest level:
+        (n,) or (n, 3).
         """
         image, candidates = self.views[place].image, self.levels[0].views[place][1]
         numbers = np.arange(

@@ -14,9 +14,9 @@ from trabecula.synth.shared.matching.kernels import reach
 from trabecula.synth.shared.matching.planes import (
     RegionViews,
     planes_at_once,
-    round_votes,
     view_layout,
 )
+from trabecula.synth.shared.matching.rounds import round_votes
 
 
 def choose_pixels(
@@ -28,8 +28,8 @@ def choose_pixels(
     costs: Sequence[np.ndarray],
     trim: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of all pixels that the matched neighbourhoods of all views lay on a voxel, the one nearest to
-    the mean.
+    """Choose, for every voxel, the pixel nearest to the mean of all that the matched neighbourhoods
+    of all views lay on it.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ def choose_pixels(
 def position_excess(
     sources: np.ndarray | None, frame: RegionViews, strength: float
 ) -> list[np.ndarray]:
-    """1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source of n >
-    1 times its even share.
+    """Return 1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source
+    of n > 1 times its even share.
     """
     shapes = [plane.grid.candidates.stack.field.shape[1:] for plane in frame.planes]
     sizes = [int(np.prod(shape)) for shape in shapes]
@@ -127,8 +127,8 @@ def compare_pixels(
     wraps,
     axis,
 ):
-    """For voxels of a slab from plane `start` on the voxel of the exemplar, of all matched with it,
-    nearest in value to `mean`.
+    """Compare the exemplar's voxels matched with each voxel of a slab, from plane `start` on, and
+    keep the one nearest in value to `mean`.
 
     mean (C, ...) int16, 256 times a value; cost (...) int64 the least so far and chosen (...) int32
     the voxel that it belongs to, numbered from `first`, both updated; all three of the slab, with
@@ -174,7 +174,7 @@ def compare_pixels(
 
 @inline
 def _around(place, side):
-    """A place along an axis that wraps."""
+    """Return a place along an axis that wraps."""
     while place >= side:
         place -= side
     return place
@@ -182,7 +182,7 @@ def _around(place, side):
 
 @inline
 def _meets(begin, end, low, high, side):
-    """Whether any of begin .. end, around an axis of `side`, lies within low .. high."""
+    """Return whether any of begin .. end, around an axis of `side`, is within low .. high."""
     meets = False
     for row in range(begin, end):
         meets |= low <= _around(row, side) < high
@@ -204,8 +204,8 @@ def paint(pixels, chosen, field, start):
 
 @kernel
 def count_sources(sources, counts, start, stop):
-    """Of how many voxels of planes start..stop of (Z, Y, X) each pixel is the source, added to
-    counts (n,); -1 is none.
+    """Count the voxels of planes start..stop of (Z, Y, X) of which each pixel is the source, added
+    to counts (n,); -1 is none.
     """
     for z in range(start, stop):
         for y in range(sources.shape[1]):

@@ -62,8 +62,8 @@ class KopfModel(SolidModel):
 
 
 def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:
-    """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in
-    the target.
+    """Return (C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its
+    share in the target.
     """
     free = np.empty((0, 0, 0), bool) if frame.region.free is None else frame.region.free
 
@@ -78,8 +78,8 @@ def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> 
 
 
 def factors_of(exemplar: np.ndarray, excess: np.ndarray, full: int) -> np.ndarray:
-    """The factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the excess of
-    its values' bins.
+    """Return the factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the
+    excess of its values' bins.
     """
     total = np.ones(exemplar.shape[1:])
     for channel, over in zip(exemplar, excess, strict=True):
@@ -98,8 +98,8 @@ def _bin(values: np.ndarray) -> np.ndarray:
 
 @kernel
 def count_bins(votes, free, counts, start, stop):
-    """How many voxels of planes start..stop of (C, Z, Y, X) int16 lie in each of 16 equal bins,
-    added to counts (C, 16).
+    """Count the voxels of planes start..stop of (C, Z, Y, X) int16 in each of 16 equal bins, added
+    to counts (C, 16).
 
     Only those that are `free` (Z, Y, X) bool count; empty means all.
     """

@@ -42,7 +42,8 @@ class PictureMethod(Method):
             for name in ("kind", "phases", "unit"):
                 if getattr(image, name) != getattr(first, name):
                     raise InputError(
-                        f"pictures of one material agree in {name}: got {getattr(first, name)} and {getattr(image, name)}; "
+                        f"pictures of one material agree in {name}: got {getattr(first, name)} "
+                        f"and {getattr(image, name)}; "
                         "convert or rename them first"
                     )
 
@@ -50,7 +51,8 @@ class PictureMethod(Method):
         least = self._width() + ROOM
         if min(image.shape) < least:
             raise InputError(
-                f"the exemplar is {image.shape}, a neighbourhood of {self._width()} needs at least {least} pixels along every "
+                f"the exemplar is {image.shape}, a neighbourhood of {self._width()} needs at "
+                f"least {least} pixels along every "
                 "side: give a larger picture, or a smaller neighbourhood"
             )
         if image.kind != "labels" and (image.values == image.values[0, 0]).all():
@@ -61,19 +63,19 @@ class PictureMethod(Method):
 
     @abstractmethod
     def _width(self) -> int:
-        """Pixels a side of the largest neighbourhood."""
+        """Return the pixels a side of the largest neighbourhood."""
 
     @abstractmethod
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> PictureModel: ...
 
 
 def as_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """A volume (Z, Y, X, ...) with the axis that the view is seen across first: its slices are
-    (rows, columns).
+    """Return a volume (Z, Y, X, ...) with the axis of the view first: its slices are (rows,
+    columns).
     """
     return np.ascontiguousarray(np.moveaxis(values, view.axis, 0))
 
 
 def from_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """`as_volume` backwards, not copied."""
+    """Undo `as_volume`, without a copy."""
     return np.moveaxis(values, 0, view.axis)

@@ -16,7 +16,9 @@ from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 
 def halve(field: np.ndarray) -> np.ndarray:
-    """Mean over 2 x 2 x 2 cells of (C, Z, Y, X) float32; an odd side is continued by its last cell."""
+    """Average over 2 x 2 x 2 cells of (C, Z, Y, X) float32; an odd side is continued by its last
+    cell.
+    """
     count, *sides = field.shape
     shape = (count, *(-(-side // 2) for side in sides))
 
@@ -41,7 +43,7 @@ def double(
     shape: Sequence[int] | None = None,
     factor: int = 1,
 ) -> np.ndarray:
-    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along
+    """Upsample int8 (C, Z, Y, X) by two, trilinearly and in integers: weights 3/4 and 1/4 along
     every axis.
 
     Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
@@ -60,8 +62,8 @@ def double(
 
 
 def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`; itself where
-    there is nothing to do.
+    """Crop (C, Z, Y, X) at the far ends, or continue it by the last cell, to `shape`; return it
+    itself where there is nothing to do.
     """
     if field.shape[1:] == tuple(shape):
         return np.ascontiguousarray(field)
@@ -81,7 +83,7 @@ def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 @inline
 def _pair(k, side, wrap):
-    """The coarse cells that fine cell k lies between: the one that it lies in, and the other."""
+    """Return the coarse cells around fine cell k: the one that holds it, and the other."""
     k = min(k, 2 * side - 1)
     near = k // 2
     far = near + (1 if k % 2 else -1)
@@ -96,7 +98,7 @@ def _scale_back(sixty_fourths, factor):
 
 @kernel
 def _double(field, wraps, factor, fine, start, stop):
-    """Fine planes start..stop. Weights along y and z are summed up first, on coarse lines."""
+    """Upsample fine planes start..stop. Weights along y and z are summed first, on coarse lines."""
     C, Z, Y, X = field.shape
     line = np.empty(X, np.int32)
     for c in range(C):

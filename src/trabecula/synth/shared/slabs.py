@@ -1,5 +1,5 @@
-"""Arrays made, counted and turned slab by slab, so that no whole temporary array is needed, and large
-ones may be memory-mapped.
+"""Arrays made, counted and turned slab by slab, so that no whole temporary array is needed, and
+large ones may be memory-mapped.
 
 A volume seen along y or x is a copy with another axis first, made plane by plane of the original: a
 plane stays in the cache while its lines are written; turned as a whole every value would be a cache
@@ -21,8 +21,8 @@ AT_ONCE = 1 << 18
 
 
 def for_plane_groups(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
-    """`for_slabs` over the planes of (..., Z, Y, X), with `work` called for as few at a time as
-    hold `AT_ONCE` voxels.
+    """Call `work` on groups of planes of (..., Z, Y, X) that hold `AT_ONCE` voxels at most, by
+    `for_slabs`.
     """
     thick = _thickness(shape)
 
@@ -34,7 +34,9 @@ def for_plane_groups(work: Callable[[int, int], object], shape: Sequence[int]) -
 
 
 def make_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: Any) -> np.ndarray:
-    """(..., Z, Y, X) of which `make(start, stop)` gives planes of z (or one value for all of them)."""
+    """Make (..., Z, Y, X) of the planes (or the one value for all of them) that `make(start, stop)`
+    returns.
+    """
     made = memmap.empty(shape, dtype)
 
     def work(start: int, stop: int) -> None:
@@ -45,15 +47,15 @@ def make_by_slabs(make: Callable[[int, int], Any], shape: Sequence[int], dtype: 
 
 
 def count_true(inside: np.ndarray) -> int:
-    """How many voxels of (Z, Y, X) bool are True."""
+    """Count the voxels of (Z, Y, X) bool that are True."""
     return int(
         sum_slabs(lambda start, stop: int(np.count_nonzero(inside[start:stop])), len(inside))
     )
 
 
 def tally_by_slabs(tally: Callable[[int, int], np.ndarray], shape: Sequence[int]) -> np.ndarray:
-    """Counts of whole numbers in (..., Z, Y, X), where `tally(start, stop)` gives those in planes
-    of z.
+    """Sum the counts of whole numbers that `tally(start, stop)` returns over all planes of (..., Z,
+    Y, X).
     """
     thick = _thickness(shape)
 
@@ -69,25 +71,28 @@ def _thickness(shape: Sequence[int]) -> int:
 
 
 def intersection(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:
-    """Where both of two masks (Z, Y, X) are True; None stands for one that is True everywhere."""
+    """Mark the voxels of both of two masks (Z, Y, X); None stands for one that is True
+    everywhere.
+    """
     if first is None or second is None:
         return second if first is None else first
     return make_by_slabs(lambda a, b: first[a:b] & second[a:b], first.shape, bool)
 
 
 def complement(mask: np.ndarray) -> np.ndarray:
-    """Where a mask (Z, Y, X) is False."""
+    """Mark the voxels outside a mask (Z, Y, X)."""
     return make_by_slabs(lambda a, b: ~mask[a:b], mask.shape, bool)
 
 
 def axis_order(axis: int) -> tuple[int, int, int]:
-    """The axes of a volume with `axis` first."""
+    """Return the axes of a volume with `axis` first."""
     rows, columns = (other for other in range(3) if other != axis)
     return axis, rows, columns
 
 
 def put_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
-    """An array (..., Z, Y, X) with `axis` (0 z, 1 y, 2 x) first of its last three, contiguous.
+    """Return an array (..., Z, Y, X) with `axis` (0 z, 1 y, 2 x) first of its last three,
+    contiguous.
 
     Along z it is the array itself, where that is contiguous.
     """
@@ -109,7 +114,7 @@ def put_axis_first(values: np.ndarray, axis: int) -> np.ndarray:
 def restore_axis_order(
     seen: np.ndarray, axis: int, values: np.ndarray, *, add: bool = False
 ) -> None:
-    """`put_axis_first` backwards, into `values` (..., Z, Y, X); with `add` added to what is there."""
+    """Undo `put_axis_first`, into `values` (..., Z, Y, X); with `add`, add to them."""
     back = _back(seen, axis)
 
     def work(start: int, stop: int) -> None:
@@ -123,11 +128,11 @@ def restore_axis_order(
 
 
 def shape_with_axis_first(shape: Sequence[int], axis: int) -> tuple[int, int, int]:
-    """The sides of a volume with `axis` first."""
+    """Return the sides of a volume with `axis` first."""
     z, y, x = (shape[a] for a in axis_order(axis))
     return z, y, x
 
 
 def _back(seen: np.ndarray, axis: int) -> np.ndarray:
-    """A turned array in the order of the volume, not copied."""
+    """View a turned array in the order of the volume."""
     return np.moveaxis(seen, -3, axis - 3)

@@ -66,7 +66,7 @@ class Pictures:
     orientations: str
 
     def level(self, index: int, config: SlicedConfig) -> SlicedLevel:
-        """For search and vote on level `index`."""
+        """Learn level `index` for search and vote."""
         clip = config.clip * 2**index
         stacks = {number: Stack.of(parts) for number, parts in self._parts(index, clip).items()}
         made = {
@@ -88,7 +88,7 @@ class Pictures:
         )
 
     def layout(self, index: int, config: SlicedConfig) -> Layout:
-        """For sliced rounds on level `index`."""
+        """Learn level `index` for sliced rounds."""
         parts = self._parts(index, config.layout_clip)
         made = {
             number: slice_target(part, width=config.layout_width, flat=True)
@@ -104,12 +104,12 @@ class Pictures:
         )
 
     def _histograms(self, stacks: dict[int, Stack]) -> tuple[Histogram, ...]:
-        """One a channel, of all views together."""
+        """Pool the histograms of all views, one a channel."""
         seen = [stacks[view.picture].histograms for view in self.views]
         return tuple(Histogram.pool(channel) for channel in zip(*seen, strict=True))
 
     def _parts(self, index: int, clip: float) -> dict[int, list[np.ndarray]]:
-        """Every picture as int8 fields of a level, one for each start and orientation."""
+        """Return every picture as int8 fields of a level, one for each start and orientation."""
         found = {}
         for number, field in self.fields.items():
             spacing = next(view.image.spacing for view in self.views if view.picture == number)
@@ -121,8 +121,8 @@ class Pictures:
         return found
 
     def _correlations(self, index: int, clip: float, softness: float) -> Correlations:
-        """The two-point functions in the planes; where turned pictures count as well, one for all
-        directions.
+        """Measure the two-point functions in the planes; where turned pictures count as well, one
+        for all directions.
         """
         spacing = spacing_of(self.views)
         edges = [edge / mean_edge(spacing) for edge in spacing]
@@ -142,15 +142,15 @@ class Pictures:
 
 
 def subsample(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
-    """A field (C, 1, Y, X) in int8 at every 2**index-th pixel, from every start."""
+    """Return a field (C, 1, Y, X) in int8 at every 2**index-th pixel, from every start."""
     stride = 2**index
     whole = quantise(field, clip=clip)
     return [whole[:, :, y::stride, x::stride] for y in range(stride) for x in range(stride)]
 
 
 def make_isotropic(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlations:
-    """One function of distance for the three directions of a target that was measured in fields of
-    these shapes.
+    """Average the three directions of a target, measured in fields of these shapes, to one function
+    of distance.
     """
     bins = target.r_max + 1
     fits = np.sum(
@@ -163,8 +163,8 @@ def make_isotropic(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> C
 def reweight_target(
     target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
 ) -> Correlations:
-    """The target for fields with other histograms: the covariance form (S2 - m^2) / (m - m^2) is
-    kept.
+    """Return the target for fields with other histograms: the covariance form (S2 - m^2) / (m -
+    m^2) is kept.
 
     `softness` is that of the indicator whose two-point functions they are.
     """
@@ -176,7 +176,7 @@ def reweight_target(
 
 
 def _mean(histogram: Histogram, softness: float) -> float:
-    """The mean of the soft indicator."""
+    """Return the mean of the soft indicator."""
     counts = np.diff(histogram.up_to, prepend=0)
     soft = soft_indicator(histogram.values, softness).astype(np.float64)
     return float((soft * counts).sum() / counts.sum())

@@ -18,8 +18,8 @@ from trabecula.synth.shared.slabs import complement
 
 
 def torus_regions(request: Request, top: int, least: int) -> list[Region]:
-    """The regions of levels 0 .. `top`; an open axis goes on to whole voxels of the coarsest,
-    `least` of them at least.
+    """Return the regions of levels 0 .. `top`; an open axis is continued to whole voxels of the
+    coarsest, `least` of them at least.
     """
     whole = [max(least, -(-side // 2**top)) for side in request.shape]
     regions = []
@@ -35,7 +35,7 @@ def torus_regions(request: Request, top: int, least: int) -> list[Region]:
 def regions_around_known(
     request: Request, bounds: Bounds, top: int, clip_of: Callable[[int], float], *, exact: bool
 ) -> list[Region]:
-    """The regions of levels 0 .. `top` around known voxels, whose field lies within `bounds`.
+    """Return the regions of levels 0 .. `top` around known voxels, whose field is within `bounds`.
 
     A coarser voxel is known where any of its voxels is, with their mean: a single slice would
     vanish in a mean over all of them. `clip_of(index)` is the distance in voxels of the result at
@@ -60,7 +60,7 @@ def regions_around_known(
 def _coarse(
     known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]
 ) -> Region:
-    """The region of voxels `side` times as long."""
+    """Return the region of voxels `side` times as long."""
     low, high = bounds
     shape = tuple(-(-count // side) for count in known.shape)
     free = memmap.empty(shape, bool)
@@ -83,7 +83,7 @@ def _coarse(
 
 
 def _blocks(values: np.ndarray, side: int) -> np.ndarray:
-    """Sums of (C, Z, Y, X) over blocks; what reaches beyond the end counts nothing."""
+    """Sum (C, Z, Y, X) over blocks; beyond the end nothing counts."""
     padded = np.pad(values, [(0, 0)] + [(0, -count % side) for count in values.shape[1:]])
     z, y, x = (count // side for count in padded.shape[1:])
     return np.asarray(padded.reshape(len(values), z, side, y, side, x, side).sum(axis=(2, 4, 6)))

@@ -60,8 +60,8 @@ class Sliced(PictureMethod):
         return SlicedModel(self.config, exemplars, views)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Features of every level, counted in components of the pictures as they are, and the
-        components' sample.
+        """Forecast the features of every level, counted in components of the pictures as they are,
+        and the components' sample.
         """
         config, channels = self.config, channels_of(exemplars)
         alone = len(exemplars) == 1 and len(config.views) != 2
@@ -120,7 +120,8 @@ class SlicedModel(PictureModel):
         for axis, (side, wraps) in enumerate(zip(request.shape, request.periodic, strict=True)):
             if side < self._least and (wraps or request.fixed is not None):
                 raise RequestError(
-                    f"{_AXES[axis]} is {side} voxels long: periodic, or with fixed voxels, it needs at least {self._least}"
+                    f"{_AXES[axis]} is {side} voxels long: periodic, or with fixed voxels, it "
+                    f"needs at least {self._least}"
                 )
 
     @property
@@ -137,7 +138,7 @@ class SlicedModel(PictureModel):
         return rounds.votes
 
     def _to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        """The result's values from votes of its shape, without specks."""
+        """Return the result's values from votes of its shape, without specks."""
         values = self.content.to_values(votes, request)
         if not self.config.specks:
             return values
@@ -146,14 +147,14 @@ class SlicedModel(PictureModel):
         return self.content.to_values(votes, request)
 
     def _top(self, request: Request) -> int:
-        """The level that is laid out."""
+        """Return the level that is laid out."""
         top = self.top
         while top and min(request.shape) >> top < self._least:
             top -= 1
         return top
 
     def _regions(self, request: Request) -> list[Region]:
-        """Where levels 0 .. top are made."""
+        """Return the regions of levels 0 .. top."""
         top, config = self._top(request), self.config
         bounds = self.content.bounds(request, thin=True)
         if bounds is None:
@@ -192,7 +193,7 @@ class SlicedModel(PictureModel):
         }
 
     def _exemplar_bytes(self) -> int:
-        """Bytes of the pictures' fields and neighbourhoods."""
+        """Return the bytes of the pictures' fields and neighbourhoods."""
         candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
         slices = {id(s): s for layout in self.layouts for _, s in layout.views}.values()
         held = sum(
@@ -201,13 +202,13 @@ class SlicedModel(PictureModel):
         return held + sum(s.features.nbytes for s in slices)
 
     def _region(self, request: Request, index: int) -> Region:
-        """Where a level is made, without what is known there."""
+        """Return the region of a level, without known voxels."""
         if request.fixed is None:
             return torus_regions(request, self._top(request), self._least)[index]
         return Region(tuple(-(-side // 2**index) for side in request.shape), request.periodic)
 
     def _forecast(self, request: Request) -> SolidForecast:
-        """Of search and vote on the finest level."""
+        """Describe search and vote on the finest level for their forecast."""
         region, target = self._region(request, 0), self.levels[0].correlations
         run = SolidForecast(
             request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True
@@ -218,7 +219,7 @@ class SlicedModel(PictureModel):
         )
 
     def _layout_bytes(self, request: Request) -> int:
-        """Of sliced rounds: sums in two orders, and components; or of steps between them."""
+        """Forecast sliced rounds: sums in two orders, and components; or steps between them."""
         top = self._top(request)
         region, layout = self._region(request, top), self.layouts[top]
         channels, voxels = len(layout.histograms), prod(region.shape)
@@ -234,7 +235,7 @@ class SlicedModel(PictureModel):
 
 
 def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
-    """What one start of a picture (C, 1, Y, X) takes on a level."""
+    """Return the bytes of one start of a picture (C, 1, Y, X) on a level."""
     taken = 0
     for width, clip, variance, most, sliced in (
         (config.neighbourhood, config.clip * 2**index, config.variance, config.components, False),

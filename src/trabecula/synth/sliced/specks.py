@@ -17,7 +17,8 @@ _FACES = 6  # neighbours share one
 def remove_specks(
     votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
 ) -> np.ndarray:
-    """Votes that no longer give `values` their pieces of fewer than `least` voxels.
+    """Return votes that no longer give `values` their connected components of fewer than `least`
+    voxels.
 
     Parameters
     ----------

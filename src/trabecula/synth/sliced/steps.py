@@ -29,7 +29,7 @@ _FEW, _MANY = 8, 1 << 19
 
 
 def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
-    """One step.
+    """Take one step.
 
     Parameters
     ----------
@@ -53,13 +53,15 @@ def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np
 
 
 def slab_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool]) -> int:
-    """What `distance_step` takes in memory where arrays lie in scratch files."""
+    """Forecast the memory of `distance_step` where arrays are memory-mapped."""
     planes = thread_count() * 48 * (_few(shape) + 2) * shape[1] * shape[2]
     return max(planes, step_slab_bytes(shape, target, periodic))
 
 
 def _few(shape: Sequence[int]) -> int:
-    """Planes that are worked on at once: what they take meanwhile is many times what they are."""
+    """Count the planes that are worked on at once: their temporary arrays are many
+    times as large.
+    """
     return max(1, min(_FEW, _MANY // (shape[1] * shape[2])))
 
 
@@ -79,7 +81,7 @@ def _by_few(
 def _divide_by_slope(
     channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int
 ) -> None:
-    """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike:
+    """Divide planes start..stop of a channel (Z, Y, X) int8 by their slope, into `far`, alike:
     `FULL` is `FAR` voxels.
     """
     ratio = channel[start:stop] / slope(channel, wraps, start, stop)
@@ -96,8 +98,8 @@ def _multiply_by_slope(
     start: int,
     stop: int,
 ) -> None:
-    """What planes start..stop of `far` (Z, Y, X) int8 moved to, `votes` (Z, Y, X) int16, as votes
-    for the channel.
+    """Convert the move of planes start..stop of `far` (Z, Y, X) int8 to `votes` (Z, Y, X) int16
+    into votes for the channel, in place.
     """
     limit = FULL * UNIT
     part = slice(start, stop)
@@ -110,8 +112,9 @@ def _multiply_by_slope(
 
 
 def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> np.ndarray:
-    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over neighbours and
-    never 0: planes start..stop, float32."""
+    """Return the length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over
+    neighbours and never 0: planes start..stop, float32.
+    """
     # a neighbour more on either side
     planes = _around(np.arange(start - 1, stop + 1), len(channel), wraps[0])
     square = np.zeros((len(planes), *channel.shape[1:]), np.float32)
@@ -135,17 +138,17 @@ def _add_square(square: np.ndarray, before: np.ndarray, after: np.ndarray) -> No
 
 
 def _average(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """A quarter, a half, a quarter."""
+    """Average with weights of a quarter, a half, a quarter."""
     return (before + after + 2 * values) * np.float32(0.25)
 
 
 def _neighbours(values: np.ndarray, axis: int, wrap: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The values before and after every voxel along an axis."""
+    """Return the values before and after every voxel along an axis."""
     cells, side = np.arange(values.shape[axis]), values.shape[axis]
     before, after = (_around(cells + by, side, wrap) for by in (-1, 1))
     return values.take(before, axis), values.take(after, axis)
 
 
 def _around(cells: np.ndarray, side: int, wrap: bool) -> np.ndarray:
-    """Cells beyond an end are the last one there, or those at the other end."""
+    """Clip cells to the last one beyond an end, or wrap them to the other end."""
     return cells % side if wrap else cells.clip(0, side - 1)

@@ -161,11 +161,11 @@ class TextureConfig:
         )
 
     def step_of(self, width: int) -> int:
-        """Distance between neighbourhoods of a width."""
+        """Return the distance between neighbourhoods of a width."""
         return self.step or width // 2
 
     def novelty_for(self, *, distances: bool) -> float:
-        """The dial, or its default for exemplars of distances or of other fields.
+        """Return the dial, or its default for exemplars of distances or of other fields.
 
         Raises
         ------
@@ -175,19 +175,20 @@ class TextureConfig:
         applies = distances and self.search == "coherent" and not self.energetic and self.histogram
         if self.novelty and not applies:
             raise InputError(
-                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance and no energies: give novelty=0, "
+                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance "
+                "and no energies: give novelty=0, "
                 "or leave the others out"
             )
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
     @property
     def energetic(self) -> bool:
-        """Whether rounds go by the energy of equation (1) rather than by the plain vote."""
+        """Return whether rounds follow the energy of equation (1) rather than the plain vote."""
         return self.gradient > 0 or self.adaptive or self.tolerance > 0
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 

@@ -90,7 +90,7 @@ class Feedback:
     """The rounds so far."""
 
     def after(self, energy: Energy) -> Feedback:
-        """The state after a round that ended with `energy`."""
+        """Return the state after a round that ended with `energy`."""
         scale = self.scale
         if self.trace:
             before, now = self._comparable(self.trace[-1]), self._comparable(energy)
@@ -99,8 +99,8 @@ class Feedback:
         return replace(self, scale=scale, trace=(*self.trace, energy))
 
     @property
-    def done(self) -> bool:
-        """Whether the energy has settled, or the rounds are used up."""
+    def is_over(self) -> bool:
+        """Return whether the energy has settled, or the rounds are used up."""
         if len(self.trace) >= self.most:
             return True
         if len(self.trace) < 2:
@@ -124,8 +124,8 @@ def mismatch(
     gradient: bool = True,
     active: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Per site d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent voxels, in whole
-    neighbourhoods.
+    """Compute, per site, d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent
+    voxels, in whole neighbourhoods.
 
     Parameters
     ----------
@@ -152,7 +152,8 @@ def mismatch(
     covered = tuple((count - 1) * step + width for count in match.shape)
     if field.shape != (len(exemplar), *covered) or field.dtype not in (np.int8, np.int16):
         raise InputError(
-            f"the field is {field.dtype} of shape {field.shape}: int8 or int16 of {(len(exemplar), *covered)} is needed"
+            f"the field is {field.dtype} of shape {field.shape}: int8 or int16 of "
+            f"{(len(exemplar), *covered)} is needed"
         )
     parts = 1 if field.dtype == np.int8 else 256
     where = np.empty((0, 0, 0), bool) if active is None else active
@@ -187,7 +188,7 @@ def adaptive_weights(
     scale: float = 1.0,
     floor: float = 0.0,
 ) -> np.ndarray:
-    """w_p = lambda (d_p / reference)^(r - 2): equation (2).
+    """Compute w_p = lambda (d_p / reference)^(r - 2): equation (2).
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def energy(
     floor: float = 0.0,
     unit: float = 1.0,
 ) -> Energy:
-    """Equation (1) of a state and its matches.
+    """Evaluate equation (1) for a state and its matches.
 
     Parameters
     ----------
@@ -268,14 +269,12 @@ def energy(
 
 
 def total(values: Callable[[int], np.ndarray], count: int) -> float:
-    """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no
-    order.
-    """
+    """Sum `values(z)` over all `count` planes, rounded once, at its end: it depends on no order."""
     return math.fsum(chain.from_iterable(_values_by_plane(values, count)))
 
 
 def _values_by_plane(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
-    """One plane after the other: numbers of Python take 32 bytes each."""
+    """Yield one plane after the other: numbers of Python take 32 bytes each."""
     for z in range(count):
         yield values(z).ravel().tolist()
         memmap.release_pages()
@@ -285,8 +284,8 @@ def _values_by_plane(values: Callable[[int], np.ndarray], count: int) -> Iterato
 def _mismatch(
     state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop
 ):
-    """Sites start..stop, in whole numbers: `state` counts `parts` to a unit. An empty `active`
-    means everywhere.
+    """Compute sites start..stop in whole numbers: `state` counts `parts` to a unit. An empty
+    `active` means everywhere.
     """
     difference = np.empty((width, width, width), np.int32)
     for sz in range(start, stop):

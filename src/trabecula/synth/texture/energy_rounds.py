@@ -43,7 +43,7 @@ class Balance:
 
     @classmethod
     def at_first(cls, config: TextureConfig, rounds: int) -> Balance:
-        """Before the first round."""
+        """Return the balance before the first round."""
         rise, fall = (config.increase, config.decrease) if config.adaptive else (0.0, 0.0)
         return cls(Feedback(tolerance=config.tolerance, most=rounds, increase=rise, decrease=fall))
 
@@ -55,19 +55,19 @@ class Balance:
         return cls(Feedback(**{**feedback, "trace": trace}), stored["reference"])
 
     def trace(self) -> list[dict[str, Any]]:
-        """Every round's energies, as plain JSON."""
+        """Return every round's energies, as plain JSON."""
         return [asdict(round_) for round_ in self.feedback.trace]
 
 
 def round_bytes(voxels: int, sites: int, *, channels: int) -> int:
-    """Memory of a round on so many covered voxels: the votes, the solver's arrays, the state
-    before.
+    """Forecast the memory of a round on so many covered voxels: the votes, the solver's arrays, the
+    state before.
     """
     return voxels * (13 * channels + 30) + 16 * sites
 
 
 def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
-    """What a thread takes of a round whose arrays lie in scratch files: some planes, of `plane`
+    """Forecast a thread's memory in a round whose arrays are memory-mapped: some planes, of `plane`
     voxels and `sites` sites.
 
     A plane of sites reads `width` planes of the field; numbers of its energies are added as those
@@ -85,7 +85,9 @@ def energy_vote(
     *,
     trim: int,
 ) -> tuple[np.ndarray, Balance]:
-    """The votes (C, Z, Y, X) int16 for matches found on `field`, and the balance after them."""
+    """Return the votes (C, Z, Y, X) int16 for matches found on `field`, and the balance
+    after them.
+    """
     candidates = grid.candidates
     where: dict[str, Any] = {
         "shape": candidates.shape,
@@ -115,13 +117,13 @@ def energy_vote(
 
 
 def _mean(squared: np.ndarray, active: np.ndarray) -> float:
-    """Over the sites that are active; 0 where none is."""
+    """Average over the sites that are active; 0 where none is."""
     count = sum_slabs(lambda a, b: np.count_nonzero(active[a:b]), len(active))
     return total(lambda z: squared[z][active[z]], len(squared)) / max(1, count)
 
 
 def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]) -> np.ndarray:
-    """Those of equation (2) in integers; 0 where a site is not active."""
+    """Compute the weights of equation (2) in integers; 0 where a site is not active."""
     weights = memmap.empty(squared.shape, np.int32)
 
     def work(start: int, stop: int) -> None:
@@ -136,6 +138,7 @@ def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]
 def _cast(
     grid: Grid, match: np.ndarray, weights: np.ndarray, where: dict[str, Any], trim: int
 ) -> GradientVotes:
+    """Sum the votes for values and gradients."""
     exemplar = grid.candidates.stack.field
     votes = empty_votes(grid.reach, channels=len(exemplar))
     add_votes(votes, exemplar, match, weights, trim=trim, wraps=grid.region.wraps, **where)

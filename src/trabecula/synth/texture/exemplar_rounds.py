@@ -223,7 +223,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         del old
         self.field = region.clip_to_bounds(fitted)
         self.match = carry_matches(
-            self._matched,
+            self._matches,
             before,
             stage.grid.candidates,
             stage.grid.shape,
@@ -232,14 +232,14 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.debt = None
 
     @property
-    def _matched(self) -> np.ndarray:
+    def _matches(self) -> np.ndarray:
         assert self.match is not None  # from the start on
         return self.match
 
     def converges(self, stage: GridStage, number: int) -> bool:
         """Return whether the energy has settled."""
         assert self.balance is not None
-        return bool(number and self.config.energetic and self.balance.feedback.done)
+        return bool(number and self.config.energetic and self.balance.feedback.is_over)
 
     def search(self, stage: GridStage, number: int) -> None:
         """Find a new match for every site, and what it weighs in the vote."""
@@ -254,12 +254,12 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         if config.search == "exact":
             features = features_of(grid, self.field)
             self.match, distance = exact_search(
-                grid, self._matched, features, index_penalty=config.index_penalty
+                grid, self._matches, features, index_penalty=config.index_penalty
             )
             return distance
         self.match, distance = coherent_search(
             grid,
-            self._matched,
+            self._matches,
             self.field,
             stage=stage.stage,
             first=number * config.sweeps + 1,
@@ -275,14 +275,14 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         if self.config.energetic:
             assert self.field is not None and self.balance is not None
             votes, self.balance = energy_vote(
-                grid, self.field, self._matched, self.balance, self.config, trim=trim
+                grid, self.field, self._matches, self.balance, self.config, trim=trim
             )
             self.field = None
-            last = last or self.balance.feedback.done
+            last = last or self.balance.feedback.is_over
         else:
             assert self.weights is not None
             self.field = None
-            votes = cast_votes(grid, self._matched, self.weights, trim=trim)
+            votes = cast_votes(grid, self._matches, self.weights, trim=trim)
             self.weights = None
         votes = join_to_known(grid.region, votes)
         self._use_votes(
@@ -345,7 +345,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             return {}
         words = json.dumps([self.energies, asdict(self.balance)]).encode()
         arrays = {
-            "match": self._matched,
+            "match": self._matches,
             "field": self.field,
             "words": np.frombuffer(words, np.uint8),
         }

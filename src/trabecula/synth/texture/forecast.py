@@ -69,18 +69,18 @@ class TextureForecast:
 
     @property
     def output(self) -> int:
-        """Bytes of arrays that grow with the volume, when most is held."""
+        """Return the bytes of arrays that grow with the volume, at the peak."""
         return self._peak.arrays
 
     @property
     def scratch(self) -> int:
-        """Bytes of what is worked on then, by all threads."""
+        """Return the bytes of temporary arrays then, of all threads."""
         return self._peak.beside + (thread_count() - 1) * _THREAD
 
     @property
     def slab(self) -> int:
-        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
-        the pages of a few planes.
+        """Return the bytes that are needed in memory where arrays are memory-mapped: temporary
+        arrays, and the pages of a few planes.
         """
         beside = max(
             moment.beside for candidates in self.finest for moment in self._moments(candidates)
@@ -93,8 +93,8 @@ class TextureForecast:
         return max(moments, key=lambda moment: moment.arrays + moment.beside)
 
     def _moments(self, candidates: Candidates) -> list[Moment]:
-        """Of the rounds with one width, of what goes before them, and of the choice of the values
-        after them.
+        """List the moments of the rounds with one width, of the steps before them, and of the
+        choice of the values after them.
         """
         channels, request, threads = len(candidates.stack.field), self.request, thread_count()
         shape, grid = self._shape(candidates), self._grid(candidates)
@@ -152,7 +152,7 @@ class TextureForecast:
         return moments
 
     def _value_bytes(self, channels: int) -> int:
-        """Bytes of a voxel that the choice of the values takes beside the votes."""
+        """Return the bytes of a voxel that the choice of the values takes beside the votes."""
         request = self.request
         free = 2 * (request.fixed is not None)
         around = 6 if request.fixed is not None and self.distances else 0
@@ -160,7 +160,9 @@ class TextureForecast:
         return free + max(around, values)
 
     def _search_bytes(self, candidates: Candidates) -> int:
-        """By one thread: features, and the sums over blocks that they are made of."""
+        """Return one thread's bytes of features, and of the sums over blocks that they
+        are made of.
+        """
         shape, grid, threads = self._shape(candidates), self._grid(candidates), thread_count()
         basis, channels, depth = (
             candidates.basis,
@@ -186,6 +188,7 @@ class TextureForecast:
         )
 
     def _page_bytes(self, candidates: Candidates) -> int:
+        """Return the bytes of the pages of a few planes, of all threads."""
         shape, grid = self._shape(candidates), self._grid(candidates)
         channels, width = len(candidates.stack.field), candidates.basis.width
         known = 2 * channels + 10 if self.request.fixed is not None else 2

@@ -39,26 +39,29 @@ def check_phases(present: tuple[int, ...], empty: int) -> None:
     """Raise where a target porosity does not say how much of each phase there is to be."""
     if len(present) != 2 or empty not in present:
         raise RequestError(
-            f"a target porosity is honoured for a void and one other phase, the exemplar holds {len(present)} phases: "
+            "a target porosity is honoured for a void and one other phase, the exemplar holds "
+            f"{len(present)} phases: "
             "merge them (tb.segment with one threshold), or leave the target out"
         )
 
 
 def target_fractions(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
-    """(Z, Y, X) float32: the share that the upper of two phases is to have at every voxel."""
+    """Return the volume fraction that the upper of two phases is to have at every voxel, (Z, Y, X)
+    float32.
+    """
     shares = memmap.empty(request.shape, np.float32)
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            porosity = np.asarray(_asked(request, slice(z, z + 1)), np.float32)
+            porosity = np.asarray(_porosity_on(request, slice(z, z + 1)), np.float32)
             shares[z] = porosity if present[1] == empty else 1 - porosity
 
     for_slabs(work, len(shares))
     return shares
 
 
-def _asked(request: Request, planes: slice) -> float | np.ndarray:
-    """The porosity that is asked for on planes, or everywhere."""
+def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
+    """Return the requested porosity on planes, or everywhere."""
     target = {
         name: value[planes] if isinstance(value, np.ndarray) else value
         for name, value in request.target.items()
@@ -68,7 +71,7 @@ def _asked(request: Request, planes: slice) -> float | np.ndarray:
 
 
 def fractions_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
-    """What shares at every voxel are at the resolution of each stack, finest first."""
+    """Return fractions at every voxel at the resolution of each stack, finest first."""
     own = phase_fraction(stacks[0])
     found: list[np.ndarray] = []
     for stack in stacks:
@@ -78,7 +81,7 @@ def fractions_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.n
 
 
 def carry_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
-    """What shares become on a level where the exemplar's own share is `there`."""
+    """Convert fractions to a level where the exemplar's own fraction is `there`."""
     carried = memmap.empty(shares.shape, np.float32)
 
     def work(start: int, stop: int) -> None:
@@ -90,7 +93,7 @@ def carry_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
 
 
 def phase_fraction(stack: Stack) -> float:
-    """The share of the phase in the exemplars' volumes."""
+    """Return the fraction of the phase in the exemplars' volumes."""
     inside = sum(
         np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
         for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True)
@@ -99,14 +102,14 @@ def phase_fraction(stack: Stack) -> float:
 
 
 def average_target(request: Request) -> Request:
-    """The request with one number as its target: the mean of what is asked for."""
+    """Return the request with one number as its target: the mean of its field."""
     if not any(map(np.ndim, request.target.values())):
-        return replace(request, target={"porosity": float(_asked(request, slice(None)))})
+        return replace(request, target={"porosity": float(_porosity_on(request, slice(None)))})
     planes = np.zeros((request.shape[0], 2))
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            asked = np.asarray(_asked(request, slice(z, z + 1)))[0]
+            asked = np.asarray(_porosity_on(request, slice(z, z + 1)))[0]
             inside = asked if request.mask is None else asked[request.mask[z]]
             planes[z] = inside.sum(dtype=np.float64), inside.size
 
@@ -148,7 +151,9 @@ _AROUND = 1 << 16  # bytes of a file that the system maps at once where one is r
 
 @dataclass(frozen=True)
 class FractionTarget:
-    """What one level's grid is asked for: the share of the phase around every voxel of its region."""
+    """What one level's grid is asked for: the share of the phase around every voxel of
+    its region.
+    """
 
     region: Region
     wanted: np.ndarray
@@ -161,7 +166,9 @@ class FractionTarget:
 
     @classmethod
     def of(cls, region: Region, shares: np.ndarray, width: int) -> FractionTarget:
-        """For a region that is covered, with shares (z, y, x) float32 of its beginning."""
+        """Sum the target of a region that is covered over windows, with shares (z, y, x) float32 of
+        its beginning.
+        """
         places = [
             np.arange(side).clip(max=have - 1)
             for side, have in zip(region.shape, shares.shape, strict=True)
@@ -182,7 +189,7 @@ class FractionTarget:
         return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
 
     def guide(self, grid: Grid) -> np.ndarray:
-        """What is asked for around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
+        """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
         box, steps = grid.candidates.basis.box, grid.candidates.steps
         at = [
             (np.arange(count) * step + w // 2) % side
@@ -199,7 +206,7 @@ class FractionTarget:
         return guide
 
     def shift_field(self, field: np.ndarray) -> np.ndarray:
-        """A field (1, Z, Y, X) int8, shifted towards what is asked for."""
+        """Shift a field (1, Z, Y, X) int8 towards the target."""
         leaned = memmap.empty(field.shape, np.int8)
 
         def add(z: int, shift: np.ndarray) -> None:
@@ -211,7 +218,7 @@ class FractionTarget:
     def step(
         self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
     ) -> None:
-        """A step of Newton's method on the shares around every voxel.
+        """Take a step of Newton's method on the fractions around every voxel.
 
         Parameters
         ----------
@@ -253,15 +260,15 @@ class FractionTarget:
 
 
 def slab_bytes(shape: tuple[int, ...]) -> int:
-    """What a thread takes where arrays lie in scratch files: some planes, and a row of whole
+    """Forecast a thread's memory where arrays are memory-mapped: some planes, and a row of whole
     columns along z.
     """
     return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
 
 
 def guide_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:
-    """A grid of level `index` whose search is guided, and what its field leans to; shares are those
-    of that level.
+    """Return a grid of level `index` whose search is guided, and the target of its field; shares
+    are those of that level.
     """
     even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
@@ -273,7 +280,9 @@ def guide_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Fracti
 
 
 def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
-    """Candidates with one more feature: the share of the phase in the window around them."""
+    """Return candidates with one more feature: the fraction of the phase in the window
+    around them.
+    """
     stack = candidates.stack
     inside = np.zeros(stack.field.shape[1:], np.int32)
     counts = np.zeros_like(inside)
@@ -295,14 +304,14 @@ def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
 
 
 def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Sums of shares over windows of some voxels, as a feature."""
+    """Convert sums of fractions over windows of some voxels to a feature."""
     return np.asarray(
         sums_.astype(np.int64) * _PULL // (np.maximum(counts, 1).astype(np.int64) * _UNIT), np.int16
     )
 
 
 def settle_fractions(votes: np.ndarray, leaning: FractionTarget) -> np.ndarray:
-    """The last votes (1, Z, Y, X) int16, shifted until the shares are those asked for."""
+    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target."""
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
     _settle(field, leaning)
@@ -322,10 +331,10 @@ def settle_fractions(votes: np.ndarray, leaning: FractionTarget) -> np.ndarray:
 
 
 def _settle(field: np.ndarray, leaning: FractionTarget) -> None:
-    """Steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
+    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 
-    def rounded(z: int) -> np.ndarray:
+    def round_plane(z: int) -> np.ndarray:
         return np.clip((field[z] + 128) >> 8, -127, 127)
 
     def move(z: int, shift: np.ndarray) -> None:
@@ -335,12 +344,12 @@ def _settle(field: np.ndarray, leaning: FractionTarget) -> None:
         field[z] += moved[z]
 
     for _ in range(_LAST):
-        leaning.step(rounded, move)
+        leaning.step(round_plane, move)
 
 
 @kernel
 def _miss(wanted, counted, have, start, stop):
-    """What is missing from the share around every voxel, in `_UNIT`, written over what is there."""
+    """Replace the sums by the fraction that is missing around every voxel, in `_UNIT`."""
     for z in range(start, stop):
         for y in range(have.shape[1]):
             for x in range(have.shape[2]):
@@ -350,7 +359,9 @@ def _miss(wanted, counted, have, start, stop):
 
 @kernel
 def _shift(missing, near, counted, shift):
-    """Of a plane: what is missing, averaged over a window, over what a shift by 1 would add."""
+    """Divide the fraction missing in a plane, averaged over a window, by the gain of a
+    shift by 1.
+    """
     for y in range(shift.shape[0]):
         for x in range(shift.shape[1]):
             # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that

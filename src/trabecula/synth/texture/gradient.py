@@ -47,7 +47,7 @@ class GradientVotes:
 
 
 def empty_votes(shape: tuple[int, ...], *, channels: int = 1) -> GradientVotes:
-    """Votes of a (Z, Y, X) volume before the first is cast."""
+    """Return the votes of a (Z, Y, X) volume before the first is cast."""
     return GradientVotes(
         memmap.zeros((channels, *shape), np.int32),
         memmap.zeros(shape, np.int32),
@@ -100,7 +100,8 @@ def add_votes(
     covered = tuple((count - 1) * step + width for count in match.shape)
     if votes.weights.shape != covered or len(votes.values) != len(field):
         raise InputError(
-            f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} channels on sites that cover "
+            f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} "
+            "channels on sites that cover "
             f"{covered}: make them with no_votes(covered, channels=...)"
         )
     rims = [
@@ -134,7 +135,7 @@ def add_votes(
 
 
 def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
-    """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it
+    """Fold the votes of a volume that repeats every `shape` voxels: those beyond are added where it
     repeats.
 
     For sites that go once round every periodic axis; give the covered length along the others.
@@ -175,7 +176,7 @@ def _fold(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _add_beyond(rows: np.ndarray, period: int) -> np.ndarray:
-    """The first `period` rows, with the others added to them in place."""
+    """Return the first `period` rows, with the others added to them in place."""
     for first in range(period, len(rows), period):
         beyond = rows[first : first + period]
         rows[: len(beyond)] += beyond
@@ -183,8 +184,8 @@ def _add_beyond(rows: np.ndarray, period: int) -> np.ndarray:
 
 
 def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
-    """(sites, 2): the first voxel of each neighbourhood that votes along an axis, and the one after
-    the last.
+    """Return (sites, 2): the first voxel of each neighbourhood that votes along an axis, and the
+    one after the last.
     """
     rims = np.tile([trim, width - trim], (count, 1))
     if not wrap:
@@ -200,7 +201,7 @@ def _add_counts(
     *,
     step: int,
 ) -> None:
-    """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
+    """Add weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []
     for rim, length in zip(rims, votes.weights.shape, strict=True):
         first, stop = (step * np.arange(len(rim)) + edge for edge in rim.T)
@@ -223,7 +224,7 @@ def _add_counts(
 def _sum_planes(
     near: np.ndarray, match: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The weights of sites on planes that are `near`, and how many of them vote, summed across the
+    """Sum the weights of sites on planes that are `near`, and the number that vote, across the
     planes.
     """
     cast, held = np.zeros(match.shape[1:], np.float32), np.zeros(match.shape[1:], np.float32)
@@ -264,8 +265,8 @@ def _add(
     start,
     stop,
 ):
-    """Values and gradients of all sites on the voxel planes start..stop; `around` is the exemplar's
-    Laplacian.
+    """Add values and gradients of all sites on the voxel planes start..stop; `around` is the
+    exemplar's Laplacian.
 
     What the Laplacian holds of neighbours beyond the neighbourhood is taken back at its faces.
     """

@@ -63,13 +63,14 @@ class Texture(Method):
         for exemplar in exemplars:
             if min(exemplar.shape) < width + ROOM:
                 raise InputError(
-                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at least {width + ROOM} "
+                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at "
+                    f"least {width + ROOM} "
                     "voxels along every axis: give a larger exemplar, or a smaller neighbourhood"
                 )
         return TextureModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """The principal components, and the finest level's fields and candidates."""
+        """Forecast the principal components, and the finest level's fields and candidates."""
         channels = channels_of(exemplars)
         shapes = [exemplar.shape for exemplar in exemplars]
         distances = exemplars[0].kind == "labels" and self.config.field == "distance"
@@ -130,7 +131,9 @@ class TextureModel(Model):
 
     @property
     def levels(self) -> list[Level]:
-        """The neighbourhoods for search and vote from random patches; learnt when first needed."""
+        """Return the neighbourhoods for search and vote from random patches; learnt when first
+        needed.
+        """
         if self.learnt is None:
             self.learnt = self._levels()
         return self.learnt
@@ -145,7 +148,7 @@ class TextureModel(Model):
         ]
 
     def _targets(self) -> list[Correlations]:
-        """The two-point functions of every level."""
+        """Measure the two-point functions of every level."""
         edges = isotropic_scale(self.exemplars[0].spacing)
         return [
             correlations_at(own, index, edges=edges, clip=self.config.clip)
@@ -153,7 +156,7 @@ class TextureModel(Model):
         ]
 
     def _learn_new(self) -> None:
-        """What material that is not copied has to agree with."""
+        """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
         schedule = novel_layout.passes(self.novelty, self.top)
         self.aims = [
@@ -165,8 +168,8 @@ class TextureModel(Model):
         self.slices = novel_layout.slices_for(self._own[self.top])
 
     def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
-        """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
-        value is what it is.
+        """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
+        grey value is unchanged.
         """
         if self.content.distances:
             return quantise(field, clip=self.config.clip, unit=2**index)
@@ -198,15 +201,15 @@ class TextureModel(Model):
         return self.content.to_values(votes, request), {"levels": energies} if energies else {}
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
-        """What a target asks of each level; empty where there is none."""
+        """Return the target's volume fractions on each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
             return []
         shares = target_fractions(request, self.content.present, self.content.empty)
         return fractions_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
-        """Whether there is room to lay out something new; beside known voxels neighbourhoods have
-        to fit them.
+        """Return whether there is room to lay out something new; beside known voxels neighbourhoods
+        have to fit them.
         """
         return (
             self.top > 0
@@ -220,7 +223,8 @@ class TextureModel(Model):
         width = min(self.config.neighbourhood)
         if request.mask is not None and not _has_room(request.mask, width):
             raise RequestError(
-                f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it at a finer spacing, or "
+                f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it "
+                "at a finer spacing, or "
                 "choose a smaller neighbourhood (--set neighbourhood=4)"
             )
 
@@ -258,7 +262,7 @@ class TextureModel(Model):
         }
 
     def _exemplar_bytes(self) -> int:
-        """Bytes of the exemplar's fields and neighbourhoods."""
+        """Return the bytes of the exemplar's fields and neighbourhoods."""
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if self.config.search == "exact" else 1  # prepared for it, in another order
@@ -266,7 +270,7 @@ class TextureModel(Model):
         return fields + sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
 
     def _run(self, request: Request) -> TextureForecast:
-        """What a forecast is of."""
+        """Describe a run for its forecast."""
         new, config = self._makes_new(request), self.config
         labels = isinstance(self.content, Labels)
         itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
@@ -299,8 +303,8 @@ class TextureModel(Model):
 
 
 def _has_room(mask: np.ndarray, width: int) -> bool:
-    """Whether a cube of `width` voxels fits into a mask (one that is thinner along an axis may fill
-    that axis).
+    """Return whether a cube of `width` voxels fits into a mask (one that is thinner along an axis
+    may fill that axis).
     """
     reach = [min(width, side) for side in mask.shape]
     deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside

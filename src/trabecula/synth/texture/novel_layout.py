@@ -91,7 +91,7 @@ class Aims:
 
 
 def passes(novelty: float, top: int) -> tuple[Pass, ...]:
-    """The passes from the level that sliced rounds lay out to the finest one.
+    """List the passes from the level that sliced rounds lay out to the finest one.
 
     Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
     those of finer levels.
@@ -108,8 +108,8 @@ def passes(novelty: float, top: int) -> tuple[Pass, ...]:
 
 
 def top_for(smallest: int) -> int:
-    """The level that sliced rounds lay out, for exemplars whose smallest side is this; 0: there is
-    no room for one.
+    """Return the level that sliced rounds lay out, for exemplars whose smallest side is this; 0:
+    there is no room for one.
     """
     top = COARSEST
     while top and smallest // 2**top < LEAST:
@@ -118,7 +118,7 @@ def top_for(smallest: int) -> int:
 
 
 def has_room(shape: tuple[int, ...], top: int) -> bool:
-    """Whether a result is large enough to be laid out on level `top`."""
+    """Return whether a result is large enough to be laid out on level `top`."""
     return min(shape) >= LEAST * 2**top
 
 
@@ -145,7 +145,7 @@ def aims_of(
 
 
 def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
-    """What the sliced rounds of the coarsest level aim at."""
+    """Describe the target of the sliced rounds of the coarsest level."""
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
     return slice_target(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
@@ -154,7 +154,9 @@ def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
 def torus_shape(
     shape: tuple[int, ...], periodic: tuple[bool, ...], level: int, top: int
 ) -> tuple[int, ...]:
-    """Sides of the torus on a level: an open axis goes on to whole voxels of the coarsest level."""
+    """Return the sides of the torus on a level: an open axis is continued to whole voxels of the
+    coarsest level.
+    """
     return tuple(
         -(-side // 2**level) if wraps else -(-side // 2**top) * 2 ** (top - level)
         for side, wraps in zip(shape, periodic, strict=True)
@@ -381,8 +383,8 @@ def make_novel(
 
 
 def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
-    """Memory of a step on the two-point function on the finest level, or on long waves, beside the
-    field and its votes.
+    """Forecast the memory of a step on the two-point function on the finest level, or on long
+    waves, beside the field and its votes.
     """
     shape = torus_shape(request.shape, request.periodic, 0, top)
     return max(
@@ -391,7 +393,7 @@ def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
 
 
 def slab_bytes(correlations: Correlations, slices: SliceTarget, request: Request, top: int) -> int:
-    """Memory of what `make_novel` does to the field where arrays lie in scratch files, beside search
+    """Forecast the memory of `make_novel` where arrays are memory-mapped, beside search
     and vote.
     """
     shape = torus_shape(request.shape, request.periodic, 0, top)

@@ -31,8 +31,8 @@ def solve_votes(
     tolerance: float = 1 / 64,
     start: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The field that fits the voted values and gradients best: equation (1) for fixed matches and
-    weights.
+    """Find the field that fits the voted values and gradients best: equation (1) for fixed matches
+    and weights.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def solve_votes(
 
 
 def _initial_field(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:
-    """The guess, or the weighted mean, as (Z, Y, X) float32."""
+    """Return the guess, or the weighted mean, as (Z, Y, X) float32."""
     field = memmap.empty(votes.weights.shape, np.float32)
     if guess is None:
         for_slabs(partial(_average, votes.values[channel], votes.weights, field), len(field))
@@ -91,7 +91,9 @@ def _copy_guess(
 def _solve(
     votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float
 ) -> None:
-    """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
+    """Iterate conjugate gradients on `field`. Scalar products are summed plane by plane, then over
+    planes.
+    """
     weights, pairs, planes = votes.weights, votes.pairs, len(field)
     part = np.empty((planes, 2))
     inverse, rest, along, image = (memmap.empty(field.shape, np.float32) for _ in range(4))
@@ -120,7 +122,7 @@ def _solve(
 
 
 def _count_votes(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Pairs, weights and voxels voted on."""
+    """Count pairs, weights and voxels voted on."""
     part = weights[start:stop]
     return np.array(
         [pairs[:, start:stop].sum(dtype=np.int64), part.sum(dtype=np.int64), np.count_nonzero(part)]
@@ -157,7 +159,7 @@ def _average(values, weights, mean, start, stop):
 
 @inline
 def _row(weights, pairs, mu, field, z, y, out):
-    """One row of the matrix's product with `field`: W s + mu sum_b n_ab (s_a - s_b)."""
+    """Multiply the matrix by `field`, one row: W s + mu sum_b n_ab (s_a - s_b)."""
     Z, Y, X = field.shape
     below, above, before, after = (
         z - 1 if z > 0 else Z - 1,
@@ -184,8 +186,8 @@ def _row(weights, pairs, mu, field, z, y, out):
 
 @kernel
 def _begin(values, gradients, weights, pairs, mu, field, inverse, rest, along, part, start, stop):
-    """The diagonal's inverse, the first rest and direction; per plane rest . direction and
-    |direction|^2.
+    """Write the diagonal's inverse, the first residual and direction; per plane residual .
+    direction and |direction|^2.
     """
     X = field.shape[2]
     for z in range(start, stop):
@@ -214,7 +216,7 @@ def _begin(values, gradients, weights, pairs, mu, field, inverse, rest, along, p
 
 @inline
 def _dot(a, b):
-    """In float64 and eight interleaved sums: one sum would wait for each addition."""
+    """Multiply in float64 and eight interleaved sums: one sum would wait for each addition."""
     part = np.zeros(8)
     for i in range(0, len(a) - 7, 8):
         for j in range(8):
@@ -235,7 +237,9 @@ def _multiply(weights, pairs, mu, along, image, part, start, stop):
 
 @kernel
 def _advance(step, along, image, inverse, field, rest, part, start, stop):
-    """Along the direction; per plane rest . z and |z|^2 of the preconditioned rest z."""
+    """Advance along the direction; per plane residual . z and |z|^2 of the preconditioned residual
+    z.
+    """
     near = np.empty(field.shape[2], np.float32)
     for z in range(start, stop):
         part[z] = 0

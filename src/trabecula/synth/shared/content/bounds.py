@@ -25,7 +25,7 @@ def distance_bounds(
     *,
     thin: bool,
 ) -> Bounds:
-    """Of the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
+    """Bound the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
 
     A known voxel lies no farther from an interface than from the nearest known voxel of the other
     side, and no nearer than from that or from the unknown; with `thin`, where slices are known, no
@@ -37,7 +37,7 @@ def distance_bounds(
         inside = make_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
         within, without = _depth(inside, known, spacing), _depth(complement(inside), known, spacing)
 
-        def held(
+        def bounds(
             start: int,
             stop: int,
             inside: np.ndarray = inside,
@@ -46,29 +46,30 @@ def distance_bounds(
             there = unknown if unknown is None else unknown[start:stop]
             return _between(inside[start:stop], own[0][start:stop], own[1][start:stop], there)
 
-        _fill(least, most, known, held)
-        del inside, within, without, held  # before the next are made
+        _fill(least, most, known, bounds)
+        del inside, within, without, bounds  # before the next are made
     return low, high
 
 
 def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) -> Bounds:
-    """Of blurred indicators: how far the blur of a known voxel is known depends on its neighbours;
-    its side of the middle does not."""
+    """Bound the sign of blurred indicators: the blur of a known voxel depends on its neighbours,
+    its side of the middle does not.
+    """
     low, high = _empty_bounds(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
 
-        def held(start: int, stop: int, label: int = label) -> Bounds:
+        def bounds(start: int, stop: int, label: int = label) -> Bounds:
             inside = values[start:stop] == label
             return np.where(inside, 1.0, -_ANY), np.where(inside, _ANY, -1.0)
 
-        _fill(least, most, known, held)
+        _fill(least, most, known, bounds)
     return low, high
 
 
 def value_bounds(
     fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray
 ) -> Bounds:
-    """Of fields that are the values themselves, stretched: `fields` says how."""
+    """Bound fields that are the values themselves, stretched by `fields`."""
     low, high = _empty_bounds(len(fields(values[:1])), known)
 
     def work(start: int, stop: int) -> None:
@@ -86,12 +87,12 @@ def _empty_bounds(channels: int, known: np.ndarray) -> Bounds:
 
 
 def _fill(
-    low: np.ndarray, high: np.ndarray, known: np.ndarray, held: Callable[[int, int], Bounds]
+    low: np.ndarray, high: np.ndarray, known: np.ndarray, bounds: Callable[[int, int], Bounds]
 ) -> None:
-    """The bounds of one channel: those that are held where voxels are known, anything elsewhere."""
+    """Write the bounds of one channel: those of `bounds` where voxels are known, none elsewhere."""
 
     def work(start: int, stop: int) -> None:
-        least, most = held(start, stop)
+        least, most = bounds(start, stop)
         low[start:stop] = np.where(known[start:stop], least, -_ANY)
         high[start:stop] = np.where(known[start:stop], most, _ANY)
 
@@ -108,7 +109,7 @@ def _between(
 
 
 def _depth(inside: np.ndarray, known: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
-    """Distance of every voxel of `inside` to the nearest known voxel outside."""
+    """Measure the distance of every voxel of `inside` to the nearest known voxel outside."""
     may_be = make_by_slabs(lambda a, b: inside[a:b] | ~known[a:b], inside.shape, bool)
     if count_true(may_be) == may_be.size:
         return make_by_slabs(lambda a, b: _ANY, inside.shape, np.float32)

@@ -29,7 +29,7 @@ FULL = 127
 
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
-    """The labels that occur in any of the images, rising."""
+    """List the labels that occur in any of the images, rising."""
     return tuple(
         int(label)
         for label in np.unique(np.concatenate([np.unique(image.values) for image in images]))
@@ -48,8 +48,8 @@ def channels_of(exemplars: Sequence[Image]) -> int:
 def phase_fields(
     image: Image, present: tuple[int, ...] | None = None, *, unit: float | None = None
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that they stand
-    for.
+    """Return signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that
+    they stand for.
 
     With two labels present the one channel stands for the second. Distances follow the image's
     spacing; `unit` is the length that counts as one, by default the geometric mean of a voxel's
@@ -67,12 +67,12 @@ def phase_fields(
 
 
 def mean_edge(spacing: Sequence[float]) -> float:
-    """The geometric mean of a voxel's edges."""
+    """Return the geometric mean of a voxel's edges."""
     return float(np.exp(np.mean(np.log(np.asarray(spacing)))))
 
 
 def isotropic_scale(spacing: Sequence[float]) -> tuple[float, ...]:
-    """Edges of a voxel over their geometric mean."""
+    """Divide the edges of a voxel by their geometric mean."""
     edges = np.asarray(spacing)
     return tuple((edges / np.exp(np.mean(np.log(edges)))).tolist())
 
@@ -84,7 +84,7 @@ def _distance_of(inside: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
 
 
 def quantise(field: np.ndarray, *, clip: float, unit: float = 1.0) -> np.ndarray:
-    """A field (..., Z, Y, X) in int8, where +-127 means `clip` of these units and beyond."""
+    """Round a field (..., Z, Y, X) to int8, where +-127 means `clip` of these units and beyond."""
     if field.ndim < 3:
         return _bytes(field, clip, unit)
     return make_by_slabs(
@@ -98,7 +98,9 @@ def _bytes(field: np.ndarray, clip: float, unit: float) -> np.ndarray:
 
 
 def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -> np.ndarray:
-    """Grey values, or colours (..., 3), as (C, ...) float32, -127 at `low` and 127 at `high`."""
+    """Stretch grey values, or colours (..., 3), to (C, ...) float32, -127 at `low` and 127 at
+    `high`.
+    """
     channels = np.moveaxis(values, -1, 0) if colour else values[None]
     return (channels.astype(np.float32) - np.float32(low)) * np.float32(
         2 * FULL / (high - low)
@@ -108,8 +110,8 @@ def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -
 def values_of(
     fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None
 ) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms
-    of the channels.
+    """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the
+    histograms of the channels.
     """
     if len(fields) == 1:
         return match_histogram(fields[0], targets[0], inside)
@@ -130,8 +132,8 @@ def values_of(
 
 
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields`
-    backwards.
+    """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: the inverse
+    of `value_fields`.
     """
     shape = fields.shape[1:] if len(fields) == 1 else (*fields.shape[1:], len(fields))
     values = memmap.empty(shape, dtype)
@@ -157,7 +159,7 @@ _WORDS = 4  # of 64 bits that the generator makes at once
 
 
 def votes_of(field: np.ndarray) -> np.ndarray:
-    """A field (C, Z, Y, X) int8 as votes (int16)."""
+    """Scale a field (C, Z, Y, X) int8 to votes (int16)."""
     votes = memmap.empty(field.shape, np.int16, least=0)  # another process may write it
 
     def work(start: int, stop: int) -> None:
@@ -168,7 +170,7 @@ def votes_of(field: np.ndarray) -> np.ndarray:
 
 
 def noise(shape: Sequence[int], key: int) -> np.ndarray:
-    """White noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one
+    """Draw white noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one
     generator.
     """
     votes = memmap.empty(shape, np.int16)

@@ -37,13 +37,13 @@ class Histogram:
 
     @classmethod
     def of(cls, values: np.ndarray) -> Histogram:
-        """Of an array of any type and shape."""
+        """Count the values of an array of any type and shape."""
         present, counts = np.unique(values, return_counts=True)
         return cls(present, np.cumsum(counts))
 
     @classmethod
     def pool(cls, histograms: Sequence[Histogram]) -> Histogram:
-        """Of several of one type of values, as of one sample in which each counts alike."""
+        """Pool several of one type of values, as one sample in which each counts alike."""
         present = np.unique(np.concatenate([histogram.values for histogram in histograms]))
         parts = np.zeros(len(present), np.int64)
         for histogram in histograms:
@@ -56,8 +56,8 @@ class Histogram:
 
     @classmethod
     def reweight(cls, target: Histogram, positive: float, negative: float) -> Histogram:
-        """A target of numbers whose values above zero weigh `positive` times as much, and those
-        below `negative` times.
+        """Return a target of numbers whose values above zero weigh `positive` times as much, and
+        those below `negative` times.
         """
         counts = np.diff(target.up_to, prepend=0) / target.up_to[-1]
         counts = counts * np.where(
@@ -68,7 +68,7 @@ class Histogram:
         return cls(target.values[present], np.cumsum(parts[present]))
 
     def values_at(self, middle: np.ndarray, size: int) -> np.ndarray:
-        """The values at these places of a ranking of `size`."""
+        """Look up the values at some places of a ranking of `size`."""
         place = middle * int(self.up_to[-1]) // max(1, size)
         return self.values[
             np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)
@@ -110,13 +110,15 @@ def match_histogram(
 def matching_table(
     field: np.ndarray, target: Histogram, inside: np.ndarray | None = None
 ) -> np.ndarray:
-    """What every rank of a field is mapped to (`look_up`), so that its histogram is the target's."""
+    """Return the table from every rank of a field to its value (`look_up`), so that its histogram
+    is the target's.
+    """
     total = rank_counts(field, inside)
     return target.values_at(np.cumsum(total) - total // 2, int(total.sum()))
 
 
 def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
-    """How many voxels (of those inside) have each rank, (65536,) int64."""
+    """Count the voxels (of those inside) of each rank, (65536,) int64."""
     where = np.empty((0, 0, 0), bool) if inside is None else inside
 
     def tally(start: int, stop: int) -> np.ndarray:
@@ -128,8 +130,8 @@ def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
 
 
 def mix_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
-    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours':
-    nearly free of ties.
+    """Rank (Z, Y, X) int16 in uint16, 32768 added, each value mixed with a small share of its
+    neighbours': nearly free of ties.
     """
     ranks = memmap.empty(field.shape, np.uint16) if out is None else out
     same = np.arange(_BINS, dtype=np.uint16)
@@ -143,8 +145,8 @@ def mix_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> 
 
 @inline
 def row_of_ranks(field, z, y, row):
-    """The ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768, where beyond a face
-    its voxel lies again.
+    """Compute the ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768; a face's
+    voxel is repeated beyond it.
     """
     Z, Y, X = field.shape
     own, above, below = field[z, y], field[max(z - 1, 0), y], field[min(z + 1, Z - 1), y]
@@ -164,8 +166,8 @@ def row_of_ranks(field, z, y, row):
 
 @kernel
 def look_up(field, table, matched, first, start, stop):
-    """The table's entry for the rank of every voxel of planes start..stop; `matched` begins with
-    plane `first`.
+    """Write the table's entry for the rank of every voxel of planes start..stop; `matched` begins
+    with plane `first`.
     """
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
@@ -178,7 +180,7 @@ def look_up(field, table, matched, first, start, stop):
 
 @kernel
 def _count_ranks(field, inside, counts, start, stop):
-    """An empty `inside` means everywhere."""
+    """Count the ranks of planes start..stop; an empty `inside` means everywhere."""
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
         for y in range(field.shape[1]):

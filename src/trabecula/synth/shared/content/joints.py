@@ -35,14 +35,14 @@ _PARTS = 1 << 20  # resolution of a mixed histogram
 
 
 def find_known(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The voxels whose value is given, at least its sign."""
+    """Mark the voxels whose value is given, at least its sign."""
     return make_by_slabs(
         lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool
     )
 
 
 def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
-    """The known voxels no farther than `width` voxels from one that is to be made."""
+    """Mark the known voxels no farther than `width` voxels from a free one."""
     if not count_true(free):
         return memmap.zeros(known.shape, bool)
     distance = distance_transform(complement(free))
@@ -50,8 +50,8 @@ def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
 
 
 def pool_fractions(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
-    """Shares of the exemplar and of `near` known voxels, as of one sample; `made` voxels are to
-    follow it.
+    """Average the fractions of the exemplar and of `near` known voxels, as of one sample with the
+    `made` free voxels, which follow the exemplar.
     """
     return np.asarray((near * own + made * exemplar) / max(1, near + made))
 
@@ -59,8 +59,8 @@ def pool_fractions(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) 
 def pool_histograms(
     targets: Sequence[Histogram], low: np.ndarray, high: np.ndarray, near: np.ndarray, made: int
 ) -> tuple[Histogram, ...]:
-    """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C,
-    Z, Y, X) int8.
+    """Mix the targets (of int8) with the known voxels `near`, whose values are within low .. high
+    (C, Z, Y, X) int8.
     """
     mixed = []
     for target, least, most in zip(targets, low, high, strict=True):
@@ -79,7 +79,7 @@ def pool_histograms(
 def _middles(
     low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, stop: int
 ) -> np.ndarray:
-    """How often each value occurs among the middles of what voxels `near` may be, from -128 on."""
+    """Count the values, from -128 on, in the middle of the bounds of the voxels `near`."""
     at = near[start:stop]
     middle = (low[start:stop][at].astype(np.int64) + high[start:stop][at]) // 2
     return np.bincount(middle + 128, minlength=256)
@@ -88,8 +88,8 @@ def _middles(
 def spread_offset(
     votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray
 ) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into
-    what is free.
+    """Return votes (C, Z, Y, X) int16 with their offset from known voxels, low .. high int8, spread
+    into the free ones.
     """
     result = memmap.empty(votes.shape, np.int16)
     known = find_known(free, low, high)
@@ -112,7 +112,7 @@ def _miss(
     start: int,
     stop: int,
 ) -> None:
-    """How far known voxels are from what they may be."""
+    """Write the distance of known voxels from their bounds."""
     part = votes[start:stop]
     given = np.clip(
         part, low[start:stop].astype(np.int16) * 256, high[start:stop].astype(np.int16) * 256
@@ -136,7 +136,7 @@ def _move(
 
 @kernel
 def _relax(old, known, free, new, start, stop):
-    """The mean of the six neighbours where a voxel is free; what is known stays."""
+    """Average the six neighbours of every free voxel; known ones stay."""
     Z, Y, X = old.shape
     for z in range(start, stop):
         for y in range(Y):

@@ -46,7 +46,7 @@ def content_of(
     histogram: bool = True,
     unit: float | None = None,
 ) -> Content:
-    """How to read and write the exemplars' kind.
+    """Choose the reader and writer of the exemplars' kind.
 
     Parameters
     ----------
@@ -75,25 +75,25 @@ class Content(ABC):
 
     @abstractmethod
     def fields(self, image: Image) -> np.ndarray:
-        """(C, Z, Y, X) float32; of a picture (C, 1, Y, X)."""
+        """Return the fields (C, Z, Y, X) float32 of an image; of a picture (C, 1, Y, X)."""
 
     @abstractmethod
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """What a request's known voxels say of the field; `thin` says that the field is one of
-        planes, as known slices are.
+        """Return the bounds that a request's known voxels set to the field; `thin` where the field
+        is one of planes, as known slices are.
         """
 
     def target_histograms(
         self, histograms: Sequence[Histogram], request: Request
     ) -> tuple[Histogram, ...]:
-        """The histograms of a field's channels that a request asks for: the exemplar's, or such as
-        meet its target.
+        """Return the histograms of a field's channels that a request requires: the exemplar's, or
+        such as meet its target.
         """
         return tuple(histograms)
 
     @abstractmethod
     def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        """The result's values from the last votes (C, Z, Y, X) int16."""
+        """Return the result's values from the last votes (C, Z, Y, X) int16."""
 
 
 class Labels(Content):
@@ -120,8 +120,9 @@ class Labels(Content):
         return _deep(phase_fields(image, self.present, unit=self.unit)[0])
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """Known voxels lie as far from an interface as they lie from the unknown, at least, or from
-        one that is known; in the plane of a slice that is where they lie."""
+        """Bound the distance of a known voxel to an interface: at least that to the nearest unknown
+        voxel, or to a known interface; in the plane of a slice the measured one.
+        """
         if request.fixed is None or request.known is None:
             return None
         unit = mean_edge(request.fixed.spacing) if self.unit is None else self.unit
@@ -131,14 +132,16 @@ class Labels(Content):
         )
 
     def _channels(self) -> tuple[int, ...]:
-        """The labels that the field's channels stand for."""
+        """List the labels that the field's channels stand for."""
         return self.present[1:] if len(self.present) == 2 else self.present
 
     def target_histograms(
         self, histograms: Sequence[Histogram], request: Request
     ) -> tuple[Histogram, ...]:
-        """A target porosity makes values inside every phase as much more or less frequent."""
-        asked = self._requested_fractions(request)
+        """Make values inside every phase as much more or less frequent as a target porosity
+        requires.
+        """
+        asked = self._fractions_of_target(request)
         if asked is None:
             return tuple(histograms)
         aims = []
@@ -156,9 +159,10 @@ class Labels(Content):
         return complete(values, request, empty=self.empty)
 
     def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
-        """The fractions of what is made: the exemplar's, or where something is known beside it, of
-        both together; or what a target leaves to it."""
-        asked = self._requested_fractions(request)
+        """Return the fractions of the free voxels: the exemplar's, or those of the exemplar and of
+        known voxels near by together, or those that meet a target.
+        """
+        asked = self._fractions_of_target(request)
         if asked is not None:
             return self._remaining_fractions(asked, request, free)
         if free is None or request.fixed is None or request.known is None:
@@ -168,8 +172,8 @@ class Labels(Content):
         own = counts[list(self.present)] / max(1, held)
         return pool_fractions(held, count_true(free), own, self.fractions)
 
-    def _requested_fractions(self, request: Request) -> np.ndarray | None:
-        """The fractions that a target porosity asks for: the other phases keep their proportions."""
+    def _fractions_of_target(self, request: Request) -> np.ndarray | None:
+        """Return the fractions of a target porosity; the other phases keep their proportions."""
         asked = porosity_of(request.target)
         if asked is None:
             return None
@@ -188,8 +192,8 @@ class Labels(Content):
     def _remaining_fractions(
         self, asked: np.ndarray, request: Request, free: np.ndarray | None
     ) -> np.ndarray:
-        """The fractions of what is made, so that with what is known they are those asked for, as
-        far as they can be.
+        """Return the fractions of the free voxels that, with the known ones, meet the requested
+        fractions as far as possible.
         """
         if free is None or request.fixed is None or request.known is None:
             return asked
@@ -258,12 +262,12 @@ class Values(Content):
 
 
 def _deep(fields: np.ndarray) -> np.ndarray:
-    """Fields (C, Z, Y, X): those of a picture are one plane deep."""
+    """Return fields as (C, Z, Y, X): those of a picture are one plane deep."""
     return fields if fields.ndim == 4 else fields[:, None]
 
 
 def free_voxels(request: Request) -> np.ndarray | None:
-    """The voxels that are to be made; None where all are."""
+    """Mark the voxels that are to be made; None where all are."""
     return (
         request.mask
         if request.known is None
@@ -272,7 +276,7 @@ def free_voxels(request: Request) -> np.ndarray | None:
 
 
 def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
-    """Values, written into: `empty` outside the mask, and what is known as it is."""
+    """Write `empty` outside the mask, and the known voxels, into values."""
     mask, fixed, known = request.mask, request.fixed, request.known
 
     def work(start: int, stop: int) -> None:
@@ -289,7 +293,7 @@ def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
 
 
 def _counts(labels: np.ndarray, inside: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-    """How many voxels `inside`, and inside a mask, have each label, (256,)."""
+    """Count the voxels `inside`, and inside a mask, of each label, (256,)."""
 
     def tally(start: int, stop: int) -> np.ndarray:
         at = inside[start:stop] if mask is None else inside[start:stop] & mask[start:stop]

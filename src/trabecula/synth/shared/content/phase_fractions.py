@@ -31,8 +31,8 @@ def labels_of(
     fractions: np.ndarray | None,
     inside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume
-    `fractions`.
+    """Return labels (uint8) of voted fields (C, Z, Y, X) int16, with the given volume `fractions`
+    of the phases.
 
     Without fractions two phases are split at zero, and more go to the largest field.
     Two phases are split where the fraction is met to the voxel. More go to the largest field, each
@@ -55,12 +55,12 @@ def labels_of(
 
 
 def _largest(fields: np.ndarray) -> np.ndarray:
-    """The phase that each voxel of (C, Z, Y, X) belongs to."""
+    """Return the phase of each voxel of (C, Z, Y, X): the largest field."""
     return (fields[0] > 0).astype(np.intp) if len(fields) == 1 else fields.argmax(0)
 
 
 def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The labels of phases (Z, Y, X) uint8 that are counted from 0, written over them."""
+    """Replace phases (Z, Y, X) uint8, counted from 0, by their labels, in place."""
 
     def work(start: int, stop: int) -> None:
         phases[start:stop] = labels[phases[start:stop]]
@@ -74,7 +74,7 @@ _TIED = 2  # beside 0 and 1, until it is settled
 
 
 def brightest_voxels(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
-    """The `count` brightest voxels of (Z, Y, X) int16 (of those `inside`) as a mask, to the voxel.
+    """Mark the `count` brightest voxels of (Z, Y, X) int16 (of those `inside`), to the voxel.
 
     Ties of the mixed value are broken by the sum over 3 x 3 x 3 voxels, and what ties even there by
     raster order.
@@ -123,8 +123,8 @@ class _Sums:
 def _take_tied(
     field: np.ndarray, chosen: np.ndarray, tied: np.ndarray, sums: _Sums, missing: int
 ) -> None:
-    """Of the voxels marked as tied take as many as are missing: the largest sums, and of equal ones
-    the first.
+    """Take as many of the tied voxels as are missing: the largest sums, and of equal ones the
+    first.
     """
     above = np.cumsum(sums.counts[::-1])[::-1]  # voxels of this sum and all larger ones
     place = int(np.searchsorted(-above, -missing, side="right")) - 1
@@ -152,8 +152,8 @@ def _sums_of_tied(field: np.ndarray, chosen: np.ndarray, z: int, count: int) -> 
 
 @kernel
 def _split(field, inside, level, chosen, tied, start, stop):
-    """1 above a rank, `_TIED` in it, else 0 (an empty `inside` means everywhere); and how many of
-    each plane are tied.
+    """Write 1 above a rank, `_TIED` in it, else 0 (an empty `inside` means everywhere); count the
+    tied of each plane.
     """
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
@@ -173,7 +173,7 @@ def _split(field, inside, level, chosen, tied, start, stop):
 
 @kernel
 def _sum_tied(field, marks, z, sums):
-    """For the tied voxels of a plane, in raster order, the sum over 3 x 3 x 3 voxels."""
+    """Sum over 3 x 3 x 3 voxels around the tied voxels of a plane, in raster order."""
     _, Y, X = field.shape
     n = 0
     for y in range(Y):
@@ -185,7 +185,7 @@ def _sum_tied(field, marks, z, sums):
 
 @inline
 def _around(field, z, y, x):
-    """Beyond a face its voxel lies again."""
+    """Sum over 3 x 3 x 3 voxels; a face's voxel is repeated beyond it."""
     Z, Y, X = field.shape
     total = np.int32(0)
     for dz in range(-1, 2):
@@ -208,8 +208,9 @@ _BIDS = 2 * (1 << 16) - 1  # that there are between ranks
 def assign_phases(
     fields: np.ndarray, counts: np.ndarray, inside: np.ndarray | None = None
 ) -> np.ndarray:
-    """The largest of the fields (C, Z, Y, X) int16 at every voxel, (Z, Y, X) uint8, each shifted so
-    that it wins `counts` (C,) of the voxels `inside`."""
+    """Return the largest of the fields (C, Z, Y, X) int16 at every voxel, (Z, Y, X) uint8, each
+    shifted so that it wins `counts` (C,) of the voxels `inside`.
+    """
     ranks = memmap.empty(fields.shape, np.uint16)
     for field, to in zip(fields, ranks, strict=True):
         mix_with_neighbours(field, out=to)
@@ -231,7 +232,9 @@ def assign_phases(
 def _lowest_bid(
     ranks: np.ndarray, shifts: np.ndarray, phase: int, inside: np.ndarray, count: int
 ) -> int:
-    """The shift that wins a phase `count` voxels, and one at least; 0 where there are none."""
+    """Return the shift that wins a phase `count` voxels, and one at least; 0 where
+    there are none.
+    """
     highest = int(np.delete(shifts, phase).max())  # so that bids lie within 65535 of it
 
     def tally(start: int, stop: int) -> np.ndarray:
@@ -257,8 +260,8 @@ def _wins(ranks: np.ndarray, shifts: np.ndarray, inside: np.ndarray) -> np.ndarr
 
 @kernel
 def _count_bids(ranks, shifts, phase, inside, first, bids, start, stop):
-    """What the phase has to be lifted by to be as large as its rivals, counted from `first`; empty
-    `inside` means everywhere.
+    """Count the shifts, from `first` on, that lift the phase to its rivals; empty `inside` means
+    everywhere.
     """
     C, _, Y, X = ranks.shape
     for z in range(start, stop):
@@ -275,7 +278,7 @@ def _count_bids(ranks, shifts, phase, inside, first, bids, start, stop):
 
 @inline
 def _winner(ranks, shifts, z, y, x):
-    """Of equals the first."""
+    """Return the phase with the largest shifted rank, of equals the first."""
     chosen, best = 0, ranks[0, z, y, x] + shifts[0]
     for c in range(1, len(ranks)):
         value = ranks[c, z, y, x] + shifts[c]

@@ -50,8 +50,8 @@ class Grid:
     def over(
         cls, region: Region, candidates: Candidates, targets: tuple[Histogram, ...] | None = None
     ) -> Grid:
-        """The neighbourhoods of a region, which is continued to what they cover. Targets default to
-        `targets_of` the region.
+        """Lay the neighbourhoods over a region, which is continued to the voxels that they cover.
+        Targets default to `targets_of` the region.
         """
         box, steps = candidates.basis.box, candidates.steps
         covered, shape = region.cover(box=box, steps=steps), region.grid(box=box, steps=steps)
@@ -62,25 +62,27 @@ class Grid:
 
     @cached_property
     def count(self) -> int:
-        """How many sites are active."""
+        """Count the active sites."""
         return count_true(self.active)
 
     @property
     def full(self) -> bool:
-        """Whether all sites are active."""
+        """Return whether all sites are active."""
         return self.count == self.active.size
 
     @property
     def reach(self) -> tuple[int, ...]:
-        """Voxels that the neighbourhoods cover, those beyond an axis that wraps counted again."""
+        """Return the voxels that the neighbourhoods cover; those beyond an axis that wraps count
+        again.
+        """
         return grid_reach(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
 
 
 def targets_of(
     region: Region, histograms: tuple[Histogram, ...], *, width: int
 ) -> tuple[Histogram, ...]:
-    """The histograms that what is made is to have: the exemplar's, and those of the known voxels
-    within `width`, as one.
+    """Return the histograms that the free voxels are to have: the exemplar's and those of the known
+    voxels within `width`, as one.
     """
     if region.free is None or region.low is None or region.high is None:
         return histograms
@@ -89,7 +91,7 @@ def targets_of(
 
 
 def wrap_field(grid: Grid, field: np.ndarray) -> np.ndarray:
-    """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as
+    """Repeat the beginning of a field (C, Z, Y, X) beyond each axis that wraps, as far as
     neighbourhoods reach.
     """
     shape = (len(field), *np.maximum(grid.reach, field.shape[1:]).tolist())
@@ -101,7 +103,7 @@ def wrap_field(grid: Grid, field: np.ndarray) -> np.ndarray:
 
 
 def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Planes start..stop of a field that is repeated to `shape`."""
+    """Return planes start..stop of a field that is repeated to `shape`."""
     part = (
         field[:, start:stop]
         if stop <= field.shape[1]
@@ -116,7 +118,7 @@ def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> n
 
 
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
-    """The feature vectors of the output's neighbourhoods."""
+    """Return the feature vectors of the output's neighbourhoods."""
     features = memmap.empty((*grid.shape, _depth(grid)), np.int16)
 
     def work(start: int, stop: int) -> None:
@@ -128,8 +130,8 @@ def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
 
 
 def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """The feature vectors of the neighbourhoods in planes start..stop of the sites, in the caller's
-    thread.
+    """Return the feature vectors of the neighbourhoods in planes start..stop of the sites, in the
+    caller's thread.
     """
     basis, step = grid.candidates.basis, grid.candidates.steps[0]
     features = np.empty((stop - start, *grid.shape[1:], basis.vectors.shape[1]), np.int16)
@@ -143,22 +145,22 @@ def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.nd
 
 
 def append_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them
-    together fit into int32.
+    """Append other features (..., K) to halved features (..., D) int16: halved, the squares of all
+    of them fit into int32.
     """
     return np.concatenate([features, guide], axis=-1)
 
 
 def _depth(grid: Grid) -> int:
-    """Components of a feature vector."""
+    """Return the length of a feature vector."""
     return grid.candidates.basis.vectors.shape[1] + (
         0 if grid.guide is None else grid.guide.shape[-1]
     )
 
 
 def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Planes of sites whose features are made at once: a few, so that they are still in the cache
-    when they are looked at.
+    """Yield groups of planes of sites, so few that their features are still in the cache when they
+    are searched.
     """
     thick = planes_together(_depth(grid), grid.shape)
     for first in range(start, stop, thick):
@@ -166,7 +168,7 @@ def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
 
 
 def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
-    """Random patches: an independent candidate per site."""
+    """Draw an independent candidate for every site."""
     match, numbers = memmap.empty(grid.shape, np.int32), grid.candidates.numbers
     for_slabs(lambda start, stop: start_matches(match, numbers, stage, start, stop), len(match))
     return match
@@ -175,8 +177,8 @@ def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
 def exact_search(
     grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and
-    their distances.
+    """Return the best of the k nearest neighbourhoods by the modified distance (section 4.2):
+    matches and their distances.
     """
     among, count, active = grid.candidates.index, len(grid.candidates.numbers), grid.active
     shares = index_histogram(old, len(grid.candidates.features), active)
@@ -208,7 +210,7 @@ def coherent_search(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and
+    """Do `count` sweeps of the coherent search on a field, numbered from `first`: new matches and
     their distances.
     """
     # In files features are more to write and to read than to make again.
@@ -238,8 +240,8 @@ def search_sweep(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One sweep of the coherent search: new matches and their distances. Features that are not
-    given are made as it goes.
+    """Do one sweep of the coherent search: new matches and their distances. Features that are not
+    given are computed on the way.
     """
     candidates = grid.candidates
     match, distance = memmap.empty(old.shape, np.int32), memmap.empty(old.shape, np.int32)
@@ -276,8 +278,8 @@ def search_sweep(
 
 
 def usage_penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
-    """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one
-    sweep.
+    """Return w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for
+    one sweep.
     """
     allowed = grid.candidates.allowed
 

@@ -18,8 +18,8 @@ from trabecula.engine.random import below, philox
 
 @kernel
 def start_matches(match, numbers, key, start, stop):
-    """Random patches: one of the candidates' numbers for every site of planes start..stop, each
-    with the same chance.
+    """Draw one of the candidates' numbers for every site of planes start..stop, each with the same
+    chance.
     """
     for z in range(start, stop):
         for y in range(match.shape[1]):
@@ -30,8 +30,8 @@ def start_matches(match, numbers, key, start, stop):
 
 @kernel
 def count_matches(match, active, counts, start, stop):
-    """How many active sites of planes start..stop are matched with each candidate, added to
-    `counts`.
+    """Add to `counts` the number of active sites of planes start..stop that are matched with each
+    candidate.
     """
     for z in range(start, stop):
         for y in range(match.shape[1]):
@@ -42,8 +42,8 @@ def count_matches(match, active, counts, start, stop):
 
 @inline
 def _distance(a, b, most):
-    """Squared distance, or something above `most` as soon as that is sure: most candidates fail in
-    the first components.
+    """Return the squared distance, or something above `most` as soon as that is sure: most
+    candidates fail in the first components.
     """
     total = np.int32(0)
     first = min(8, a.shape[0])
@@ -60,7 +60,7 @@ def _distance(a, b, most):
 
 @inline
 def _neighbour_cell(match, shape, dz, dy, dx):
-    """The index `dz, dy, dx` cells further in E, or -1 outside."""
+    """Return the index `dz, dy, dx` cells further in E, or -1 outside."""
     x = match % shape[2] + dx
     y = (match // shape[2]) % shape[1] + dy
     z = match // (shape[2] * shape[1]) + dz
@@ -71,7 +71,7 @@ def _neighbour_cell(match, shape, dz, dy, dx):
 
 @inline
 def _around(words, match, shape, radius):
-    """A random cell within `radius` of `match`, clamped to E."""
+    """Draw a random cell within `radius` of `match`, clamped to E."""
     x = match % shape[2] + below(words[3], 2 * radius + 1) - radius
     y = (match // shape[2]) % shape[1] + below(words[2], 2 * radius + 1) - radius
     z = match // (shape[2] * shape[1]) + below(words[1], 2 * radius + 1) - radius
@@ -83,7 +83,7 @@ def _around(words, match, shape, radius):
 
 @inline
 def _better(site, exemplar, penalty, candidate, best, least):
-    """The better of `candidate` and `best`, and its penalised distance."""
+    """Return the better of `candidate` and `best`, and its penalised distance."""
     factor = penalty[candidate]
     d = _distance(site, exemplar[candidate], least / factor)
     value = np.float32(d) * factor
@@ -111,8 +111,8 @@ def search(
     start,
     stop,
 ):
-    """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for
-    sites start..stop.
+    """Search the best of the own match, the six neighbours' moved along, and random ones, for sites
+    start..stop: one sweep.
 
     features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16;
     penalty (N,) float32 factors, infinite where E has a gap; active (Z, Y, X) bool; old, match (Z,
@@ -161,7 +161,7 @@ def search(
 
 @kernel
 def weigh(distance, active, floor, mean, table, weight, start, stop):
-    """The table's entry for 256 times the ratio of each site's distance to the mean; 0 where a site
+    """Look up 256 times the ratio of each site's distance to the mean in the table; 0 where a site
     is not active.
     """
     for z in range(start, stop):
@@ -175,8 +175,8 @@ def weigh(distance, active, floor, mean, table, weight, start, stop):
 def vote(
     field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop
 ):
-    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in
-    int16; 0 where none is.
+    """Average the matched neighbourhoods with their weights over voxel planes start..stop, times
+    256, in int16; 0 where none is.
 
     field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0
     does not vote; strides of E, steps of S, box and trims (3,) int in voxels; wraps (3,) bool;
@@ -216,7 +216,7 @@ def vote(
 
 @inline
 def _fold(plane, Y, X, wraps):
-    """What reaches beyond an axis that wraps, added to its beginning."""
+    """Add the part beyond an axis that wraps to its beginning."""
     for y in range(Y, plane.shape[1] if wraps[1] else 0):
         plane[:, y - Y] += plane[:, y]
     for x in range(X, plane.shape[2] if wraps[2] else 0):
@@ -225,7 +225,7 @@ def _fold(plane, Y, X, wraps):
 
 @inline
 def reach(site, count, width, trim, wrap):
-    """The voxels first .. last of a neighbourhood that vote along an axis."""
+    """Return the voxels first .. last of a neighbourhood that vote along an axis."""
     first = 0 if site == 0 and not wrap else trim
     last = width if site == count - 1 and not wrap else width - trim
     return first, last
@@ -233,9 +233,7 @@ def reach(site, count, width, trim, wrap):
 
 @inline
 def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z):
-    """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to
-    `summed`.
-    """
+    """Add the sites' weighted votes for voxel plane z to `plane`, and their weights to `summed`."""
     SZ, SY, SX = match.shape
     C, width, step = field.shape[0], box[2], steps[2]
     weights = np.empty(width, np.int32)
@@ -271,7 +269,7 @@ def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, 
 
 @inline
 def _spread(summed, weights, steps, box, trims, wraps):
-    """The weights of a plane's sites, summed over its voxels."""
+    """Sum the weights of a plane's sites over its voxels."""
     SY, SX = summed.shape
     row = np.empty(SX, np.int32)
     for y in range(weights.shape[0]):

@@ -66,7 +66,8 @@ def build_index(
     if allowed is not None:
         if np.shape(allowed) != (len(features),) or np.asarray(allowed).dtype != bool:
             raise InputError(
-                f"allowed is {np.shape(allowed)}: give one truth value for each of {len(features)} candidates"
+                f"allowed is {np.shape(allowed)}: give one truth value for each of "
+                f"{len(features)} candidates"
             )
         chosen = np.flatnonzero(allowed)
     if not len(chosen):
@@ -98,6 +99,7 @@ def build_index(
 
 
 def as_feature_table(features: np.ndarray, name: str) -> np.ndarray:
+    """Check a table of features, and return it contiguous."""
     features = np.asarray(features)
     if features.ndim != 2 or features.dtype != np.int16 or 0 in features.shape[1:]:
         raise InputError(
@@ -107,7 +109,7 @@ def as_feature_table(features: np.ndarray, name: str) -> np.ndarray:
 
 
 def _first_of_equals(features: np.ndarray, chosen: np.ndarray, k: int) -> np.ndarray:
-    """Those of `chosen` (rising) that have fewer than k equals before them.
+    """Select those of `chosen` (rising) that have fewer than k equals before them.
 
     Rows are sorted by a hash; rows that share a hash but differ from the first with it are kept.
     """
@@ -130,8 +132,8 @@ def _first_of_equals(features: np.ndarray, chosen: np.ndarray, k: int) -> np.nda
 
 
 def _leaves(features: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
-    """Groups of LEAF places (the last smaller): halved across the axis of largest variance, again
-    and again.
+    """Split the candidates into groups of LEAF places (the last smaller): halved across the axis of
+    largest variance, again and again.
     """
     leaves, stack = [], [chosen]
     while stack:

@@ -21,13 +21,13 @@ _QUERIES = 64  # queries of one matrix product: their products with all centres 
 
 
 def search_bytes(count: int, k: int) -> int:
-    """Memory that a search among `count` candidates takes per thread."""
+    """Forecast the memory of a search among `count` candidates, per thread."""
     return _QUERIES * (5 * count // LEAF + 64 * k)
 
 
 def k_nearest(queries: np.ndarray, among: NeighbourIndex) -> tuple[np.ndarray, np.ndarray]:
-    """The k nearest candidates of every query by Euclidean distance, exactly; of equals the one
-    that comes first.
+    """Find the k nearest candidates of every query by Euclidean distance, exactly; of equals the
+    one that comes first.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def k_nearest(queries: np.ndarray, among: NeighbourIndex) -> tuple[np.ndarray, n
     >>> index.tolist(), distance.tolist()
     ([[1, 3, 2]], [[1, 1, 13]])
     """
-    queries = _fitting(queries, among)
+    queries = _check_queries(queries, among)
     index = np.empty((len(queries), among.k), np.int32)
     distance = np.empty((len(queries), among.k), np.int64)
 
@@ -71,8 +71,8 @@ def k_nearest(queries: np.ndarray, among: NeighbourIndex) -> tuple[np.ndarray, n
 def best_among(
     queries: np.ndarray, among: NeighbourIndex, factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of the k nearest candidates of every query the best by the modified distance, in the caller's
-    thread.
+    """Find the best of the k nearest candidates of every query by the modified distance, in the
+    caller's thread.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def best_among(
     distance : (Q,) int64
         Unmodified, squared.
     """
-    queries = _fitting(queries, among)
+    queries = _check_queries(queries, among)
     match, apart = np.empty(len(queries), np.int32), np.empty(len(queries), np.int64)
     index, distance = (
         np.empty((_QUERIES, among.k), np.int32),
@@ -97,7 +97,7 @@ def best_among(
         part = slice(first, min(first + _QUERIES, len(queries)))
         near, far = index[: part.stop - first], distance[: part.stop - first]
         _search(queries[part], among, near, far)
-        match[part], apart[part] = _best(near, far, factors)
+        match[part], apart[part] = rerank(near, far, factors)
     return match, apart
 
 
@@ -110,41 +110,56 @@ def _search(
 
 
 def index_histogram(match: np.ndarray, count: int, active: np.ndarray | None = None) -> np.ndarray:
-    """H of section 4.2: the share (float64, sum 1) of neighbourhoods that chose each of `count`
-    candidates.
+    """Return H of section 4.2: the share (float64, sum 1) of neighbourhoods that chose each of
+    `count` candidates.
 
     Places below 0 (no neighbourhood there), and where `active` is False, are left out.
     """
 
-    def counted(start: int, stop: int) -> np.ndarray:
+    def tally(start: int, stop: int) -> np.ndarray:
         part = match[start:stop]
         there = part >= 0 if active is None else (part >= 0) & active[start:stop]
         return np.bincount(part[there], minlength=count)
 
-    counts = sum_slabs(counted, len(match))
+    counts = sum_slabs(tally, len(match))
     return np.asarray(counts / max(int(counts.sum()), 1))
 
 
-def reranked(
-    index: np.ndarray,
-    distance: np.ndarray,
-    histogram: np.ndarray,
-    *,
-    weight: float = 1.0,
-    theta: float | None = None,
+def rerank(
+    index: np.ndarray, distance: np.ndarray, factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The best of `k` candidates by the modified distance w_d d, w_d = 1 + weight max(0, H(index) -
-    theta).
+    """Choose the best of `k` candidates by the modified distance w_d d.
 
-    H is frozen for the round: every query sees the same one, so their order does not matter. An
-    exact match (d = 0) always stays the best.
+    An exact match (d = 0) always stays the best.
 
     Parameters
     ----------
     index, distance : (Q, k) int32, int64
         From `k_nearest`.
+    factors : (N,) float64
+        w_d, from `usage_factors`.
+
+    Returns
+    -------
+    match : (Q,) int32
+    distance : (Q,) int64
+        Unmodified.
+    """
+    best = np.argmin(distance * factors[index], axis=1)[:, None]
+    return np.take_along_axis(index, best, 1)[:, 0], np.take_along_axis(distance, best, 1)[:, 0]
+
+
+def usage_factors(
+    histogram: np.ndarray, *, weight: float = 1.0, theta: float | None = None
+) -> np.ndarray:
+    """Return w_d = 1 + weight max(0, H(index) - theta) of every candidate.
+
+    H is frozen for the round: every query uses the same one, so their order does not matter.
+
+    Parameters
+    ----------
     histogram : (N,) float64
-        Of the round before, from `index_histogram`.
+        H of the round before, from `index_histogram`.
     weight : float
         0 or more. 1 takes H and theta as the probabilities that the paper calls them; the number of
         queries turns them into counts; `w * N` makes a candidate chosen twice as often as even use
@@ -152,40 +167,21 @@ def reranked(
     theta : float, optional
         The share that costs nothing. Default: 1 / N, even use of all N.
 
-    Returns
-    -------
-    match : (Q,) int32
-    distance : (Q,) int64
-        Unmodified.
-
     References
     ----------
     Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, section 4.2; Chen and Wang
     (2010), doi:10.1007/s00371-009-0408-3.
     """
-    return _best(index, distance, usage_factors(histogram, weight=weight, theta=theta))
-
-
-def usage_factors(
-    histogram: np.ndarray, *, weight: float = 1.0, theta: float | None = None
-) -> np.ndarray:
-    """w_d of every candidate, as `reranked` tells."""
     excess = np.maximum(histogram - (1 / len(histogram) if theta is None else theta), 0)
     return np.asarray(1 + weight * excess)
 
 
-def _best(
-    index: np.ndarray, distance: np.ndarray, factors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    best = np.argmin(distance * factors[index], axis=1)[:, None]
-    return np.take_along_axis(index, best, 1)[:, 0], np.take_along_axis(distance, best, 1)[:, 0]
-
-
-def _fitting(queries: np.ndarray, among: NeighbourIndex) -> np.ndarray:
+def _check_queries(queries: np.ndarray, among: NeighbourIndex) -> np.ndarray:
     queries = as_feature_table(queries, "queries")
     if queries.shape[1] != len(among.middle):
         raise InputError(
-            f"queries have {queries.shape[1]} components, the candidates {len(among.middle)}: use one basis"
+            f"queries have {queries.shape[1]} components, the candidates {len(among.middle)}: "
+            "use one basis"
         )
     return queries
 
@@ -241,7 +237,7 @@ def _insert(exact, place, best, distance):
 
 @inline
 def _highest(score, highest, where):
-    """The best centre of every sixteenth: a maximum that is vectorised."""
+    """Find the best centre of every sixteenth: a maximum that is vectorised."""
     highest[:] = -np.inf
     where[:] = 0
     for first in range(0, len(score) - LEAF + 1, LEAF):
@@ -253,8 +249,8 @@ def _highest(score, highest, where):
 
 @kernel
 def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
-    """Nearest candidates of a few queries. scores (Q, L) float32: q c - |c|^2 / 2 for every centre
-    c; spoiled.
+    """Search the nearest candidates of a few queries. scores (Q, L) float32: q c - |c|^2 / 2 for
+    every centre c; spoiled.
 
     |q - c| <= reach + radius, with reach the k-th best so far, is tested as 2 score + (reach +
     radius)^2 >= |q|^2, less what rounding may take. First every query opens sixteen near leaves, so

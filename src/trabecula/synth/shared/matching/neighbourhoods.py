@@ -52,23 +52,25 @@ class Basis:
 
     @property
     def box(self) -> Triple:
-        """The sides of a neighbourhood."""
+        """Return the sides of a neighbourhood."""
         return box_of(self.width, flat=self.flat)
 
 
 def box_of(width: int, *, flat: bool) -> Triple:
-    """The sides (z, y, x) of a cube of `width` voxels, or of a square across z."""
+    """Return the sides (z, y, x) of a cube of `width` voxels, or of a square across z."""
     return (1 if flat else width, width, width)
 
 
 def steps_of(step: int, *, flat: bool) -> Triple:
-    """How far apart neighbourhoods lie along each axis: squares lie in every plane."""
+    """Return the distance between neighbourhoods along each axis: there are squares in
+    every plane.
+    """
     return (1 if flat else step, step, step)
 
 
 def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
-    """Sums over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y,
-    X) int8, in int16.
+    """Sum over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y, X)
+    int8, in int16.
     """
     if max(grains) == 1:
         return field
@@ -83,8 +85,8 @@ def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
 def project(
     field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None
 ) -> np.ndarray:
-    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y,
-    X) int8, flat ones in every plane.
+    """Project the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8, flat ones in every
+    plane, to features (gz, gy, gx, D) int16.
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
@@ -108,7 +110,7 @@ def project(
 
 
 def planes_together(depth: int, grid: Sequence[int]) -> int:
-    """So many planes of a grid of neighbourhoods with `depth` components have features that stay in
+    """Count the planes of a grid of neighbourhoods with `depth` components whose features stay in
     the cache.
     """
     return max(1, _AT_ONCE // (2 * depth * grid[1] * grid[2]))
@@ -122,7 +124,7 @@ def project_planes(
     step: int,
     active: np.ndarray | None = None,
 ) -> None:
-    """`project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins
+    """Do `project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins
     with their first plane.
     """
     length, count = basis.vectors.shape
@@ -154,14 +156,14 @@ def project_planes(
 
 
 def divide_sides(sides: Triple, by: Triple) -> Triple:
-    """Sides in units of blocks."""
+    """Return sides in units of blocks."""
     z, y, x = (side // b for side, b in zip(sides, by, strict=True))
     return z, y, x
 
 
 @kernel
 def store(products, factor, sites, plane):
-    """Products times `factor`, rounded to int16, to the sites' rows; in a kernel, so that other
+    """Write products times `factor`, rounded to int16, to the sites' rows; a kernel, so that other
     threads can work meanwhile.
     """
     for n in range(len(sites)):
@@ -172,7 +174,8 @@ def store(products, factor, sites, plane):
 
 @kernel
 def gather(field, sites, across, z0, step, box, grains, rows):
-    """Rows of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0.
+    """Copy the neighbourhoods at sites y * across + x of one plane, which begins at voxel z0, to
+    rows.
 
     box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two
     agree.
@@ -200,13 +203,15 @@ def gather(field, sites, across, z0, step, box, grains, rows):
 
 
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
-    """Memory that `project` takes per thread beyond its result."""
+    """Forecast the memory of `project` per thread beyond its result."""
     length, count = basis.vectors.shape
     return min(_ROWS, grid[1] * grid[2]) * (4 * length + 16 * count)
 
 
 def grid_shape(shape: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
-    """How many neighbourhoods, `steps` apart, cover `shape`; the last may reach past its end."""
+    """Count the neighbourhoods, `steps` apart, that cover `shape`; the last may reach
+    past its end.
+    """
     z, y, x = (
         -(-(max(side, w) - w) // t) + 1 for side, w, t in zip(shape, box, steps, strict=True)
     )
@@ -214,6 +219,6 @@ def grid_shape(shape: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
 
 
 def grid_reach(grid: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
-    """The voxels that a grid of neighbourhoods covers."""
+    """Return the voxels that a grid of neighbourhoods covers."""
     z, y, x = ((count - 1) * t + w for count, w, t in zip(grid, box, steps, strict=True))
     return z, y, x

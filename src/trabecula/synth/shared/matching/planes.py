@@ -51,14 +51,14 @@ class ViewGrid:
     grid: Grid
 
     def put_axis_first(self, field: np.ndarray) -> np.ndarray:
-        """A field (C, Z, Y, X) with the view's axis first of the three."""
+        """Return a field (C, Z, Y, X) with the view's axis first of the three."""
         return put_axis_first(field, self.axis)
 
     @classmethod
     def over(
         cls, region: Region, axis: int, candidates: Candidates, targets: tuple[Histogram, ...]
     ) -> ViewGrid:
-        """The view of a region that is covered."""
+        """Lay the neighbourhoods of a view over a region that is covered."""
         box, steps = candidates.basis.box, candidates.steps
         order = axis_order(axis)
         seen = Region(tuple(region.shape[a] for a in order), tuple(region.wraps[a] for a in order))
@@ -78,8 +78,8 @@ class RegionViews:
 
     @property
     def full(self) -> int:
-        """The integer factor of a voxel of an exemplar that counts fully: as fine as sums of all
-        votes in int32 allow.
+        """Return the integer factor of a voxel of an exemplar that counts fully: as fine as sums of
+        all votes in int32 allow.
         """
         candidates = self.planes[0].grid.candidates
         overlaps = len(self.planes) * (-(-candidates.basis.width // candidates.step)) ** 2
@@ -93,8 +93,8 @@ class RegionViews:
         views: Sequence[tuple[int, Candidates]],
         histograms: tuple[Histogram, ...],
     ) -> RegionViews:
-        """The views (axis, neighbourhoods) of a region; `histograms` are those of the pictures
-        together.
+        """Lay the views (axis, neighbourhoods) over a region; `histograms` are those of the
+        pictures together.
         """
         widths = {candidates.basis.width for _, candidates in views}
         steps = {candidates.step for _, candidates in views}
@@ -116,8 +116,8 @@ def cast_plane_votes(
     factors: Sequence[np.ndarray] | None = None,
     trim: int = 0,
 ) -> np.ndarray:
-    """The weighted mean (C, Z, Y, X) int16 of all matched neighbourhoods of all views, times 256; 0
-    where none reaches.
+    """Return the weighted mean (C, Z, Y, X) int16 of all matched neighbourhoods of all views, times
+    256; 0 where none reaches.
 
     Parameters
     ----------
@@ -149,18 +149,13 @@ def cast_plane_votes(
     return votes
 
 
-def round_votes(votes: np.ndarray) -> np.ndarray:
-    """Votes int16 as the field int8 that they are 256 times of, rounded."""
-    return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
-
-
 def planes_at_once(shape: tuple[int, ...]) -> int:
-    """Planes of a volume in which what all views say is summed up at once."""
+    """Count the planes of a volume in which the votes of all views are summed at once."""
     return max(_THICK, _CACHED // (shape[1] * shape[2]))
 
 
 def view_layout(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
-    """How the neighbourhoods of a view lie, as kernels want it: (3,) along its axes, but for the
+    """Return the kernels' description of a view's neighbourhoods: (3,) along its axes, but for the
     width and its axis.
     """
     grid, candidates = plane.grid, plane.grid.candidates
@@ -237,7 +232,7 @@ def add_votes(
 def _vote_rows(
     values, match, weight, shape, sides, strides, steps, width, trims, wraps, start, plane
 ):
-    """The weighted sums of the sites of one plane, in as many of its rows from `start` on as
+    """Sum the weighted votes of the sites of one plane, in as many of its rows from `start` on as
     `plane` (C, rows, ...) has.
     """
     C, SY, SX, step = len(values), match.shape[0], match.shape[1], steps[2]
@@ -279,8 +274,8 @@ def _vote_rows(
 
 @kernel
 def divide(total, votes, start):
-    """Votes (C, Z, Y, X) int16 from plane `start` on: 256 times the sums (C + 1, ...) over the last
-    of them, the weights.
+    """Divide 256 times the sums (C + 1, ...) by the last of them, the weights: votes (C, Z, Y, X)
+    int16 from plane `start` on.
     """
     C, depth, height, across = total.shape
     for c in range(C - 1):

@@ -33,7 +33,7 @@ def principal_basis(
     grain: int = 1,
     flat: bool = False,
 ) -> Basis:
-    """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain
+    """Return the leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain
     `variance`, up to `most`.
 
     The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed`
@@ -67,8 +67,8 @@ def principal_basis(
 
 
 def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, np.ndarray, slice]]:
-    """For every plane of a grid that holds some of the chosen sites (rising): it, their numbers in
-    it, their places.
+    """Yield every plane of a grid that holds some of the chosen sites (rising), their numbers in
+    it, and their places.
     """
     planes, sites = np.divmod(chosen, grid[1] * grid[2])
     bounds = np.flatnonzero(np.diff(planes, prepend=-1, append=grid[0]))
@@ -77,8 +77,8 @@ def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, 
 
 
 def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
-    """sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at a time
-    stay below 2^24.
+    """Compute sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at
+    a time stay below 2^24.
     """
     if not exact:  # sums of blocks are too large for that
         wide = sample.astype(np.float64)
@@ -91,8 +91,8 @@ def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
 
 
 def basis_bytes(length: int, count: int) -> int:
-    """Memory that `principal_basis` takes for `count` vectors of `length`: the sample in float32,
-    and covariances.
+    """Forecast the memory of `principal_basis` for `count` vectors of `length`: the sample in
+    float32, and covariances.
     """
     return 4 * min(_SAMPLES, count) * length + 28 * length**2
 
@@ -111,8 +111,8 @@ _BLOCKS_MISS = 0.4
 
 
 def grain_of(width: int, *, smooth: bool) -> int:
-    """Edge of the blocks whose sums describe neighbourhoods of a width: 2 where the field is
-    smooth, else 1.
+    """Return the edge of the blocks whose sums describe neighbourhoods of a width: 2 where the
+    field is smooth, else 1.
 
     Distances on the finest level are so smooth that ten components hold them, and those of blocks
     are nearly the same ones.
@@ -121,8 +121,8 @@ def grain_of(width: int, *, smooth: bool) -> int:
 
 
 def variance_in(grain: int, variance: float) -> float:
-    """The share of the blocks' variance to keep for `variance` of all: what varies within a block
-    is missing from it.
+    """Return the share of the blocks' variance to keep for `variance` of all: the variance within a
+    block is missing from it.
     """
     return variance if grain == 1 else 1 - (1 - variance) * _BLOCKS_MISS
 
@@ -134,8 +134,8 @@ _SPARE = 8  # vectors carried along beyond those wanted: they speed up the last 
 
 
 def leading_vectors(covariance: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` largest eigenvalues, falling, and their orthonormal vectors (n, count), of a
-    symmetric float64 matrix.
+    """Return the `count` largest eigenvalues, falling, and their orthonormal vectors (n, count), of
+    a symmetric float64 matrix.
     """
     n = len(covariance)
     block = min(n, count + _SPARE)
@@ -167,7 +167,9 @@ def _product(a, b):
 
 @kernel
 def _orthonormalise(basis):
-    """Gram and Schmidt, twice over, by columns; a column that depends on those before becomes zero."""
+    """Orthonormalise columns by Gram and Schmidt, twice over; a column that depends on those before
+    becomes zero.
+    """
     n, count = basis.shape
     for j in range(count):
         before = 0.0
@@ -190,7 +192,7 @@ def _orthonormalise(basis):
 
 @kernel
 def _jacobi(matrix):
-    """The rotation (n, n) that makes a small symmetric matrix diagonal, by cyclic sweeps."""
+    """Return the rotation (n, n) that makes a small symmetric matrix diagonal, by cyclic sweeps."""
     n = len(matrix)
     a = matrix.copy()
     turn = np.eye(n)

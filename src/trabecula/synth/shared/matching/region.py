@@ -40,15 +40,17 @@ class Region:
     high: np.ndarray | None = None
 
     def grid(self, *, box: Triple, steps: Triple) -> Triple:
-        """Sites along each axis: they cover an open axis, and go once around one that wraps."""
+        """Count the sites along each axis: they cover an open axis, and go once around one that
+        wraps.
+        """
         opened = grid_shape(self.shape, box=box, steps=steps)
         around = (-(-side // step) for side, step in zip(self.shape, steps, strict=True))
         z, y, x = (a if wrap else o for a, o, wrap in zip(around, opened, self.wraps, strict=True))
         return z, y, x
 
     def cover(self, *, box: Triple, steps: Triple) -> Region:
-        """The region with its open axes continued to what a grid of neighbourhoods covers; what is
-        added is not free.
+        """Continue the open axes to the voxels that a grid of neighbourhoods covers; added voxels
+        are not free.
         """
         reach = grid_reach(self.grid(box=box, steps=steps), box=box, steps=steps)
         shape = tuple(
@@ -64,9 +66,7 @@ class Region:
         )
 
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
-        """The sites whose neighbourhood holds a voxel that is to be made, of a region that is
-        covered.
-        """
+        """Mark the sites whose neighbourhood holds a free voxel, of a region that is covered."""
         free = self.free
 
         def planes(start: int, stop: int) -> np.ndarray | bool:
@@ -83,7 +83,7 @@ class Region:
     def _active_plane(
         self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple
     ) -> np.ndarray:
-        """One plane of the active sites."""
+        """Mark the active sites of one plane."""
         planes = np.arange(z * steps[0], z * steps[0] + box[0])
         around = free[planes % len(free)] if self.wraps[0] else free[planes[0] : planes[-1] + 1]
         found = np.asarray(around.any(axis=0))
@@ -99,7 +99,7 @@ class Region:
         return found
 
     def view_along(self, axis: int) -> Region:
-        """The region with `axis` first: what its planes across that axis are, one after the other."""
+        """Return the region with `axis` first."""
 
         def view(values: np.ndarray | None) -> np.ndarray | None:
             return None if values is None else put_axis_first(values, axis)
@@ -109,7 +109,9 @@ class Region:
         return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
 
     def halve(self) -> Region:
-        """At half the resolution: free where any of eight voxels is; bounds are not carried over."""
+        """Halve the resolution: a voxel is free where any of its eight is; bounds are not carried
+        over.
+        """
         shape = tuple(-(-side // 2) for side in self.shape)
         free = self.free
         if free is None:
@@ -124,8 +126,8 @@ class Region:
         return Region(shape, self.wraps, make_by_slabs(any_of_eight, shape, bool))
 
     def clip_to_bounds(self, field: np.ndarray) -> np.ndarray:
-        """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into
-        it.
+        """Clip a field (C, Z, Y, X), which nobody else holds, to the bounds of known voxels, in
+        place.
         """
         low, high = self.low, self.high
         if low is None or high is None:
@@ -147,8 +149,8 @@ def regions_of(
     *,
     thin: bool = False,
 ) -> list[Region]:
-    """The request at `count` resolutions, finest first; `bounds` are halved like any field, and
-    `quantised` per level.
+    """Return the request at `count` resolutions, finest first; `bounds` are halved like any field,
+    and `quantised` per level.
 
     With `thin` a coarse voxel of which any part is known is known: a single slice is felt on every
     level. Otherwise it is as free as its freest part, which suits known blocks.
@@ -183,13 +185,13 @@ def regions_of(
 
 
 def _share(known: np.ndarray) -> np.ndarray:
-    """(1, Z, Y, X) float32: which part of a coarser voxel is known."""
+    """Return the known share of every coarser voxel, (1, Z, Y, X) float32."""
     return halve(make_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
 
 
 def _halve_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else
-    what it is anywhere.
+    """Halve the resolution of a bound (C, Z, Y, X): the mean over the known voxels, elsewhere that
+    of unknown ones.
     """
     sums = halve(
         make_by_slabs(
@@ -208,7 +210,9 @@ def _halve_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.
 
 
 def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """What a bound is at voxels that are not known, (C, 1, 1, 1): it is the same at all of them."""
+    """Return the bound of voxels that are not known, (C, 1, 1, 1): it is the same at
+    all of them.
+    """
     for z, plane in enumerate(known):
         if not plane.all():
             y, x = np.unravel_index(int(np.argmin(plane)), plane.shape)
@@ -217,7 +221,9 @@ def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _extend(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
-    """(..., Z, Y, X), continued by a value to `shape`; itself where there is nothing to add."""
+    """Continue (..., Z, Y, X) by a value to `shape`; return it itself where there is nothing to
+    add.
+    """
     have = values.shape[-3:]
     if have == shape:
         return values
@@ -236,7 +242,9 @@ def _extend(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray
 def _in_windows(
     values: np.ndarray, count: int, width: int, step: int, axis: int, *, wrap: bool
 ) -> np.ndarray:
-    """Whether any of a plane (Y, X) bool is True in `count` windows along an axis."""
+    """Mark the windows, `count` along an axis, in which any voxel of a plane (Y, X)
+    bool is True.
+    """
     side = values.shape[axis]
     sums = np.cumsum(values, axis=axis, dtype=np.int32)
     sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)

@@ -8,6 +8,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram, match_histogram
 from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
@@ -25,7 +26,7 @@ def refine_field(
     distances: bool,
     shape: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """A field (C, Z, Y, X) int8 at twice the resolution; a distance, which counts in voxels,
+    """Double the resolution of a field (C, Z, Y, X) int8; a distance, which counts in voxels,
     doubles too.
 
     With a `shape` cropped, or continued by its last cells, to that.
@@ -34,8 +35,8 @@ def refine_field(
 
 
 def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.ndarray:
-    """w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as integers
-    of 1 .. 1023.
+    """Return w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as
+    integers of 1 .. 1023.
 
     Through a table over the ratio to the mean, so that no power function is asked for a bit it
     might round otherwise. Sites that are not active weigh 0.
@@ -59,7 +60,7 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
 
 
 def join_to_known(region: Region, votes: np.ndarray) -> np.ndarray:
-    """Votes without a step beside what is known."""
+    """Return votes without a step beside known voxels."""
     if region.free is None or region.low is None or region.high is None:
         return votes
     return spread_offset(votes, region.low, region.high, region.free)
@@ -68,12 +69,14 @@ def join_to_known(region: Region, votes: np.ndarray) -> np.ndarray:
 def match_votes(
     region: Region, votes: np.ndarray, targets: tuple[Histogram, ...] | None
 ) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 as a field in int8, with histograms where there are targets, and
-    what is known put back.
+    """Make votes (C, Z, Y, X) int16 a field in int8, with histograms where there are targets,
+    within the bounds of known voxels.
     """
     if targets is None:
         return region.clip_to_bounds(
-            make_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
+            make_by_slabs(
+                lambda start, stop: round_votes(votes[:, start:stop]), votes.shape, np.int8
+            )
         )
     field = memmap.empty(votes.shape, np.int8)
     for mean, target, channel in zip(votes, targets, field, strict=True):
@@ -81,12 +84,15 @@ def match_votes(
     return region.clip_to_bounds(field)
 
 
-def _rounded(votes: np.ndarray) -> np.ndarray:
-    return np.clip((votes.astype(np.int32) + 128) >> 8, -127, 127).astype(np.int8)
+def round_votes(votes: np.ndarray) -> np.ndarray:
+    """Round votes int16, 256 times a field, to the field in int8."""
+    return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
 
 
 def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
-    """The weighted mean of the matched neighbourhoods, times 256; 0 where no active one reaches."""
+    """Return the weighted mean of the matched neighbourhoods, times 256; 0 where no active one
+    reaches.
+    """
     candidates, region = grid.candidates, grid.region
     stack = candidates.stack
     votes = memmap.empty((len(stack.field), *region.shape), np.int16)
@@ -114,7 +120,9 @@ def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int 
 
 
 def trims_of(grid: Grid, trim: int) -> Triple:
-    """The rim that does not vote along each axis; a flat neighbourhood is one voxel thick."""
+    """Return the rim that does not vote along each axis; a flat neighbourhood is one
+    voxel thick.
+    """
     return (0 if grid.candidates.basis.flat else trim, trim, trim)
 
 

@@ -46,7 +46,7 @@ class Stack:
 
     @classmethod
     def of(cls, fields: Sequence[np.ndarray]) -> Stack:
-        """From fields (C, z, y, x) int8 of one number of channels."""
+        """Stack fields (C, z, y, x) int8 of one number of channels."""
         sides = np.array([field.shape[1:] for field in fields])
         starts = np.concatenate([[0], np.cumsum(sides[:, 0])])
         whole = np.zeros((len(fields[0]), starts[-1], *sides[:, 1:].max(0)), np.int8)
@@ -59,8 +59,8 @@ class Stack:
         return cls(whole, starts[:-1], sides, histograms)
 
     def corners_within(self, box: Triple) -> np.ndarray:
-        """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz,
-        gy, gx) bool.
+        """Mark the voxels whose neighbourhood, with its first corner there, lies within one volume,
+        (gz, gy, gx) bool.
         """
         within = np.zeros(
             [side - w + 1 for side, w in zip(self.field.shape[1:], box, strict=True)], bool
@@ -90,12 +90,12 @@ class Candidates:
 
     @property
     def steps(self) -> Triple:
-        """How far apart the output's neighbourhoods are along each axis."""
+        """Return the distance between the output's neighbourhoods along each axis."""
         return steps_of(self.step, flat=self.basis.flat)
 
     @property
     def strides(self) -> Triple:
-        """How far apart the cells are along each axis."""
+        """Return the distance between cells along each axis."""
         return steps_of(self.stride, flat=self.basis.flat)
 
     @classmethod
@@ -111,8 +111,8 @@ class Candidates:
         k: int = 10,
         flat: bool = False,
     ) -> Candidates:
-        """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2
-        million.
+        """Describe all neighbourhoods, or every `step`-th along each axis where there are more than
+        1.2 million.
         """
         grain = grain_of(width, smooth=smooth)
         within = stack.corners_within(box_of(width, flat=flat))
@@ -145,19 +145,20 @@ class Candidates:
 
     @cached_property
     def numbers(self) -> np.ndarray:
-        """The allowed candidates, as numbers in the grid."""
+        """List the allowed candidates, as numbers in the grid."""
         return np.flatnonzero(self.allowed)
 
     @cached_property
     def index(self) -> Nearest:
-        """The candidates as the exact search wants them."""
+        """Build the index of the exact search."""
         return build_index(
             self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed
         )
 
     def bounds(self) -> np.ndarray:
-        """(n, 3, 4) int64: of each volume and axis its start in the stack, the last corner of a
-        neighbourhood within it, and the first and last cell of the grid that are allowed."""
+        """Return (n, 3, 4) int64: for each volume and axis its start in the stack, the last corner
+        of a neighbourhood within it, and the first and last cell of the grid that are allowed.
+        """
         most = self.stack.sides - self.basis.box
         start = np.zeros_like(most)
         start[:, 0] = self.stack.starts
@@ -169,8 +170,8 @@ class Candidates:
 def carry_matches(
     match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int
 ) -> np.ndarray:
-    """Matches on another grid: every new neighbourhood takes what the old one at its place was
-    matched with.
+    """Carry matches over to another grid: every new neighbourhood takes the match of the old one at
+    its place.
 
     `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
     """
@@ -213,8 +214,7 @@ def _carry(
     start,
     stop,
 ):
-    """Matches on another grid, planes start..stop: each site takes what the old one at its place
-    was matched with.
+    """Carry matches over to planes start..stop of another grid.
 
     match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape`
     and `new_shape` with cells `strides` and `new_strides` apart; starts (n,) the first planes of

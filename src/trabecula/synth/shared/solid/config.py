@@ -1,4 +1,6 @@
-"""Settings of the methods that optimise a volume over the slices through it (`solid`), stated once."""
+"""Settings of the methods that optimise a volume over the slices through it (`solid`),
+stated once.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +108,7 @@ class SolidConfig:
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 

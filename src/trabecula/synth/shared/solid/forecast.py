@@ -64,7 +64,7 @@ class SolidForecast:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """What is covered in every view."""
+        """Return the voxels that are covered in every view."""
         _, candidates = self.views[0]
         return self.region.cover(
             box=(candidates.basis.width,) * 3, steps=(candidates.step,) * 3
@@ -72,22 +72,22 @@ class SolidForecast:
 
     @property
     def output(self) -> int:
-        """Bytes of arrays that grow with the volume and of what is worked on beside them, at their
-        peak.
+        """Return the bytes of arrays that grow with the volume and of temporary arrays beside them,
+        at their peak.
         """
         return max(self._moments()) + _RANKS
 
     @property
     def scratch(self) -> int:
-        """Bytes of how often each candidate was chosen."""
+        """Return the bytes of the candidates' usage counts."""
         return (40 if self.exact else 24) * max(
             len(candidates.features) for _, candidates in self.views
         )
 
     @property
     def slab(self) -> int:
-        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
-        the pages of a few planes.
+        """Return the bytes that are needed in memory where arrays are memory-mapped: temporary
+        arrays, and the pages of a few planes.
         """
         each = (
             max(self._search_bytes(), self._vote_bytes(), self._work_bytes())
@@ -105,7 +105,7 @@ class SolidForecast:
         )
         sites = [prod(grid) for grid in self._grids()]
         most, every = max(sites), sum(sites)
-        kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._known_bytes()
+        kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._bound_bytes()
         between = threads * self._work_bytes()
         search = kept + 4 * (every - most) + voxels * channels
         if self.exact or self.repeated:
@@ -136,14 +136,14 @@ class SolidForecast:
             moments.append(kept + self.correcting + voxels * 2 * channels)
         return moments
 
-    def _known_bytes(self) -> int:
-        """What is known, and where."""
+    def _bound_bytes(self) -> int:
+        """Return the bytes of the mask and of the bounds of known voxels."""
         parts = int(self.request.mask is not None or self.request.fixed is not None)
         parts += 2 * self._channels * (self.request.fixed is not None)
         return prod(self.shape) * parts * 8 // 7
 
     def _value_bytes(self) -> int:
-        """Bytes of a voxel that the choice of the values takes beside the votes."""
+        """Return the bytes of a voxel that the choice of the values takes beside the votes."""
         free = 2 * (self.request.fixed is not None)
         around = 6 if self.request.fixed is not None and self.distances else 0
         values = (
@@ -153,11 +153,11 @@ class SolidForecast:
 
     @property
     def _thickest(self) -> int:
-        """Planes of a slab of a thread, at most."""
+        """Return the planes of a slab of a thread, at most."""
         return -(-max(self.shape) // (4 * thread_count() if thread_count() > 1 else 1))
 
     def _search_bytes(self) -> int:
-        """What one thread makes of features, and what they come from."""
+        """Return the bytes of one thread's features, and of their sources."""
         most = 0
         for (axis, candidates), grid in zip(self.views, self._grids(), strict=True):
             depth, (_, height, across) = (
@@ -173,14 +173,14 @@ class SolidForecast:
         return most
 
     def _vote_bytes(self) -> int:
-        """What one thread holds of votes, or of distances to pixels."""
+        """Return the bytes of one thread's votes, or of its distances to pixels."""
         each = max(5 * (self._channels + 1), 6 * self._channels + 30 if self.chosen else 0)
         return (
             each * min(planes_at_once(self.shape), self._thickest) * self.shape[1] * self.shape[2]
         )
 
     def _work_bytes(self) -> int:
-        """What NumPy takes in between in one thread."""
+        """Return the bytes of NumPy's temporary arrays in one thread."""
         each = (
             _BETWEEN
             if self.request.fixed is not None
@@ -195,7 +195,9 @@ class SolidForecast:
         )
 
     def _page_bytes(self) -> int:
-        """Of a few planes, and of some rows in every plane of the views that lie across."""
+        """Return the bytes of a few planes, and of some rows in every plane of the views across y
+        and x.
+        """
         width = self.views[0][1].basis.width
         plane = self.shape[1] * self.shape[2]
         known = 2 * self._channels + 10 if self.request.fixed is not None else 2

@@ -30,8 +30,8 @@ class Solid(PictureMethod):
         return int(self.config.neighbourhood)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Fields and neighbourhoods of the levels learnt so far, and what learning the next one
-        takes beside them.
+        """Forecast the fields and neighbourhoods of the levels learnt so far, and the memory for
+        learning the next one beside them.
         """
         channels, width = channels_of(exemplars), self._width()
         turns = len(symmetries(self.config.orientations, ndim=2))

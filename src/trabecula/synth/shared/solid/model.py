@@ -34,10 +34,7 @@ from trabecula.synth.shared.solid.forecast import SolidForecast
 from trabecula.synth.shared.solid.method import PROCESS
 from trabecula.synth.shared.solid.run import SolidRounds
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.shared.statistics.two_point_steps import (
-    step_bytes,
-    step_slab_bytes,
-)
+from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ class SolidModel(PictureModel):
             fields = {n: halve(field) for n, field in fields.items()}
 
     def _learn_picture(self, field: np.ndarray, index: int, picture: Image) -> Candidates:
-        """The neighbourhoods of one picture (C, 1, y, x) int8 on one level."""
+        """Learn the neighbourhoods of one picture (C, 1, y, x) int8 on one level."""
         config = self.config
         turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
         stack = Stack.of([apply_symmetry(field[:, 0], turn)[:, None] for turn in turns])
@@ -111,8 +108,8 @@ class SolidModel(PictureModel):
         )
 
     def quantise_level(self, field: np.ndarray, index: int) -> np.ndarray:
-        """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
-        value is what it is.
+        """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
+        grey value is unchanged.
         """
         if self.content.distances:
             return quantise(field / np.float32(2**index), clip=self.config.clip)
@@ -151,7 +148,7 @@ class SolidModel(PictureModel):
         }
 
     def _exemplar_bytes(self) -> int:
-        """Bytes of the pictures' fields and neighbourhoods."""
+        """Return the bytes of the pictures' fields and neighbourhoods."""
         # Views of one picture share its candidates; the exact search holds their features once
         # more, in another order.
         candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
@@ -179,5 +176,5 @@ class SolidModel(PictureModel):
 
     @property
     def _chooses(self) -> bool:
-        """Whether voxels become pixels of the pictures."""
+        """Return whether voxels become pixels of the pictures."""
         return False

@@ -146,7 +146,9 @@ def adjust_long_waves(
 
 
 def adjusting_bytes(shape: Sequence[int]) -> int:
-    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums, and the shift."""
+    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums,
+    and the shift.
+    """
     return 12 * math.prod(shape)
 
 
@@ -156,7 +158,7 @@ def adjusting_slab_bytes(shape: Sequence[int]) -> int:
 
 
 def _widths(shortest: int, level: int) -> tuple[int, ...]:
-    """Odd widths on a level, for exemplars whose shortest side on it is given."""
+    """Return odd widths on a level, for exemplars whose shortest side on it is given."""
     side = shortest * 2**level
     width, widths = float(min(_FIRST, side / _PARTS)), []
     while 3 * width <= side and width <= _LARGEST:
@@ -166,19 +168,19 @@ def _widths(shortest: int, level: int) -> tuple[int, ...]:
 
 
 def _soft(values: np.ndarray, softness: float) -> np.ndarray:
-    """The soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
+    """Return the soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
     soft = values * np.float32(_FINE / softness) + np.float32(_FINE / 2)
     return np.rint(np.clip(soft, 0, _FINE, out=soft), out=soft).astype(np.int32)
 
 
 def _table(softness: float) -> np.ndarray:
-    """The soft indicator (256,) int32 of every byte of a field."""
+    """Return the soft indicator (256,) int32 of every byte of a field."""
     return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
 
 
 def _soft_window_sums(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
-    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing,
-    and that of everything.
+    """Sum the soft indicator of (Z, Y, X) int8 over windows, with nothing beyond the faces, and
+    over everything.
     """
     table = _table(softness)
     return window_sums_of_planes(
@@ -189,7 +191,7 @@ def _soft_window_sums(channel: np.ndarray, softness: float, width: int) -> tuple
 def _squares_of(
     channel: np.ndarray, softness: float, width: int, wider: int | None, mean: float
 ) -> tuple[float, int, float, int]:
-    """The sum of squares over all windows of a width, and their number; then of the band that ends
+    """Sum the squares over all windows of a width, and count them; then those of the band that ends
     with a wider one.
     """
     narrow, _ = _soft_window_sums(channel, softness, width)
@@ -208,8 +210,8 @@ def _adjust(
     bands: np.ndarray,
     wraps: tuple[bool, bool, bool],
 ) -> bool:
-    """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was
-    anything to shift.
+    """Shift a channel's votes (Z, Y, X) int16, which make `field` int8, once; return whether there
+    was anything to shift.
     """
     table = _table(waves.softness)
 
@@ -258,7 +260,7 @@ def _moving(soft: np.ndarray) -> int:
 
 
 def _gain(wanted: float, found: float) -> float:
-    """What share of a band is taken away; negative: added to it."""
+    """Return the share of a band that is taken away; negative: added to it."""
     if found <= 0:
         return 0.0
     excess = 1 - math.sqrt(wanted / found)
@@ -282,7 +284,7 @@ class _Band:
     mean: float
 
     def plane(self, z: int) -> np.ndarray:
-        """Plane z (Y, X) float32."""
+        """Return plane z (Y, X) float32."""
         if self.wide is None:
             return (self.narrow[z] * self.scale - self.mean).astype(np.float32)
         return (self.narrow[z] * self.scale - self.wide[z] * self.wider_scale).astype(np.float32)

@@ -52,8 +52,8 @@ class Sites:
         key: np.uint64,
         number: int,
     ) -> Sites:
-        """The grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and goes
-        around what wraps.
+        """Draw the grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and
+        goes around axes that wrap.
         """
         along = list(zip(shape, box, steps, periodic, strict=True))
         room = [side if wrap and t > 1 else min(t, side - w + 1) for side, w, t, wrap in along]
@@ -73,11 +73,11 @@ class Sites:
         return cls((z, y, x), places, box, steps, active)
 
     def holds_any(self) -> bool:
-        """Whether any of them takes part."""
+        """Return whether any site takes part."""
         return self.active is None or any(plane.any() for plane in self.active)
 
     def levels(self, field: np.ndarray) -> np.ndarray:
-        """What all sites cover of votes (C, Z, Y, X), in int8."""
+        """Round the votes (C, Z, Y, X) that the sites cover to int8."""
         across = np.ix_(np.arange(len(field)), *self.places[1:])
         levels = memmap.empty((len(field), *map(len, self.places)), np.int8)
 
@@ -92,8 +92,8 @@ class Sites:
     def rows(
         self, features: np.ndarray, start: int, stop: int, *, few: int
     ) -> Iterator[np.ndarray]:
-        """Features (z, y, x, D) of the sites that take part, of planes start..stop of them, about
-        so many at a time.
+        """Yield features (z, y, x, D) of the sites that take part, of planes start..stop of them,
+        about so many at a time.
         """
         lines = max(1, few // self.counts[2])
         for z in range(start, stop):
@@ -137,8 +137,8 @@ class Sites:
         total: np.ndarray,
         votes: np.ndarray,
     ) -> None:
-        """Of the sites (z, y, x) of some planes and rows, from the `first`: neighbourhoods of
-        `length` values.
+        """Rebuild and add neighbourhoods of `length` values, at the sites (z, y, x) of some planes
+        and rows, from the `first`.
         """
         chosen = features.reshape(-1, features.shape[-1]) if active is None else features[active]
         if not len(chosen):
@@ -155,7 +155,9 @@ class Sites:
         for_slabs(collect, votes.shape[1], least=4)
 
     def _batches(self, length: int) -> Iterator[tuple[slice, slice]]:
-        """Planes and rows of sites whose neighbourhoods of `length` values are put back at a time."""
+        """Yield the planes and rows of sites whose neighbourhoods of `length` values are put back
+        at a time.
+        """
         depth, height, width = self.counts
         planes = max(1, BATCH // (height * width * length))
         lines = height if planes > 1 else max(1, BATCH // (width * length))
@@ -178,7 +180,7 @@ def _rebuild(
 def _holding(
     free: np.ndarray, places: Sequence[np.ndarray], counts: Triple, box: Triple, steps: Triple
 ) -> np.ndarray:
-    """Whether the neighbourhood at each site holds a voxel that is free."""
+    """Mark the sites whose neighbourhood holds a free voxel."""
     active = memmap.empty(counts, bool)
     across = np.ix_(*places[1:])
 

@@ -53,8 +53,8 @@ def transport_neighbourhoods(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round: every neighbourhood of a grid moves towards the exemplar's distribution, and
-    overlaps are averaged.
+    """Move every neighbourhood of a grid towards the exemplar's distribution, and average overlaps:
+    one round.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def transport_planes(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round in which every plane of every view moves towards that view's distribution, and all
-    overlaps are averaged.
+    """Move every plane of every view towards that view's distribution, and average all overlaps:
+    one round.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def transport_planes(
 def _write_means(
     field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None
 ) -> np.ndarray:
-    """The mean of what was put back wherever there is something, and the voxel is free."""
+    """Replace free voxels by the mean of the neighbourhoods that were put back there."""
     replaced, limit = memmap.empty(field.shape, np.int16, least=0), FULL * UNIT
 
     def work(start: int, stop: int) -> None:
@@ -213,8 +213,9 @@ def add_transported(
 
 
 def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
-    """A random turn of `size` axes (a power of two) times `size`, in whole numbers: Hadamard's
-    matrix twice, with random signs before, between and behind."""
+    """Draw a random rotation of `size` axes (a power of two) times `size`, in whole numbers:
+    Hadamard's matrix twice, with random signs before, between and behind.
+    """
     matrix: np.ndarray = np.ones((1, 1))
     while len(matrix) < size:
         matrix = np.block([[matrix, matrix], [matrix, -matrix]])
@@ -226,8 +227,8 @@ def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
 
 
 def round_bytes(slices: SliceTarget) -> int:
-    """Memory that a round takes whatever the volume: features of the exemplars, and neighbourhoods
-    that are put back.
+    """Forecast the memory of a round whatever the volume: features of the exemplars, and
+    neighbourhoods that are put back.
     """
     size, (components, length), threads = (
         slices.features.shape[1],

@@ -1,5 +1,5 @@
-"""The target of sliced rounds, neighbourhoods of exemplars on their principal components, and monotone
-transport to it along every axis.
+"""The target of sliced rounds, neighbourhoods of exemplars on their principal components, and
+monotone transport to it along every axis.
 
 A value goes to the place of its rank among the target's values, through histograms. Values that
 share a bin of the common histogram go together, to the mean of the others over the ranks that they
@@ -51,8 +51,8 @@ def slice_target(
     most: int = 64,
     flat: bool = False,
 ) -> SliceTarget:
-    """The neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65 thousand
-    of them at most.
+    """Describe the neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65
+    thousand of them at most.
 
     Parameters
     ----------
@@ -92,7 +92,9 @@ def slice_target(
 
 
 def _mean_of_neighbourhoods(fields: Sequence[np.ndarray], box: Triple) -> np.ndarray:
-    """The mean (C,) of all values in all neighbourhoods: a voxel near a face lies in fewer of them."""
+    """Return the mean (C,) of all values in all neighbourhoods: a voxel near a face is in fewer of
+    them.
+    """
     sums, count = np.zeros(len(fields[0])), 0
     for field in fields:
         covers = [
@@ -133,7 +135,9 @@ class Transport:
 
     @classmethod
     def between(cls, ours: Parts, length: int, theirs: np.ndarray) -> Transport:
-        """From all parts of slabs that cover 0..length, a row at least, to `theirs` (m, P) float32."""
+        """Find the transport from all parts of slabs that cover 0..length, a row at least, to
+        `theirs` (m, P) float32.
+        """
         others = partial(_few, theirs)
         low, high = theirs.min(axis=0).astype(np.int64), theirs.max(axis=0).astype(np.int64)
         low, high = _ends(ours, length, low, high)
@@ -157,7 +161,7 @@ class Transport:
         return cls(low, size, table)
 
     def moves(self, rows: np.ndarray) -> np.ndarray:
-        """How far each value of (n, P) float32 goes, float64."""
+        """Return the way of each value of (n, P) float32, float64."""
         found = np.empty(rows.shape)
         moves(rows, self.low, self.size, self.table, found)
         return found
@@ -166,7 +170,9 @@ class Transport:
 def _ends(
     ours: Parts, length: int, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest value along every axis, where others lie from `low` to `high`."""
+    """Return the least and the largest value along every axis, where others are within `low` ..
+    `high`.
+    """
     least, most = np.tile(low, (length, 1)), np.tile(high, (length, 1))
 
     def work(start: int, stop: int) -> None:
@@ -205,7 +211,7 @@ def tally(values, low, size, counts):
 
 @kernel
 def tally_sums(values, low, size, counts):
-    """The same into counts[0], and the sums of the values into counts[1]."""
+    """Count as `tally` does into counts[0], and sum the values into counts[1]."""
     for k in range(values.shape[1]):
         for i in range(len(values)):
             value = np.int64(values[i, k])
@@ -216,8 +222,8 @@ def tally_sums(values, low, size, counts):
 
 @kernel
 def destinations(mine, theirs, table):
-    """table (P, bins): where the ranks of each of mine (P, bins) lie among theirs (2, P, bins),
-    counts and sums.
+    """Find the place of the ranks of each of mine (P, bins) among theirs (2, P, bins), counts and
+    sums: table (P, bins).
     """
     for k in range(len(mine)):
         n, m = mine[k].sum(), theirs[0, k].sum()
@@ -241,7 +247,7 @@ def destinations(mine, theirs, table):
 
 @kernel
 def moves(values, low, size, table, found):
-    """found (n, P): how far each value (n, P) goes."""
+    """Look up the way of each value (n, P): found (n, P)."""
     for k in range(values.shape[1]):
         for i in range(len(values)):
             value = np.int64(values[i, k])

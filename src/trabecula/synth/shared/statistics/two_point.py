@@ -1,5 +1,5 @@
-"""Two-point functions of the soft indicators of fields: 0 to 1 over a few voxels around an interface, so
-that a small move of it changes them a little.
+"""Two-point functions of the soft indicators of fields: 0 to 1 over a few voxels around an
+interface, so that a small move of it changes them a little.
 
 Pairs are told apart by their distance and by the nearest axis: of distance alone, a material that
 is longer along one axis would come out longer still.
@@ -43,7 +43,7 @@ class Correlations:
 
     @property
     def r_max(self) -> int:
-        """The largest distance."""
+        """Return the largest distance."""
         return self.curves.shape[1] // 3 - 1
 
 
@@ -54,8 +54,8 @@ def correlations_of(
     r_max: int,
     edges: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Correlations:
-    """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of
-    them counted alike.
+    """Measure the two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all
+    pairs of them counted alike.
 
     A picture is a volume of one plane across the axis that it is seen across: it says nothing of
     pairs along that axis.
@@ -85,8 +85,8 @@ def correlations_of(
 def correlations_at(
     fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
 ) -> Correlations:
-    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that
-    suit it.
+    """Measure the target of one level (0 the finest) of a pyramid, with the softness and the reach
+    that suit it.
 
     `clip` is the distance in voxels of the level at which its int8 fields saturate.
     """
@@ -100,7 +100,7 @@ def correlations_at(
 
 
 def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
-    """0 .. 1 in float32 of a field in int8."""
+    """Return 0 .. 1 in float32 of a field in int8."""
     return _table(softness)[field.astype(np.int16) & 255]
 
 
@@ -118,24 +118,24 @@ class Soft:
 
     @classmethod
     def of(cls, field: np.ndarray, softness: float, free: np.ndarray | None = None) -> Soft:
-        """Of a field with the width of the soft step in its int8 steps."""
+        """Take a field with the width of the soft step in its int8 steps."""
         return cls(field, _table(softness), free)
 
     def plane(self, z: int) -> np.ndarray:
-        """Plane z (Y, X) float32."""
+        """Return plane z (Y, X) float32."""
         return self._look_up(self.table, z)
 
     def interface(self, z: int) -> np.ndarray:
-        """Where plane z (Y, X) is neither 0 nor 1, bool."""
+        """Mark the voxels of plane z (Y, X) that are neither 0 nor 1, bool."""
         return self._look_up((self.table > 0) & (self.table < 1), z)
 
     def centre(self, mean: np.float32, z: int) -> np.ndarray:
-        """Plane z less the mean, where it is free."""
+        """Return plane z less the mean, where it is free."""
         soft = self.plane(z)
         return np.subtract(soft, mean, out=soft, where=True if self.free is None else self.free[z])
 
     def mean_and_moving(self) -> tuple[np.float32, int]:
-        """The mean over what is free, and the voxels of the interface."""
+        """Return the mean over the free voxels, and count the voxels of the interface."""
         counts = sum_slabs(self._counts, len(self.field))
         total = math.fsum((counts * self.table.astype(np.float64)).tolist())
         moving = counts[(self.table > 0) & (self.table < 1)].sum()
@@ -146,7 +146,7 @@ class Soft:
         return found if self.free is None else found * self.free[z]
 
     def _counts(self, start: int, stop: int) -> np.ndarray:
-        """How often each byte occurs in free voxels of these planes, (256,) int64."""
+        """Count each byte in free voxels of these planes, (256,) int64."""
         counts = np.zeros(256, np.int64)
         for z in range(start, stop):
             plane = self.field[z].view(np.uint8)
@@ -157,6 +157,6 @@ class Soft:
 
 
 def _table(softness: float) -> np.ndarray:
-    """The soft indicator (256,) float32 of every byte of a field."""
+    """Return the soft indicator (256,) float32 of every byte of a field."""
     steps = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
     return np.clip(steps / softness + 0.5, 0, 1).astype(np.float32)

@@ -44,7 +44,7 @@ def accumulate_debt(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The debt after a round of votes that left `field` (C, Z, Y, X) int8."""
+    """Return the debt after a round of votes that left `field` (C, Z, Y, X) int8."""
     now = misfit(field, target, periodic=periodic, free=free)
     return now if debt is None else now + _LEAK * debt
 
@@ -56,8 +56,8 @@ def misfit(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where
-    there are no pairs.
+    """Subtract the target's two-point functions from those of (C, Z, Y, X) int8: (C, 3 (r_max +
+    1)); 0 where there are no pairs.
     """
     pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
@@ -75,7 +75,7 @@ def two_point_step(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One step towards the target's two-point functions.
+    """Move the interfaces of a field one step towards the target's two-point functions.
 
     Parameters
     ----------
@@ -106,7 +106,9 @@ def two_point_step(
 def step_bytes(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
 ) -> int:
-    """Memory of `two_point_step` at its peak beside the field and the votes, for a volume of this shape."""
+    """Forecast the peak memory of `two_point_step` beside the field and the votes, for a volume of
+    this shape.
+    """
     pairs, around = _pairs(shape, target, periodic)
     slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
     # Moments that compete: a direction is made, it is transformed, its change of the two-point
@@ -123,7 +125,7 @@ def step_bytes(
 def step_slab_bytes(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
 ) -> int:
-    """What of that stays in memory where arrays lie in scratch files."""
+    """Forecast the part of it that stays in memory where arrays are memory-mapped."""
     pairs, around = _pairs(shape, target, periodic)
     return max(pairs.slab_bytes, around.slab_bytes) + 6 * pairs.table_bytes
 
@@ -134,7 +136,7 @@ def _pairs(
     periodic: Sequence[bool],
     free: np.ndarray | None = None,
 ) -> tuple[Pairs, Pairs]:
-    """Those that count, and those of directions, which wrap around the faces."""
+    """Return the pairs that count, and those of directions, which wrap around the faces."""
     pairs = Pairs(
         tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free
     )
@@ -154,14 +156,16 @@ class _Direction:
     soft: Soft
 
     def plane(self, z: int) -> np.ndarray:
-        """Plane z (Y, X) float32."""
+        """Return plane z (Y, X) float32."""
         return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
 
 
 def _step(
     soft: Soft, aim: np.ndarray, target: Correlations, pairs: Pairs, around: Pairs
 ) -> tuple[_Direction, np.float32] | None:
-    """Where the soft indicator moves, and how far; None where nothing can, or nothing has to."""
+    """Find the direction of the soft indicator's move, and its length; None where nothing can move,
+    or nothing has to.
+    """
     mean, moving = soft.mean_and_moving()
     if not moving:
         return None
@@ -199,7 +203,9 @@ def _step(
 def _direction(
     push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs, shorter_than: int
 ) -> _Direction:
-    """What lowers the two-point function where it is pushed, on the interface of `moving` voxels."""
+    """Return the direction that lowers the two-point function where it is pushed, on the interface
+    of `moving` voxels.
+    """
     slope = around.convolve(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
     sums = np.zeros(len(slope))
 
@@ -236,8 +242,8 @@ _LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
 def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
-    """What to push at every distance, one array a band, scaled to its largest; bands without any
-    are left out.
+    """Split a push at every distance into one array a band, scaled to its largest; bands without
+    any are left out.
     """
     r = np.arange(len(push)) % (len(push) // 3)
     bands = []
@@ -249,8 +255,8 @@ def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
 
 
 def least_squares(changes: np.ndarray, excess: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """How much of each change takes the excess away best; exact sums and no LAPACK, so the same
-    everywhere.
+    """Return the share of each change that takes the excess away best; exact sums and no LAPACK, so
+    the same everywhere.
     """
     count = len(changes)
 
@@ -277,8 +283,8 @@ def least_squares(changes: np.ndarray, excess: np.ndarray, weights: np.ndarray) 
 def best_length(
     excess: np.ndarray, change: np.ndarray, square: np.ndarray, weights: np.ndarray
 ) -> float:
-    """The step, of a few lengths, that leaves least: a move by a changes the curve by a change +
-    a^2 square.
+    """Choose the step, of a few lengths, that leaves least: a move by a changes the curve by a
+    change + a^2 square.
     """
     left = excess + _LENGTHS[:, None] * change + _LENGTHS[:, None] ** 2 * square
     return float(_LENGTHS[np.argmin((left**2 * weights).sum(axis=1))])
