@@ -1,9 +1,9 @@
-"""`chen`: the frame of `shared.solid` with voxels that are pixels, and with two histograms pushed
+"""`chen`: the loop of `shared.solid` with voxels that are pixels, and with two histograms pushed
 towards even use.
 
 The index histogram (how often a neighbourhood was chosen) makes distances longer in the search; the
 position histogram (of how many voxels a pixel is the source) makes a pixel count less in the vote,
-and dearer as a source.
+and cost more as a source.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def choose_pixels(
     mean : (C, Z, Y, X) int16 or int8
         256 times the field to come near to, or in int8 that field.
     costs : sequence of (z, y, x) int32
-        What the squared distance of every voxel of a view's exemplar is multiplied by, 1 or more.
+        Factor of the squared distance of every voxel of a view's exemplar, 1 or more.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def compare_pixels(
                                 c, plane, y, x
                             ]
                             apart += d * d
-                        # A distance of 0 would hide what is costs.
+                        # A distance of 0 would hide the cost.
                         apart = (apart + 256) * costs[ez, ey + dy, ex + dx]
                         if apart < cost[plane, y, x]:
                             cost[plane, y, x] = apart

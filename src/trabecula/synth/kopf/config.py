@@ -1,6 +1,4 @@
-"""Settings of `kopf`: the only home of its defaults, besides those that it shares with
-its rivals.
-"""
+"""Settings of `kopf`: the only home of its defaults, beside those of `SolidConfig`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kopf`: the frame of `shared.solid` with the soft histogram matching of the paper's weights.
+"""`kopf`: the loop of `shared.solid` with the soft histogram matching of the paper's weights.
 
 A contribution of an exemplar's pixel weighs less by 1 + sum over channels of max(0, H_S(b) -
 H_E(b)), where b is the bin of its value, H_S the histogram of the result so far and H_E that of the

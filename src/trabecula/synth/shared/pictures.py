@@ -1,6 +1,4 @@
-"""What every method from pictures has in common: views of one, two or three pictures, and what they
-have to hold.
-"""
+"""The common part of methods from pictures: views of one to three pictures, and their checks."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ ROOM = 4
 
 
 class PictureModel(Model):
-    """A model that has seen a material in some views."""
+    """A model of a material seen in some views."""
 
     def __init__(self, config: Any, exemplars: Sequence[Image], views: Sequence[View]) -> None:
         super().__init__(config, exemplars)

@@ -46,7 +46,7 @@ def double(
     """Upsample int8 (C, Z, Y, X) by two, trilinearly and in integers: weights 3/4 and 1/4 along
     every axis.
 
-    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
+    Beyond a face its last cell is repeated, or where the axis `wraps` the cell at the other end.
     With a `shape` the result is cropped, or continued by its last cells, to that; with a `factor`
     it is multiplied by it, and clipped to -127 .. 127.
     """

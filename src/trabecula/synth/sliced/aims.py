@@ -1,5 +1,4 @@
-"""What pictures say of a material at each resolution: neighbourhoods, histograms, two-point
-functions.
+"""Targets learnt from pictures at each resolution: neighbourhoods, histograms, two-point functions.
 
 A coarser level is the distance field at every second pixel, from every one of the starts there are,
 not a mean: a mean over pixels of a picture and one over voxels of a volume differ, values at points

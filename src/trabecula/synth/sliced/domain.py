@@ -1,4 +1,4 @@
-"""Where a request is made: a torus where nothing is known, so that no place is special; else the
+"""The regions of a request: a torus where nothing is known, so that no place is special; else the
 request's own grid.
 """
 

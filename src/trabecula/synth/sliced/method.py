@@ -1,10 +1,10 @@
-"""`sliced`: fit keeps what the pictures say at every resolution; generate lays out the coarsest,
-then refines level by level.
+"""`sliced`: fit learns the pictures at every resolution; generate lays out the coarsest, then
+refines level by level.
 
-Sliced rounds (`layout`) move the neighbourhoods in the planes of the views towards the distribution
-of the picture's; they copy nothing, and see far because they work on a coarse grid. Search and vote
-(`passes`) then make interfaces and thin walls those of the picture. Steps on the two-point function
-go along with both.
+Sliced rounds move the neighbourhoods in the planes of the views towards the distribution of the
+picture's; they copy nothing, and see far because they work on a coarse grid. Search and vote then
+make interfaces and thin walls those of the picture (`run`). Steps on the two-point function go
+along with both.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Sliced(PictureMethod):
 
 
 class SlicedModel(PictureModel):
-    """What the pictures say at every resolution."""
+    """Targets of the pictures at every resolution."""
 
     capabilities = CAPABILITIES
     spills: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""Pieces too small to be anything go to their surroundings."""
+"""Removal of small connected components: their voxels go to their surroundings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def remove_specks(
     present : sequence of int
         The labels that there are, in the order of the channels.
     least : int
-        Voxels that a piece of a phase needs to stay.
+        Voxels that a component of a phase needs to stay.
 
     Returns
     -------

@@ -1,4 +1,5 @@
-"""A step on the two-point function of what a field is cut to, rather than of its soft values.
+"""Steps on the two-point function of the phases that a field is cut to, rather than of its soft
+values.
 
 A field that is histogram-matched to distances need not be one: where it rises slowly, fewer and
 smoother interfaces make up the same histogram, and a soft indicator of its values does not see it.

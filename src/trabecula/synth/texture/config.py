@@ -27,7 +27,7 @@ class TextureConfig:
     density of the result drifts."""
 
     novelty: float | None = None
-    """The dial between moving pieces of the exemplar (0) and copying no more than an independent
+    """The dial between moving patches of the exemplar (0) and copying no more than an independent
     sample of the material does (1). Default: 1 for labels; 0 for grey and colour, and with the
     paper's search, field or energies, which know no other."""
 
@@ -70,7 +70,7 @@ class TextureConfig:
     """
 
     field: str = "distance"
-    """What labels become: "distance", the clipped signed distance of every phase, or "indicator",
+    """The field of labels: "distance", the clipped signed distance of every phase, or "indicator",
     its 0 and 1 as the paper's grey levels. Grey values and colours are what they are."""
 
     histogram: bool = True
@@ -170,7 +170,7 @@ class TextureConfig:
         Raises
         ------
         InputError
-            Novelty is asked for where it does not go.
+            Novelty is set where it does not apply.
         """
         applies = distances and self.search == "coherent" and not self.energetic and self.histogram
         if self.novelty and not applies:

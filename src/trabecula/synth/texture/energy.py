@@ -1,7 +1,7 @@
 """The global energy of equation (1), the weights of equation (2), their feedback on lambda, and the
 stop rule.
 
-What the paper leaves open, and what is done here:
+Choices where the paper leaves some:
 
 - Which energy has to fall. Equation (1) holds the weights, and the weights hold lambda: raised by 5
 %, it makes the energy
@@ -39,8 +39,8 @@ from trabecula.engine.parallel import for_slabs
 
 @dataclass(frozen=True)
 class Energy:
-    """What one round ended with, in squared units of the field; comparable only on one level with
-    one neighbourhood size.
+    """The energies after one round, in squared units of the field; comparable only on one level
+    with one neighbourhood size.
     """
 
     weighted: float
@@ -60,8 +60,8 @@ class Energy:
 
 @dataclass(frozen=True)
 class Feedback:
-    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, go on with
-    `after`.
+    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, continue
+    with `after`.
     """
 
     scale: float = 1.0
@@ -240,7 +240,7 @@ def energy(
     mu, robustness, reference, floor : float
         As in the vote and in `adaptive_weights`.
     unit : float
-        What a weight of 1 stands for.
+        The weight that counts as 1.
 
     Notes
     -----

@@ -1,5 +1,5 @@
-"""One round's vote as the paper takes it: both terms of equation (1), the weights of equation (2),
-and the energy's trace.
+"""The paper's vote of one round: both terms of equation (1), the weights of equation (2), and the
+energy's trace.
 
 The plain vote of `optimise` is the special case without a gradient term, with weights from the
 distances of features.

@@ -1,5 +1,5 @@
-"""Memory that a run will take, from the arrays that are held together at the moments that compete
-for its peak.
+"""Memory forecast of a run, from the arrays that exist together at the moments that compete for its
+peak.
 
 Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods;
 coarser levels hold an eighth.
@@ -27,7 +27,7 @@ _THREAD = 1 << 18  # bytes that a further thread holds of its own: itself, and c
 
 @dataclass(frozen=True)
 class Moment:
-    """Bytes of arrays that grow with the volume, and of what is worked on beside them."""
+    """Bytes of arrays that grow with the volume, and of temporary arrays beside them."""
 
     arrays: int
     beside: int
@@ -35,20 +35,20 @@ class Moment:
 
 @dataclass(frozen=True)
 class TextureForecast:
-    """What a run is of.
+    """A run whose memory is forecast.
 
     Attributes
     ----------
     request : Request
     region : Region
-        What is made, before it is covered.
+        The output, before it is covered.
     finest : sequence of Candidates
         The neighbourhoods of the finest level, as they are used.
     distances : bool
         Whether fields are those of labels.
     itemsize : int
         Bytes of a value of the result.
-    exact, energetic, leaning : bool
+    exact, energetic, graded : bool
         Ways of search and vote that hold more.
     repeated : bool
         Whether features are searched more than once, and kept.
@@ -63,7 +63,7 @@ class TextureForecast:
     itemsize: int
     exact: bool = False
     energetic: bool = False
-    leaning: bool = False
+    graded: bool = False
     repeated: bool = False
     correcting: int = 0
 
@@ -104,7 +104,7 @@ class TextureForecast:
             known and request.mask is not None
         )
         bounds = 2 * channels * (2 if cropped else 1) if known else 0
-        held = voxels * (free + bounds) * 8 // 7 + (16 * voxels + 4 * sites if self.leaning else 0)
+        held = voxels * (free + bounds) * 8 // 7 + (16 * voxels + 4 * sites if self.graded else 0)
         features = 2 * candidates.features.shape[1] * sites if self.exact or self.repeated else 0
         vote = (
             threads
@@ -122,7 +122,7 @@ class TextureForecast:
         moments = [
             Moment(held + voxels * channels + _SITE * sites + features, search),
             Moment(held + voxels * 2 * channels + 9 * sites, vote),
-            Moment(held + voxels * (3 * channels + 8 * self.leaning) + 5 * sites, ranks),
+            Moment(held + voxels * (3 * channels + 8 * self.graded) + 5 * sites, ranks),
             Moment(
                 asked * (2 * channels + self._value_bytes(channels)),
                 ranks * (3 if self.distances and channels > 1 else 1),
@@ -140,7 +140,7 @@ class TextureForecast:
             moments.append(
                 Moment(held + energy_rounds.round_bytes(voxels, sites, channels=channels), search)
             )
-        if self.leaning:
+        if self.graded:
             meanwhile = 8 * (thread_count() - 1) * min(voxels, AT_ONCE)
             moments.append(
                 Moment(voxels * graded.BYTES + voxels * (free + bounds) * 8 // 7 + meanwhile, 0)
@@ -175,7 +175,7 @@ class TextureForecast:
         planes = min((thick - 1) * candidates.steps[0] + basis.box[0], shape[0] + basis.box[0])
         seen = channels * planes * prod(shape[1:])
         copied = int(channels > 1) + 2 * any(self.region.wraps)
-        made = 2 * depth * thick * grid[1] * grid[2] * (3 if self.leaning else 1)
+        made = 2 * depth * thick * grid[1] * grid[2] * (3 if self.graded else 1)
         opened = search_bytes(len(candidates.features), candidates.k) if self.exact else 0
         return (
             made
@@ -198,7 +198,7 @@ class TextureForecast:
             pages += energy_rounds.slab_bytes(
                 prod(shape[1:]), prod(grid[1:]), width=width, channels=channels
             )
-        if self.leaning:
+        if self.graded:
             pages += graded.slab_bytes(shape)
         return thread_count() * pages
 

@@ -1,8 +1,12 @@
-"""What a target asks for: the share of a phase at every voxel, on every level.
+"""Volume fractions that vary from place to place: the target at every voxel on every level, the
+guide of the search, and the shift of the field.
 
-On a coarser level a phase has another share (thin struts vanish first): what is asked for is
-carried over along straight lines through (0, 0), (the exemplar's share, its share on that level)
-and (1, 1).
+The search prefers neighbourhoods from places of the exemplar that are as dense as the target (one
+more feature: the fraction of the phase around them), and after every vote the field is shifted,
+smoothly, until the fraction around every voxel is that of the target: struts grow or thin where
+the exemplar holds nothing dense or sparse enough. On a coarser level a phase has another fraction
+(thin struts vanish first): the target is carried over along straight lines through (0, 0), (the
+exemplar's fraction, its fraction on that level) and (1, 1).
 """
 
 from __future__ import annotations
@@ -31,8 +35,23 @@ from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import halve
 
 BEYOND = 0.5
-"""How far outside the exemplar's own porosities the shift reaches with struts that still look like
-it: of the way to 0 and to 1."""
+"""Reach of the shift outside the exemplar's own porosities, with struts that still look like it:
+of the way to 0 and to 1."""
+
+# voxels a side of a window: on the finest level, and on any at least
+_WINDOW, _LEAST = 24, 6
+_WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
+_UNIT = 4096  # parts of a fraction, in whole numbers
+_PULL = 16_000  # features between a fraction of 0 and one of 1
+_NEAR = 32  # values of the field that count as near the interface: about a voxel
+_MOST = 40  # by which a field is shifted in one step
+_HASTE = 1.5  # of a step; from 3 on they would swing
+_LAST = 16  # steps at the end
+
+BYTES = 32
+"""Bytes of a voxel: the windows' sums, and the arrays of a step."""
+
+_AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
 
 
 def check_phases(present: tuple[int, ...], empty: int) -> None:
@@ -49,15 +68,15 @@ def target_fractions(request: Request, present: tuple[int, ...], empty: int) -> 
     """Return the volume fraction that the upper of two phases is to have at every voxel, (Z, Y, X)
     float32.
     """
-    shares = memmap.empty(request.shape, np.float32)
+    fractions = memmap.empty(request.shape, np.float32)
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
             porosity = np.asarray(_porosity_on(request, slice(z, z + 1)), np.float32)
-            shares[z] = porosity if present[1] == empty else 1 - porosity
+            fractions[z] = porosity if present[1] == empty else 1 - porosity
 
-    for_slabs(work, len(shares))
-    return shares
+    for_slabs(work, len(fractions))
+    return fractions
 
 
 def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
@@ -70,25 +89,25 @@ def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
     return 0.0 if asked is None else asked
 
 
-def fractions_by_level(shares: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
+def fractions_by_level(fractions: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
     """Return fractions at every voxel at the resolution of each stack, finest first."""
     own = phase_fraction(stacks[0])
     found: list[np.ndarray] = []
     for stack in stacks:
-        shares = halve(shares[None])[0] if found else shares
-        found.append(carry_over(shares, own, phase_fraction(stack)))
+        fractions = halve(fractions[None])[0] if found else fractions
+        found.append(carry_over(fractions, own, phase_fraction(stack)))
     return found
 
 
-def carry_over(shares: np.ndarray, own: float, there: float) -> np.ndarray:
+def carry_over(fractions: np.ndarray, own: float, there: float) -> np.ndarray:
     """Convert fractions to a level where the exemplar's own fraction is `there`."""
-    carried = memmap.empty(shares.shape, np.float32)
+    carried = memmap.empty(fractions.shape, np.float32)
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            carried[z] = np.interp(shares[z], (0.0, own, 1.0), (0.0, there, 1.0))
+            carried[z] = np.interp(fractions[z], (0.0, own, 1.0), (0.0, there, 1.0))
 
-    for_slabs(work, len(shares))
+    for_slabs(work, len(fractions))
     return carried
 
 
@@ -117,61 +136,27 @@ def average_target(request: Request) -> Request:
     return replace(request, target={"porosity": math.fsum(planes[:, 0]) / math.fsum(planes[:, 1])})
 
 
-# voxels a side in which a share is taken: of the finest level, and of any at least
-_WINDOW, _LEAST = 24, 6
-
-
-_WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar
-
-
-_UNIT = 4096  # of a share, in whole numbers
-
-
-_PULL = 16_000  # features between a share of 0 and one of 1
-
-
-_NEAR = 32  # values of the field that count as near the interface: about a voxel
-
-
-_MOST = 40  # by which a field is shifted in one step
-
-
-_HASTE = 1.5  # of a step; from 3 on they would swing
-
-
-_LAST = 16  # steps at the end
-
-
-BYTES = 32
-"""Of a voxel: the windows' sums, and what a step takes."""
-
-
-_AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
-
-
 @dataclass(frozen=True)
 class FractionTarget:
-    """What one level's grid is asked for: the share of the phase around every voxel of
-    its region.
-    """
+    """Target of one level's grid: the fraction of the phase around every voxel of its region."""
 
     region: Region
     wanted: np.ndarray
-    """(Z, Y, X) int32: sums over the windows of what is asked for, in `_UNIT`."""
+    """(Z, Y, X) int32: sums of the target over the windows, in `_UNIT`."""
     counted: np.ndarray
     """(Z, Y, X) int32: voxels of the windows that count."""
     width: int
     mean: float
-    """The share of all that counts."""
+    """The fraction of all that counts."""
 
     @classmethod
-    def of(cls, region: Region, shares: np.ndarray, width: int) -> FractionTarget:
-        """Sum the target of a region that is covered over windows, with shares (z, y, x) float32 of
-        its beginning.
+    def of(cls, region: Region, fractions: np.ndarray, width: int) -> FractionTarget:
+        """Sum the target of a region that is covered over windows, with fractions (z, y, x) float32
+        of its beginning.
         """
         places = [
             np.arange(side).clip(max=have - 1)
-            for side, have in zip(region.shape, shares.shape, strict=True)
+            for side, have in zip(region.shape, fractions.shape, strict=True)
         ]
         free, wraps = region.free, region.wraps
 
@@ -181,7 +166,7 @@ class FractionTarget:
             return everywhere if free is None else free[z]
 
         def whole(z: int) -> np.ndarray:
-            near = shares[places[0][z]][np.ix_(*places[1:])]
+            near = fractions[places[0][z]][np.ix_(*places[1:])]
             return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
 
         wanted, asked = window_sums_of_planes(whole, region.shape, width, wraps)
@@ -207,13 +192,13 @@ class FractionTarget:
 
     def shift_field(self, field: np.ndarray) -> np.ndarray:
         """Shift a field (1, Z, Y, X) int8 towards the target."""
-        leaned = memmap.empty(field.shape, np.int8)
+        shifted = memmap.empty(field.shape, np.int8)
 
         def add(z: int, shift: np.ndarray) -> None:
-            leaned[0, z] = np.clip(field[0, z] + shift, -127, 127)
+            shifted[0, z] = np.clip(field[0, z] + shift, -127, 127)
 
         self.step(lambda z: field[0, z], add)
-        return leaned
+        return shifted
 
     def step(
         self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
@@ -225,8 +210,8 @@ class FractionTarget:
         field : callable
             Plane z (Y, X) of the field, in units of an int8 one.
         use : callable
-            Takes z and what has to be added there, (Y, X) int16; called once a plane, when no plane
-            is asked for any more.
+            Takes z and what has to be added there, (Y, X) int16; called once a plane, after the
+            last call of `field`.
         """
         region, width = self.region, self.width
 
@@ -266,17 +251,19 @@ def slab_bytes(shape: tuple[int, ...]) -> int:
     return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
 
 
-def guide_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:
-    """Return a grid of level `index` whose search is guided, and the target of its field; shares
+def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:
+    """Return a grid of level `index` whose search is guided, and the target of its field; fractions
     are those of that level.
     """
-    even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
+    even = not sum_slabs(
+        lambda a, b: np.count_nonzero(fractions[a:b] != fractions[0, 0, 0]), len(fractions)
+    )
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
-    leaning = FractionTarget.of(grid.region, shares, width)
-    own, mean = phase_fraction(grid.candidates.stack), float(leaning.mean)
+    target = FractionTarget.of(grid.region, fractions, width)
+    own, mean = phase_fraction(grid.candidates.stack), float(target.mean)
     targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
     grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
-    return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
+    return replace(grid, targets=targets, guide=target.guide(grid)), target
 
 
 def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
@@ -297,9 +284,9 @@ def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
         )
     ]
     mesh = np.ix_(*middle)
-    share = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
+    fraction = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
     return replace(
-        candidates, features=append_guide(candidates.features >> 1, share.reshape(-1, 1))
+        candidates, features=append_guide(candidates.features >> 1, fraction.reshape(-1, 1))
     )
 
 
@@ -310,11 +297,11 @@ def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
     )
 
 
-def settle_fractions(votes: np.ndarray, leaning: FractionTarget) -> np.ndarray:
+def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
     """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target."""
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
-    _settle(field, leaning)
+    _settle(field, target)
     result = memmap.empty(votes.shape, np.int16)
 
     def end(start: int, stop: int) -> None:
@@ -330,7 +317,7 @@ def settle_fractions(votes: np.ndarray, leaning: FractionTarget) -> np.ndarray:
     return result
 
 
-def _settle(field: np.ndarray, leaning: FractionTarget) -> None:
+def _settle(field: np.ndarray, target: FractionTarget) -> None:
     """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 
@@ -344,7 +331,7 @@ def _settle(field: np.ndarray, leaning: FractionTarget) -> None:
         field[z] += moved[z]
 
     for _ in range(_LAST):
-        leaning.step(round_plane, move)
+        target.step(round_plane, move)
 
 
 @kernel

@@ -139,7 +139,7 @@ def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
     repeats.
 
     For sites that go once round every periodic axis; give the covered length along the others.
-    Where nothing lies beyond they are the votes themselves.
+    Where there is nothing beyond they are the votes themselves.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
     if votes.weights.shape == tuple(shape):
         return votes
     arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
-    del votes  # each goes when it is folded, if nobody else holds on to it
+    del votes  # each is freed once it is folded, if this is its last reference
     return GradientVotes(*(_fold(arrays.pop(), shape) for _ in range(4)))
 
 
@@ -268,7 +268,7 @@ def _add(
     """Add values and gradients of all sites on the voxel planes start..stop; `around` is the
     exemplar's Laplacian.
 
-    What the Laplacian holds of neighbours beyond the neighbourhood is taken back at its faces.
+    The Laplacian's part from beyond the neighbourhood is taken back at its faces.
     """
     SZ, SY, SX = match.shape
     for z in range(start, stop):

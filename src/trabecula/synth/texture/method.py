@@ -1,8 +1,9 @@
 """`texture`: fit keeps the exemplars' pyramid, generate makes the output level by level.
 
-With `novelty` the coarsest level is laid out anew (`novel`), without it starts from random patches
-(`plain`); from there both go by rounds of search (nearest neighbourhood of the exemplar for each of
-a sparse grid), vote (robust mean of what overlaps) and histogram matching (`optimise`). The fields
+With `novelty` the coarsest level is laid out anew (`novel_layout`), without it starts from random
+patches (`exemplar_rounds`); from there both go by rounds of search (nearest neighbourhood of the
+exemplar for each of a sparse grid), vote (robust mean of overlapping ones) and histogram matching
+(`shared.coarse_to_fine`). The fields
 of labels are clipped signed distances, so the last threshold is exact.
 """
 
@@ -182,7 +183,6 @@ class TextureModel(Model):
             energies: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
-            # Nothing is held by a name here: what is made of it is.
             # No array is held by a name here: the run drops what it no longer needs.
             votes, energies = make_from_patches(
                 ExemplarRounds(
@@ -294,7 +294,7 @@ class TextureModel(Model):
             itemsize,
             exact=config.search == "exact",
             energetic=config.energetic,
-            leaning=bool(request.target),
+            graded=bool(request.target),
             repeated=config.sweeps > 1,
             correcting=step_bytes(request.shape, self.targets[0], request.periodic)
             if stepped

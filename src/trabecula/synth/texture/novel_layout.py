@@ -1,9 +1,9 @@
-"""New material rather than moved pieces: what `novelty` above 0 does instead of search from random
-patches.
+"""New material rather than moved patches: the way of `novelty` above 0, instead of search from
+random patches.
 
 The coarsest level is laid out by sliced rounds, which copy nothing; then a few rounds of search and
 vote with narrow neighbourhoods make interfaces those of the exemplar. After each a step on the
-two-point function keeps what narrow neighbourhoods forget, and a step on long waves keeps the
+two-point function keeps what narrow neighbourhoods lose, and a step on long waves keeps the
 material as even as the exemplar. All of it on a torus, so that no place is special: an axis that is
 not to repeat is cut to its length.
 """
@@ -83,7 +83,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Aims:
-    """What the exemplars say of one level."""
+    """Targets of one level, learnt from the exemplars."""
 
     stack: Stack
     correlations: Correlations
@@ -201,7 +201,7 @@ class NovelRounds(CoarseToFine[Any]):
     field : (C, Z, Y, X) int8
         None while votes are cast, and during the layout.
     votes : (C, Z, Y, X) int16
-        Those that the field was made of; during the layout the state itself.
+        Source of the field; during the layout the state itself.
     match : (sz, sy, sx) int32
         The candidate of every site.
     weights : (sz, sy, sx) int32

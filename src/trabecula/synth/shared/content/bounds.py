@@ -1,4 +1,4 @@
-"""What known voxels say of a field: the least and the most that it may be at each."""
+"""Bounds that known voxels set to a field: the least and the most that it may be at each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from trabecula.synth.shared.slabs import complement, count_true, for_plane_group
 Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
 
-
 _ANY = 1e4  # farther than any distance
 
 
@@ -27,9 +26,9 @@ def distance_bounds(
 ) -> Bounds:
     """Bound the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
 
-    A known voxel lies no farther from an interface than from the nearest known voxel of the other
-    side, and no nearer than from that or from the unknown; with `thin`, where slices are known, no
-    nearer than half as far.
+    A known voxel is no farther from an interface than from the nearest known voxel of the other
+    side, and no nearer than from that or from the nearest unknown one; with `thin`, where slices
+    are known, no nearer than half as far.
     """
     unknown = None if thin else distance_transform(known, spacing=spacing)
     low, high = _empty_bounds(len(labels), known)

@@ -27,6 +27,11 @@ from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
 
+UNIT = 256
+"""An int8 step of a field in the int16 of votes."""
+
+_WORDS = 4  # of 64 bits that the generator makes at once
+
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
     """List the labels that occur in any of the images, rising."""
@@ -53,7 +58,7 @@ def phase_fields(
 
     With two labels present the one channel stands for the second. Distances follow the image's
     spacing; `unit` is the length that counts as one, by default the geometric mean of a voxel's
-    edges. A label of `present` that does not occur lies infinitely far.
+    edges. A label of `present` that does not occur is infinitely far.
     """
     present = phases_present([image]) if present is None else present
     spacing = (
@@ -149,13 +154,6 @@ def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype
 
     for_plane_groups(work, values.shape[:3])
     return values
-
-
-UNIT = 256
-"""An int8 step of a field in the int16 of votes."""
-
-
-_WORDS = 4  # of 64 bits that the generator makes at once
 
 
 def votes_of(field: np.ndarray) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 Votes agree so often that many voxels hold exactly the same value; a rank within such a tie would be
 chance, and mapping the whole tie to one value moves the volume fraction by percents. So voxels are
-ranked by their value with a small share of their six neighbours' mixed in. Those ranks are not
-kept: taking them again costs less than memory for them.
+ranked by their value with a small share of their six neighbours' mixed in. The ranks are computed
+again when needed, which costs less than memory for them.
 """
 
 from __future__ import annotations
@@ -18,12 +18,8 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
-
-
 _BINS = 1 << 16
-
-
-_PARTS = 1 << 20  # resolution of a histogram that leans
+_PARTS = 1 << 20  # resolution of a reweighted histogram
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""Where what is made meets what is known: no step across the joint, and the surroundings' share of
-every value.
+"""The joint between free and known voxels: no step across it, and the surroundings' fractions on
+both sides.
 
 The votes disagree with known voxels beside the joint by some offset. That offset is spread into
-what is made as a membrane (the boundary condition of Perez, Gangnet, Blake 2003,
+the free voxels as a membrane (the boundary condition of Perez, Gangnet, Blake 2003,
 doi:10.1145/882262.882269), so that interfaces meet; the next search then finds neighbourhoods that
 fit both sides. And a hole in a dense corner is filled as densely: the known voxels near by and the
 exemplar count as one sample, each by how many voxels it stands for.
@@ -29,8 +29,6 @@ from trabecula.synth.shared.slabs import (
 )
 
 _STEPS = 20  # relaxations of the membrane: it reaches about half as many voxels
-
-
 _PARTS = 1 << 20  # resolution of a mixed histogram
 
 

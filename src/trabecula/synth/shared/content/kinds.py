@@ -1,4 +1,4 @@
-"""What the exemplars hold, as fields and back: labels, grey values or colours."""
+"""The kinds of content, each converted to fields and back: labels, grey values or colours."""
 
 from __future__ import annotations
 
@@ -34,9 +34,7 @@ from trabecula.synth.shared.slabs import (
 )
 
 _BLUR = 1.0  # voxels
-
-
-_BESIDE = 8  # voxels around what is made that say how dense it should be
+_BESIDE = 8  # voxels around the free ones whose fractions count
 
 
 def content_of(
@@ -51,9 +49,9 @@ def content_of(
     Parameters
     ----------
     exemplars : sequence of Image
-        Volumes, or pictures: one for each view, so that what is seen in two counts twice.
+        Volumes, or pictures: one for each view, so that a picture of two views counts twice.
     field : {"distance", "indicator"}
-        What labels become.
+        The field of labels.
     histogram : bool
         Whether results hold the exemplars' histogram, or volume fractions.
     unit : float, optional
@@ -68,7 +66,7 @@ def content_of(
 
 
 class Content(ABC):
-    """Between images and fields."""
+    """Conversion between images and fields."""
 
     distances: bool
     """Whether a field is a distance in voxels, which halves with the resolution."""
@@ -113,7 +111,7 @@ class Labels(Content):
             axis=0,
         )
         self.fractions = counts[list(self.present)] / counts.sum()
-        # Outside a form there is nothing: the void where it has a name, else the first phase.
+        # Outside a form: the void where it has a name, else the first phase.
         self.empty = self.names.index("void") if "void" in self.names else 0
 
     def fields(self, image: Image) -> np.ndarray:

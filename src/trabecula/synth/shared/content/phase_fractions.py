@@ -24,6 +24,10 @@ from trabecula.engine.parallel import for_slabs, in_order, sum_slabs
 from trabecula.synth.shared.content.histogram import mix_with_neighbours, rank_counts, row_of_ranks
 from trabecula.synth.shared.slabs import count_true, for_plane_groups, make_by_slabs
 
+_TIED = 2  # beside 0 and 1, until it is settled
+_ROUNDS = 20  # at most; a handful settle it
+_BIDS = 2 * (1 << 16) - 1  # that there are between ranks
+
 
 def labels_of(
     fields: np.ndarray,
@@ -68,9 +72,6 @@ def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
     if not np.array_equal(labels, np.arange(len(labels))):
         for_plane_groups(work, phases.shape)
     return phases
-
-
-_TIED = 2  # beside 0 and 1, until it is settled
 
 
 def brightest_voxels(field: np.ndarray, count: int, inside: np.ndarray | None = None) -> np.ndarray:
@@ -197,12 +198,6 @@ def _around(field, z, y, x):
                     min(max(x + dx, 0), X - 1),
                 ]
     return total
-
-
-_ROUNDS = 20  # at most; a handful settle it
-
-
-_BIDS = 2 * (1 << 16) - 1  # that there are between ranks
 
 
 def assign_phases(

@@ -1,5 +1,5 @@
 """The output's neighbourhoods at one resolution, and the search for the nearest one of the exemplar
-for each.
+to each.
 """
 
 from __future__ import annotations
@@ -34,9 +34,7 @@ _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds m
 
 @dataclass(frozen=True)
 class Grid:
-    """The output's neighbourhoods at one resolution and width: what does not change from round to
-    round.
-    """
+    """The output's neighbourhoods at one resolution and width; constant from round to round."""
 
     candidates: Candidates
     region: Region  # covered

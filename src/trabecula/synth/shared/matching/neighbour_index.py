@@ -16,13 +16,8 @@ from trabecula.core.errors import InputError
 LEAF = 16
 """Candidates of a leaf: one AVX-512 register of float32, two of AVX2."""
 
-
 _MOST = 1000
-
-
 _SAMPLES = 4096  # vectors that are looked at together; so many say which axis is the widest
-
-
 _AT_ONCE = 128  # leaves whose centres are worked out at once
 
 
@@ -37,7 +32,7 @@ class NeighbourIndex:
     radius: np.ndarray  # (L,) float32, rounded up
     # (D,) float32 of whole numbers: centres are relative to it, so that rounding stays small
     middle: np.ndarray
-    k: int  # how many nearest ones may be asked for
+    k: int  # nearest ones that a search returns, at most
 
 
 def build_index(

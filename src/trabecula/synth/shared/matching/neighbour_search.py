@@ -18,6 +18,7 @@ from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.matching.neighbour_index import LEAF, NeighbourIndex, as_feature_table
 
 _QUERIES = 64  # queries of one matrix product: their products with all centres stay in the cache
+_ROUNDING = 2.0**-24
 
 
 def search_bytes(count: int, k: int) -> int:
@@ -186,9 +187,6 @@ def _check_queries(queries: np.ndarray, among: NeighbourIndex) -> np.ndarray:
     return queries
 
 
-_ROUNDING = 2.0**-24
-
-
 @inline
 def _scan(leaf, query, smooth, tiles, index, near, passed, eights, best, distance):
     """Open one leaf: `best` and `distance` (k,) stay sorted by distance, then place; `near`,
@@ -196,7 +194,7 @@ def _scan(leaf, query, smooth, tiles, index, near, passed, eights, best, distanc
     """
     # lanes are not a constant here: an unrolled loop would not be vectorised
     tile, lanes = tiles[leaf], len(near)
-    # What float32 sums up may be wrong by one rounding per term: no candidate that could be nearer
+    # A float32 sum may be wrong by one rounding per term: no candidate that could be nearer
     # is left out.
     farthest = np.float32(np.float64(distance[-1]) * (1 + 4 * (len(tile) + 4) * _ROUNDING))
     near[:] = 0

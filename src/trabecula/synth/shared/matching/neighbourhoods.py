@@ -22,13 +22,8 @@ SCALE = 8
 neighbourhood's (at most 2^31).
 """
 
-
 _AT_ONCE = 1 << 23  # bytes of features that are made together, more where a plane has more
-
-
 _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
-
-
 Triple = tuple[int, int, int]
 
 
@@ -138,7 +133,7 @@ def project_planes(
     factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
     blocks = np.ascontiguousarray(block_sums(field, grains))
     if basis.grain > 1 and step % basis.grain == 0:
-        # Of the sums only those of blocks side by side are asked for.
+        # Only the sums of blocks side by side are needed.
         blocks = np.ascontiguousarray(blocks[:, :: grains[0], :: grains[1], :: grains[2]])
         box, steps = divide_sides(box, grains), divide_sides(steps, grains)
         grains, step = (1, 1, 1), step // basis.grain

@@ -26,26 +26,16 @@ from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.slabs import axis_order, put_axis_first
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
-
-
 _MOST_FACTOR = 256  # times an int8 is an int16
-
-
 # planes that are summed up at once, at least: sites at their borders are gone through twice
 _THICK = 8
-
-
 _CACHED = 1 << 17  # voxels that are summed up at once where planes are small
-
-
 _TOGETHER = 16  # planes across x that enter a slab at once: a line of the cache
 
 
 @dataclass(frozen=True)
 class ViewGrid:
-    """One view: the axis it is seen across, and the neighbourhoods of the volume with that axis
-    first.
-    """
+    """One view: its axis, and the neighbourhoods of the volume with that axis first."""
 
     axis: int
     grid: Grid

@@ -18,9 +18,12 @@ from trabecula.engine.parallel import one_blas_thread
 from trabecula.synth.shared.matching.neighbourhoods import Basis, block_sums, box_of, gather
 
 _EXACT = 2**24 / 127 * 0.98  # over the largest value and the norm of its row
-
-
 _SAMPLES = 8192
+_WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
+# of the variance that may be dropped, the share that is left for sums over blocks
+_BLOCKS_MISS = 0.4
+_ITERATIONS = 12
+_SPARE = 8  # vectors carried along beyond those wanted: they speed up the last ones
 
 
 def principal_basis(
@@ -103,13 +106,6 @@ def _spread(count: int) -> np.ndarray:
     return np.arange(_SAMPLES) * count // _SAMPLES
 
 
-_WIDE = 8  # voxels: a neighbourhood that is described by enough blocks
-
-
-# of the variance that may be dropped, the share that is left for sums over blocks
-_BLOCKS_MISS = 0.4
-
-
 def grain_of(width: int, *, smooth: bool) -> int:
     """Return the edge of the blocks whose sums describe neighbourhoods of a width: 2 where the
     field is smooth, else 1.
@@ -125,12 +121,6 @@ def variance_in(grain: int, variance: float) -> float:
     block is missing from it.
     """
     return variance if grain == 1 else 1 - (1 - variance) * _BLOCKS_MISS
-
-
-_ITERATIONS = 12
-
-
-_SPARE = 8  # vectors carried along beyond those wanted: they speed up the last ones
 
 
 def leading_vectors(covariance: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,5 @@
-"""Where something is made: the output's grid at one resolution, which axes wrap, what is free and
-what is known.
+"""Regions: the output's grid at one resolution, its axes that wrap, its free voxels, and its known
+ones.
 """
 
 from __future__ import annotations

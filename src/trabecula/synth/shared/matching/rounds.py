@@ -1,4 +1,4 @@
-"""From matches to a field: weights, the vote, what is known beside it, and the histogram."""
+"""From matches to a field: weights, the vote, the joint to known voxels, the histogram."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     """Return w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as
     integers of 1 .. 1023.
 
-    Through a table over the ratio to the mean, so that no power function is asked for a bit it
-    might round otherwise. Sites that are not active weigh 0.
+    A table over the ratio to the mean: a power function might round its last bit differently on
+    another machine. Sites that are not active weigh 0.
     """
     # One quantum per voxel keeps an exact match from outvoting everything.
     basis = grid.candidates.basis

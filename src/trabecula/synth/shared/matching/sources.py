@@ -1,4 +1,4 @@
-"""What is copied from: the exemplars at one resolution, stacked along z to one volume, and its
+"""The source of copies: the exemplars at one resolution, stacked along z to one volume, and its
 neighbourhoods as features.
 
 A picture is a volume of one plane, and its neighbourhoods are flat.
@@ -33,7 +33,7 @@ _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candid
 
 @dataclass(frozen=True)
 class Stack:
-    """Volumes at one resolution, one above the other; beyond their own sides lies zero.
+    """Volumes at one resolution, one above the other, filled up with zeros.
 
     `field` is (C, z, y, x) int8; `starts` (n,) the first plane of each volume; `sides` (n, 3) its
     extent; `histograms` one per channel, of the volumes themselves.

@@ -1,5 +1,5 @@
-"""What search and vote on planes take, from the arrays that are held together at the moments that
-compete for the peak.
+"""Memory forecast of search and vote on planes, from the arrays that exist together at the moments
+that compete for the peak.
 
 Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods, view
 by view; coarser levels hold an eighth.
@@ -21,23 +21,19 @@ from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.slabs import AT_ONCE, shape_with_axis_first
 
 _RANKS = 3 << 20  # tables of 65536 ranks
-
-
 _BETWEEN = 32  # bytes of a voxel that NumPy takes in between, beside known voxels
-
-
 _AROUND = 1 << 16  # bytes around one that is read from a file: the system maps them with it
 
 
 @dataclass(frozen=True)
 class SolidForecast:
-    """What a run is of.
+    """A run whose memory is forecast.
 
     Attributes
     ----------
     request : Request
     region : Region
-        What is made, before it is covered.
+        The output, before it is covered.
     views : sequence of (axis, Candidates)
         The neighbourhoods of the finest level.
     distances : bool

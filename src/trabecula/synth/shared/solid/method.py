@@ -1,6 +1,4 @@
-"""Fitting the methods that search and vote on planes: how far the pictures reach, and what learning
-from them takes.
-"""
+"""Learning from pictures for search and vote on planes, and its memory forecast."""
 
 from __future__ import annotations
 

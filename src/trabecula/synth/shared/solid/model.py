@@ -1,9 +1,9 @@
-"""Solid texture from pictures by search and vote on the planes of up to three views: what `kopf`
-and `chen` share.
+"""Solid texture from pictures by search and vote on the planes of up to three views, the model of
+`kopf` and `chen`.
 
-From coarse to fine, on every level: each view finds for the squares in its planes the nearest ones
-in its picture; what overlaps in a voxel, from all views, votes. How votes become the next field is
-each method's own (`_vote`).
+From coarse to fine, on every level: each view searches for the squares in its planes the nearest
+ones in its picture; all squares of all views that overlap in a voxel vote. The votes become the
+next field in each method's own way (`SolidRounds.cast`).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class SolidModel(PictureModel):
         unit = mean_edge(spacing_of(views))
         pictures = [view.image for view in views]
         self.content: Content = content_of(pictures, histogram=config.histogram, unit=unit)
-        # Views of the same picture share everything that is learnt from it.
+        # Views of the same picture share all that is learnt from it.
         self.numbers = [
             next(n for n, other in enumerate(pictures) if other is picture) for picture in pictures
         ]

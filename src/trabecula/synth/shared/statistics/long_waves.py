@@ -1,5 +1,5 @@
-"""Long waves: how much the local fraction of a phase varies over windows that are wider than
-neighbourhoods see.
+"""Long waves: the variation of the local fraction of a phase over windows that are wider than
+neighbourhoods.
 
 Neighbourhoods know nothing beyond their width, and two-point functions hardly resolve a wave longer
 than their largest distance: a wave of amplitude a adds a^2 / 2 to every distance alike, .0005 for
@@ -7,8 +7,8 @@ one that moves the local fraction by .03. So the field is split into bands by bo
 width, the spread of each band is compared with the exemplar's, and interfaces are shifted,
 smoothly, until it agrees. A phase keeps its overall fraction: bands have no mean.
 
-Sums are whole numbers and their variances are added plane by plane, so threads and scratch files
-change nothing.
+Sums are whole numbers and their variances are added plane by plane, so threads and memory-mapped
+files change nothing.
 """
 
 from __future__ import annotations
@@ -126,11 +126,11 @@ def adjust_long_waves(
         1 / UNIT of an int8 step.
     target : LongWaves
     matched : callable
-        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: it is whose
-        spread counts. A shift that is less than what lies between two values of a distance changes
+        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: its spread
+        counts. A shift that is less than the gap between two values of a distance changes
         the votes' soft indicator, and no label.
     wraps : three bools
-        Axes on which windows go on beyond a face.
+        Axes on which windows continue beyond a face.
     """
     waves = target.extend(min(votes.shape[1:]))
     if not waves.widths:
@@ -153,7 +153,7 @@ def adjusting_bytes(shape: Sequence[int]) -> int:
 
 
 def adjusting_slab_bytes(shape: Sequence[int]) -> int:
-    """Return what of that a thread keeps in memory where arrays lie in scratch files."""
+    """Return the part of it that a thread keeps in memory where arrays are memory-mapped."""
     return 60 * shape[1] * shape[2] + shape[0] * 4 * shape[2] + (1 << 16)
 
 
@@ -239,7 +239,7 @@ def _adjust(
             band.add(shift, np.float32(-gain / moving))
         if wide is not None:
             narrow = wide
-        del band, wide  # nobody holds on to sums that the next windows make room for
+        del band, wide  # free these sums before the next are allocated
     if shift is None:
         return False
     change, unit, limit = shift, np.float32(UNIT * waves.softness), FULL * UNIT

@@ -19,10 +19,9 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.measure.fft import fast_side
 
-# What may be written by another process (`anywhere`) lies in a file however small it is: `least` is
-# 0.
+# Arrays that another process may write (`anywhere`) are memory-mapped however small: `least` is 0.
 Planes = Callable[[int], np.ndarray]
-"""Plane z (Y, X) float32 of a field that is nowhere as a whole; asked for by several threads."""
+"""Plane z (Y, X) float32 of a field that never exists as a whole; several threads call it."""
 
 # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 _WORTH = 1 << 19
@@ -42,7 +41,7 @@ class Pairs:
 
     `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free`
     (Z, Y, X) bool says which voxels count (None: all). With two `cones` those within 22.5 degrees
-    of their axis are told apart from the others.
+    of their axis have bins of their own.
     """
 
     shape: tuple[int, ...]

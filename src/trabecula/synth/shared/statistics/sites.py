@@ -1,4 +1,4 @@
-"""The neighbourhoods of one sliced round: where they begin in a volume, and what becomes of the
+"""The neighbourhoods of one sliced round: their places in a volume, and the replacement of the
 voxels that they hold.
 """
 
@@ -21,8 +21,7 @@ BATCH = 1 << 21
 """Values of neighbourhoods that are put back at a time, if not those of one row of sites are more.
 """
 
-
-_FEW = 512  # neighbourhoods that are rebuilt at once: what is made of them stays in the cache
+_FEW = 512  # neighbourhoods that are rebuilt at once: their temporary arrays stay in the cache
 
 
 @dataclass(frozen=True)
@@ -223,8 +222,8 @@ def add(
     """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
 
     blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,)
-    the number of the first site along z and y; places_*: where what all sites cover along an axis
-    lies; rest (C,) is added to each.
+    the number of the first site along z and y; places_*: the places along an axis of the voxels
+    that all sites cover; rest (C,) is added to each.
     """
     width, voxels = box[2], box[0] * box[1] * box[2]
     channels = len(total)

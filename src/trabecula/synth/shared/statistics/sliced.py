@@ -7,9 +7,9 @@ axes at random, move the values along every axis monotonically so that their his
 exemplar's, turn back; a voxel becomes the mean of the neighbourhoods that hold it. Nothing is
 looked up in the exemplar, so nothing is copied.
 
-Only what the components hold is put back: what they leave out of the output (its noise, at first)
-has to go, or it stays for ever. Along periodic axes every voxel lies in equally many
-neighbourhoods; along open ones those near a face lie in fewer, their mean is noisier, and the rarer
+Only the part on the components is put back: the rest of the output (its noise, at first) has to
+go, or it stays for ever. Along periodic axes every voxel is in equally many neighbourhoods; along
+open ones those near a face are in fewer, their mean is noisier, and the rarer
 phase gathers there.
 
 Everything is a whole number within the range in which products of matrices are exact, so the bits
@@ -154,7 +154,9 @@ def _write_means(
 
 @dataclass(frozen=True)
 class SlicedRound:
-    """What is drawn for one round, how far apart its neighbourhoods lie, and how far they move."""
+    """The random key and number of one round, the distance between its neighbourhoods, and the
+    length of their moves.
+    """
 
     key: np.uint64
     number: int

@@ -23,14 +23,21 @@ from trabecula.synth.shared.matching.neighbourhoods import SCALE, Basis, Triple,
 from trabecula.synth.shared.matching.principal_components import principal_basis
 
 FINE = 4096  # what an orthonormal basis is multiplied by on the way back
-
-
 _MOST = 1 << 16  # neighbourhoods of the exemplars that stand for all of them, about
+
+BINS = 1024
+"""Of a histogram along an axis."""
+
+AT_ONCE = 1024
+"""Values an axis that are worked on together: so many rows of 64 lie in the cache."""
+
+Parts = Callable[[int, int], Iterable[np.ndarray]]
+"""Rows (n, P) float32 of whole numbers that slab start..stop holds, a few at a time."""
 
 
 @dataclass(frozen=True)
 class SliceTarget:
-    """What sliced rounds aim at: neighbourhoods of exemplars on their principal components.
+    """Target of sliced rounds: neighbourhoods of exemplars on their principal components.
 
     `features` (N, P) float32 and `back` (P, C * voxels) float64 hold whole numbers, P is a power of
     two; `rest` (C,) int64 is what the components leave out of the mean, in 1 / UNIT of an int8
@@ -109,18 +116,6 @@ def _mean_of_neighbourhoods(fields: Sequence[np.ndarray], box: Triple) -> np.nda
         sums += [float(np.sum(channel * weights)) for channel in field]
         count += int(weights.sum())
     return np.asarray(sums / count)
-
-
-BINS = 1024
-"""Of a histogram along an axis."""
-
-
-AT_ONCE = 1024
-"""Values an axis that are worked on together: so many rows of 64 lie in the cache."""
-
-
-Parts = Callable[[int, int], Iterable[np.ndarray]]
-"""Rows (n, P) float32 of whole numbers that slab start..stop holds, a few at a time."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Two-point functions of the soft indicators of fields: 0 to 1 over a few voxels around an
 interface, so that a small move of it changes them a little.
 
-Pairs are told apart by their distance and by the nearest axis: of distance alone, a material that
+Pairs are binned by their distance and by the nearest axis: of distance alone, a material that
 is longer along one axis would come out longer still.
 """
 
@@ -19,16 +19,14 @@ from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
-
-
 # farthest distance in voxels of the finest level, and at least so many of a level's own
 _REACH, _NEAR = 30, 6
 
 
 @dataclass(frozen=True)
 class Correlations:
-    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft
-    indicator, of pairs nearest to z, then to y, then to x.
+    """Target of the steps: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's
+    soft indicator, of pairs nearest to z, then to y, then to x.
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
     voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps

@@ -2,13 +2,11 @@
 little.
 
 The two-point function here is that of a soft indicator, which rises from 0 to 1 over `softness`
-around the interface, so that a small move changes it a little. Pairs are told apart by their
-distance and by the axis they lie nearest to: of distance alone, a material that is longer along one
-axis would come out longer still. A step is one of Gauss and Newton in as many directions as there
-are bands of distances: the direction of a band is the gradient of the squared misfit at these
-distances, a convolution of the field, kept on the interface and freed of its mean there (which
-would change the volume fraction). The convolution wraps around the faces even where the material
-does not: cut off there it would pile up one phase on them.
+around the interface, so that a small move changes it a little. A step is one of Gauss and Newton in
+as many directions as there are bands of distances: the direction of a band is the gradient of the
+squared misfit at these distances, a convolution of the field, kept on the interface and freed of
+its mean there (which would change the volume fraction). The convolution wraps around the faces even
+where the material does not: cut off there it would pile up one phase on them.
 
 The two-point function of a vote falls short of what the step before had reached, always on the same
 side. `debt`, the sum of such misfits, makes the step aim as far beyond (as the integral term of a
@@ -29,11 +27,15 @@ from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
-_LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
-
-
+_LEAK = 0.5  # share of earlier rounds' misfits that still counts
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
 _SHORT = 2.0
+
+BANDS = (1, 2, 3, 5, 8, 12)
+"""Where the bands of distances begin, voxels; the last one reaches to r_max."""
+
+_RIDGE = 1e-3
+_LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
 def accumulate_debt(
@@ -229,16 +231,6 @@ def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np
             votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
     for_slabs(work, len(votes))
-
-
-BANDS = (1, 2, 3, 5, 8, 12)
-"""Where the bands of distances begin, voxels; the last one reaches to r_max."""
-
-
-_RIDGE = 1e-3
-
-
-_LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
 def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
