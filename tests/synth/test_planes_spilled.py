@@ -170,11 +170,11 @@ def test_what_planes_say_does_not_depend_on_slabs(wraps, thick, tmp_path):
     ]
     histograms = tuple(Histogram.of(channel) for channel in pictures[0])
     frame = RegionViews.over(Region((9, 14, 12), wraps), views, histograms)
-    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.grids]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
     dear = [
         rng.integers(1, 9, plane.grid.candidates.stack.field.shape[1:]).astype(np.int32)
-        for plane in frame.planes
+        for plane in frame.grids
     ]
 
     def said():
@@ -195,7 +195,7 @@ def test_a_field_itself_is_what_pixels_come_near_to():
     frame = RegionViews.over(
         Region((8, 10, 12)), [(0, candidates), (2, candidates)], (Histogram.of(picture),)
     )
-    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
     dear = [np.ones(picture.shape[1:], np.int32)] * 2
     field = np.random.default_rng(2).integers(-90, 91, (1, *frame.region.shape)).astype(np.int8)

@@ -116,16 +116,16 @@ def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
 def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, trim):
     rng = np.random.default_rng(4)
     frame = frame_of([(axis, picture(axis, channels=2)) for axis in range(3)], (11, 14, 12), wraps)
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
     factors = [
         rng.integers(1, frame.full + 1, p.grid.candidates.stack.field.shape[1:])
-        for p in frame.planes
+        for p in frame.grids
     ]
     votes = cast_plane_votes(frame, matches, weights, factors=factors, trim=trim)
     shape = frame.region.shape
     above, below = np.zeros((2, *shape)), np.zeros(shape)
-    for plane, match, weight, factor in zip(frame.planes, matches, weights, factors, strict=True):
+    for plane, match, weight, factor in zip(frame.grids, matches, weights, factors, strict=True):
         exemplar = plane.grid.candidates.stack.field[:, 0].astype(float)
         up, down = np.moveaxis(above, 1 + plane.axis, 1), np.moveaxis(below, plane.axis, 0)
         seen, around = plane.grid.region.shape, plane.grid.region.wraps
@@ -152,16 +152,16 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
 
 def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
     frame = frame_of([(0, picture(1)), (2, picture(2))], (9, 10, 12))
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
     mean = cast_plane_votes(frame, matches, weights)
-    even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
+    even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.grids]
     field, sources = choose_pixels(frame, matches, weights, mean, costs=even)
-    pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.planes])
+    pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.grids])
     assert np.array_equal(pixels[sources], field[0])
     lying = [set() for _ in range(field[0].size)]
     first = 0
-    for plane, match in zip(frame.planes, matches, strict=True):
+    for plane, match in zip(frame.grids, matches, strict=True):
         numbers = np.moveaxis(np.arange(field[0].size).reshape(field[0].shape), plane.axis, 0)
         width = plane.grid.candidates.stack.field.shape[3]
         _, ys, xs = corners(plane.grid.candidates, match)
@@ -178,12 +178,12 @@ def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
 
 def test_a_source_that_is_dear_is_avoided():
     frame = frame_of([(0, picture(1)), (1, picture(2))], (9, 10, 12))
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
     mean = cast_plane_votes(frame, matches, weights)
-    dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
+    dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.grids]
     before = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
-    half = frame.planes[0].grid.candidates.stack.field[0].size
+    half = frame.grids[0].grid.candidates.stack.field[0].size
     dear[0][:] = 10_000
     after = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
     assert np.mean(before < half) > 0.3
@@ -204,7 +204,7 @@ def test_only_squares_that_hold_a_free_voxel_are_active():
     free = np.zeros((8, 12, 12), bool)
     free[3, 5, 6] = True
     frame = frame_of([(axis, picture(0)) for axis in range(3)], free.shape, free=free)
-    for plane in frame.planes:
+    for plane in frame.grids:
         across = np.flatnonzero(plane.grid.active.any(axis=(1, 2)))
         assert across.tolist() == [(3, 5, 6)[plane.axis]]
 

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError, UnknownNameError
-from trabecula.synth.shared.matching.kernels import vote
+from trabecula.synth.shared.matching.kernels import CubeLayout, vote
 from trabecula.synth.shared.orient import SETS, apply_symmetry, symmetries
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch
 from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
@@ -118,7 +118,7 @@ def test_without_gradients_it_is_the_plain_vote(trim, wraps):
     plane = np.empty((3, *covered(match.shape, 2)[1:]), np.int32)
     plain = np.empty((2, *shape), np.int16)
     cubes = ((side,) * 3 for side in (1, 2, WIDTH, trim))
-    vote(field, match, weight, SHAPE, *cubes, wraps, plane, plain, 0, shape[0])
+    vote(field, match, weight, CubeLayout(SHAPE, *cubes, wraps), plane, plain, 0, shape[0])
     made = solve_votes(
         fold_votes(cast(field, match, weight, step=2, trim=trim, wraps=wraps), shape), mu=0
     )

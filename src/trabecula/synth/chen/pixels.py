@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from trabecula.synth.shared.matching.rounds import round_votes
 
 
 def choose_pixels(
-    frame: RegionViews,
+    views: RegionViews,
     matches: Sequence[np.ndarray],
     weights: Sequence[np.ndarray],
     mean: np.ndarray,
@@ -47,17 +46,16 @@ def choose_pixels(
     sources : (Z, Y, X) int32
         Their numbers: view after view, in the order of each view's stack; -1 where there is none.
     """
-    exemplars = [plane.grid.candidates.stack.field for plane in frame.planes]
+    exemplars = [view.grid.candidates.stack.field for view in views.grids]
     pixels = np.concatenate([exemplar.reshape(len(mean), -1) for exemplar in exemplars], axis=1)
     begins = np.cumsum([0] + [exemplar[0].size for exemplar in exemplars])[:-1]
-    laid = [view_layout(plane, trim) for plane in frame.planes]
-    views: list[tuple[int, tuple[Any, ...]]] = [
-        (plane.axis, (int(begin), *own, *how))
-        for plane, *own, how, begin in zip(
-            frame.planes, exemplars, costs, matches, weights, laid, begins, strict=True
+    arguments = [
+        (int(begin), *arrays, view_layout(view, trim))
+        for view, begin, *arrays in zip(
+            views.grids, begins, exemplars, costs, matches, weights, strict=True
         )
     ]
-    shape = frame.region.shape
+    shape = views.region.shape
     field, sources = memmap.empty(mean.shape, np.int8), memmap.empty(shape, np.int32)
 
     def work(start: int, stop: int) -> None:
@@ -70,12 +68,13 @@ def choose_pixels(
                 np.full(aim.shape[1:], 2**62, np.int64),
                 np.full(aim.shape[1:], -1, np.int32),
             )
-            for axis, view in views:
+            for each in arguments:
+                axis = each[-1].axis
                 seen, least, taken = (
                     np.ascontiguousarray(np.moveaxis(part, axis - 3, -3))
                     for part in (aim, cost, found)
                 )
-                compare_pixels(seen, least, taken, first, *view)
+                compare_pixels(seen, least, taken, first, *each)
                 cost, found = (np.moveaxis(part, 0, axis) for part in (least, taken))
             field[:, here], sources[here] = round_votes(aim), found
             paint(pixels, sources[here], field, first)
@@ -85,12 +84,12 @@ def choose_pixels(
 
 
 def position_excess(
-    sources: np.ndarray | None, frame: RegionViews, strength: float
+    sources: np.ndarray | None, views: RegionViews, strength: float
 ) -> list[np.ndarray]:
     """Return 1 + strength times (n - 1) for every pixel (z, y, x) of every view that is the source
     of n > 1 times its even share.
     """
-    shapes = [plane.grid.candidates.stack.field.shape[1:] for plane in frame.planes]
+    shapes = [view.grid.candidates.stack.field.shape[1:] for view in views.grids]
     sizes = [int(np.prod(shape)) for shape in shapes]
     if sources is None or not strength:
         return [np.ones(shape) for shape in shapes]
@@ -108,25 +107,7 @@ def position_excess(
 
 
 @kernel
-def compare_pixels(
-    mean,
-    cost,
-    chosen,
-    start,
-    first,
-    field,
-    costs,
-    match,
-    weight,
-    shape,
-    sides,
-    strides,
-    steps,
-    width,
-    trims,
-    wraps,
-    axis,
-):
+def compare_pixels(mean, cost, chosen, start, first, field, costs, match, weight, layout):
     """Compare the exemplar's voxels matched with each voxel of a slab, from plane `start` on, and
     keep the one nearest in value to `mean`.
 
@@ -135,6 +116,7 @@ def compare_pixels(
     the axis of the view first. field (C, z, y, x) int8; costs (z, y, x) int32, a factor of the
     squared distance. Of equals the first one stays. The rest as in `add_votes`.
     """
+    shape, sides, strides, steps, width, trims, wraps, axis = layout
     C, EY, EX = len(field), field.shape[2], field.shape[3]
     SY, SX = match.shape[1:]
     low = 0 if axis == 0 else start

@@ -48,8 +48,7 @@ class KopfRounds(SolidRounds):
         views = stage.views
         excess = histogram_excess(self.votes, views, self.config.reweighting)
         return [
-            factors_of(view.grid.candidates.stack.field, excess, views.full)
-            for view in views.planes
+            factors_of(view.grid.candidates.stack.field, excess, views.full) for view in views.grids
         ]
 
 
@@ -61,11 +60,11 @@ class KopfModel(SolidModel):
     config: KopfConfig
 
 
-def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> np.ndarray:
+def histogram_excess(votes: np.ndarray, views: RegionViews, strength: float) -> np.ndarray:
     """Return (C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its
     share in the target.
     """
-    free = np.empty((0, 0, 0), bool) if frame.region.free is None else frame.region.free
+    free = np.empty((0, 0, 0), bool) if views.region.free is None else views.region.free
 
     def count(start: int, stop: int) -> np.ndarray:
         counts = np.zeros((len(votes), _BINS), np.int64)
@@ -74,7 +73,7 @@ def histogram_excess(votes: np.ndarray, frame: RegionViews, strength: float) -> 
 
     counts = sum_slabs(count, votes.shape[1])
     own = counts / np.maximum(1, counts.sum(axis=1, keepdims=True))
-    return strength * np.maximum(own - np.array([_shares(target) for target in frame.targets]), 0)
+    return strength * np.maximum(own - np.array([_shares(target) for target in views.targets]), 0)
 
 
 def factors_of(exemplar: np.ndarray, excess: np.ndarray, full: int) -> np.ndarray:

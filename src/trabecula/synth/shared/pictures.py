@@ -6,8 +6,6 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.exemplar.views import View, spacing_of, views_of
@@ -65,15 +63,3 @@ class PictureMethod(Method):
 
     @abstractmethod
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> PictureModel: ...
-
-
-def as_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """Return a volume (Z, Y, X, ...) with the axis of the view first: its slices are (rows,
-    columns).
-    """
-    return np.ascontiguousarray(np.moveaxis(values, view.axis, 0))
-
-
-def from_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """Undo `as_volume`, without a copy."""
-    return np.moveaxis(values, 0, view.axis)

@@ -23,14 +23,17 @@ def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None
         )
 
 
-def keep_rounds(config: Any, name: str, *, low: int = 1, high: int = 200) -> None:
-    """Check one whole number a level, finest first; a single number is for all."""
+def keep_rounds(
+    config: Any, name: str, *, low: int = 1, high: int = 200, advice: str | None = None
+) -> None:
+    """Check one whole number a level, finest first; a single number is for all. The `advice` for
+    who gives none says what to give.
+    """
     given = getattr(config, name)
     counts = given if isinstance(given, (list, tuple)) else (given,)
     if not counts:
-        raise InputError(
-            f"{name} is empty: give the {name} of the finest level first, such as [4, 6, 8]"
-        )
+        advice = advice or f"the {name} of the finest level first, such as [4, 6, 8]"
+        raise InputError(f"{name} is empty: give {advice}")
     checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
     object.__setattr__(config, name, checked)
 

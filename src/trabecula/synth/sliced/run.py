@@ -165,7 +165,7 @@ class SlicedRounds(ViewRounds[Any]):
         self, stage: SlicedStage, place: int, number: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find new matches, and their distances, in one view."""
-        config, view = self.config, stage.views.planes[place]
+        config, view = self.config, stage.views.grids[place]
         return coherent_search(
             view.grid,
             self.matches[place],

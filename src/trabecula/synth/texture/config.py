@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
+from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_rounds
 
 
 @dataclass(frozen=True)
@@ -122,43 +123,18 @@ class TextureConfig:
     """
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _RANGES.items():
-            self._keep(name, low, high)
+        keep_numbers(self, _RANGES)
         if self.novelty is not None:
-            object.__setattr__(
-                self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1)
-            )
-        self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
-        self._keep_several(
-            "corrections", 0, 10, "the steps of the finest level first, such as [1, 2]"
-        )
-        self._keep_several(
-            "rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]"
-        )
-        for name, allowed in _CHOICES.items():
-            check_name(getattr(self, name), allowed, name=name)
-        for name in ("histogram", "adaptive"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
+            novelty = as_number(self.novelty, name="novelty", low=0, high=1)
+            object.__setattr__(self, "novelty", novelty)
+        widths = "the widths, largest first, such as [10, 7, 4]"
+        keep_rounds(self, "neighbourhood", low=4, high=10, advice=widths)
+        keep_rounds(self, "corrections", low=0, high=10)
+        keep_rounds(self, "rounds", high=100)
+        keep_choices(self, _CHOICES)
         narrowest = min(self.neighbourhood)
-        self._keep("step", 0, narrowest // 2)
-        self._keep("trim", 0, (narrowest - self.step_of(narrowest)) // 2)
-
-    def _keep_several(self, name: str, low: float, high: float, advice: str) -> None:
-        given = getattr(self, name)
-        counts = given if isinstance(given, (list, tuple)) else (given,)
-        if not counts:
-            raise InputError(f"{name} is empty: give {advice}")
-        checked = tuple(
-            as_number(count, name=name, low=low, high=high, whole=True) for count in counts
-        )
-        object.__setattr__(self, name, checked)
-
-    def _keep(self, name: str, low: float, high: float) -> None:
-        whole = isinstance(getattr(TextureConfig, name), int)
-        object.__setattr__(
-            self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
-        )
+        keep_numbers(self, {"step": (0, narrowest // 2)})
+        keep_numbers(self, {"trim": (0, (narrowest - self.step_of(narrowest)) // 2)})
 
     def step_of(self, width: int) -> int:
         """Return the distance between neighbourhoods of a width."""
@@ -194,7 +170,9 @@ class TextureConfig:
 
 _NOVELTY = 1.0
 
-_CHOICES = {
+_CHOICES: dict[str, tuple[Any, ...]] = {
+    "histogram": (True, False),
+    "adaptive": (True, False),
     "field": ("distance", "indicator"),
     "search": ("coherent", "exact"),
     "orientations": ("none", "mirrors", "upright", "all"),

@@ -159,22 +159,10 @@ def mismatch(
     where = np.empty((0, 0, 0), bool) if active is None else active
     result = memmap.zeros((2, *match.shape), np.float64)
 
+    place = (shape, stride, step, width)
+
     def work(start: int, stop: int) -> None:
-        _mismatch(
-            field,
-            parts,
-            exemplar,
-            match,
-            where,
-            shape,
-            stride,
-            step,
-            width,
-            gradient,
-            result,
-            start,
-            stop,
-        )
+        _mismatch(field, parts, exemplar, match, where, place, gradient, result, start, stop)
 
     for_slabs(work, len(match), least=1)
     return result
@@ -281,12 +269,11 @@ def _values_by_plane(values: Callable[[int], np.ndarray], count: int) -> Iterato
 
 
 @kernel
-def _mismatch(
-    state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop
-):
+def _mismatch(state, parts, example, match, active, place, gradient, result, start, stop):
     """Compute sites start..stop in whole numbers: `state` counts `parts` to a unit. An empty
     `active` means everywhere.
     """
+    shape, stride, step, width = place
     difference = np.empty((width, width, width), np.int32)
     for sz in range(start, stop):
         for sy in range(match.shape[1]):

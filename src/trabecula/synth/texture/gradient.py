@@ -110,25 +110,11 @@ def add_votes(
     ]
     around = _laplacian(field)
 
+    place = (shape, stride, step)
+
     def work(start: int, stop: int) -> None:
-        z, y, x = rims
-        values, gradients = votes.values, votes.gradients
-        _add(
-            field,
-            around,
-            match,
-            weight,
-            shape,
-            stride,
-            step,
-            z,
-            y,
-            x,
-            values,
-            gradients,
-            start,
-            stop,
-        )
+        sums = votes.values, votes.gradients
+        _add(field, around, match, weight, place, tuple(rims), sums, start, stop)
 
     for_slabs(work, covered[0])
     _add_counts(votes, match, weight, rims, step=step)
@@ -249,27 +235,15 @@ def _laplacian(field: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _add(
-    field,
-    around,
-    match,
-    weight,
-    shape,
-    stride,
-    step,
-    rims_z,
-    rims_y,
-    rims_x,
-    values,
-    gradients,
-    start,
-    stop,
-):
+def _add(field, around, match, weight, place, rims, sums, start, stop):
     """Add values and gradients of all sites on the voxel planes start..stop; `around` is the
     exemplar's Laplacian.
 
     The Laplacian's part from beyond the neighbourhood is taken back at its faces.
     """
+    shape, stride, step = place
+    rims_z, rims_y, rims_x = rims
+    values, gradients = sums
     SZ, SY, SX = match.shape
     for z in range(start, stop):
         for sz in range(SZ):

@@ -14,7 +14,7 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
-from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
+from trabecula.synth.shared.matching.kernels import Sweep, count_matches, search, start_matches
 from trabecula.synth.shared.matching.neighbour_search import (
     best_among,
     index_histogram,
@@ -248,12 +248,17 @@ def search_sweep(
     ratio = candidates.step // candidates.stride
     ratios = (0 if candidates.basis.flat else ratio, ratio, ratio)
 
+    settings = Sweep(candidates.shape, ratios, grid.region.wraps, stage, sweep, tries)
+
     def work(start: int, stop: int) -> None:
         for first, last in _together(grid, start, stop):
-            search(
+            rows = (
                 site_features(grid, field, first, last)
                 if features is None
-                else features[first:last],
+                else features[first:last]
+            )
+            search(
+                rows,
                 first,
                 candidates.features,
                 penalty,
@@ -261,12 +266,7 @@ def search_sweep(
                 old,
                 match,
                 distance,
-                candidates.shape,
-                ratios,
-                grid.region.wraps,
-                stage,
-                sweep,
-                tries,
+                settings,
                 first,
                 last,
             )

@@ -10,10 +10,38 @@ matter.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
+
+
+class Sweep(NamedTuple):
+    """Geometry and random numbers of one sweep: the extent of E, `ratios`, the output's axes that
+    wrap, the key, the number of the sweep, and pairs of random candidates.
+    """
+
+    shape: tuple[int, ...]
+    ratios: tuple[int, ...]
+    wraps: tuple[bool, ...]
+    key: np.uint64
+    number: int
+    tries: int
+
+
+class CubeLayout(NamedTuple):
+    """Geometry of a vote, (3,) each: the extent and strides of E, the steps of S, the sides and the
+    rims of neighbourhoods, in voxels, and the output's axes that wrap.
+    """
+
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    steps: tuple[int, ...]
+    box: tuple[int, ...]
+    trims: tuple[int, ...]
+    wraps: tuple[bool, ...]
 
 
 @kernel
@@ -93,32 +121,16 @@ def _better(site, exemplar, penalty, candidate, best, least):
 
 
 @kernel
-def search(
-    features,
-    first,
-    exemplar,
-    penalty,
-    active,
-    old,
-    match,
-    distance,
-    shape,
-    ratios,
-    wraps,
-    key,
-    sweep,
-    tries,
-    start,
-    stop,
-):
+def search(features, first, exemplar, penalty, active, old, match, distance, sweep, start, stop):
     """Search the best of the own match, the six neighbours' moved along, and random ones, for sites
     start..stop: one sweep.
 
     features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16;
     penalty (N,) float32 factors, infinite where E has a gap; active (Z, Y, X) bool; old, match (Z,
-    Y, X) int32; distance (Z, Y, X) int32, unpenalised; ratios, wraps (3,). Of the `tries` pairs of
+    Y, X) int32; distance (Z, Y, X) int32, unpenalised. Of the `tries` pairs of
     random candidates one is anywhere and one around the best, in a shrinking radius.
     """
+    shape, ratios, wraps, key, number, tries = sweep
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
     count = shape[0] * shape[1] * shape[2]
@@ -149,7 +161,7 @@ def search(
                         if candidate >= 0 and candidate != best:
                             best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):
-                    words = philox(key, z, y, x, (sweep << 8) + k)
+                    words = philox(key, z, y, x, (number << 8) + k)
                     best, least = _better(
                         site, exemplar, penalty, below(words[0], count), best, least
                     )
@@ -172,9 +184,7 @@ def weigh(distance, active, floor, mean, table, weight, start, stop):
 
 
 @kernel
-def vote(
-    field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop
-):
+def vote(field, match, weight, layout, plane, result, start, stop):
     """Average the matched neighbourhoods with their weights over voxel planes start..stop, times
     256, in int16; 0 where none is.
 
@@ -184,26 +194,14 @@ def vote(
     `trims` voxels of a neighbourhood does not vote, except at a border that does not wrap.
     """
     C, Z, Y, X = result.shape
+    wraps = layout.wraps
     summed = np.empty(match.shape[1:], np.int32)
     for z in range(start, stop):
         plane[:] = 0
         summed[:] = 0
         for turn in range(2 if wraps[0] else 1):
-            _vote_plane(
-                field,
-                match,
-                weight,
-                shape,
-                strides,
-                steps,
-                box,
-                trims,
-                wraps,
-                plane,
-                summed,
-                z + turn * Z,
-            )
-        _spread(summed, plane[C], steps, box, trims, wraps)
+            _vote_plane(field, match, weight, layout, plane, summed, z + turn * Z)
+        _spread(summed, plane[C], layout)
         _fold(plane, Y, X, wraps)
         for c in range(C):
             for y in range(Y):
@@ -232,8 +230,9 @@ def reach(site, count, width, trim, wrap):
 
 
 @inline
-def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z):
+def _vote_plane(field, match, weight, layout, plane, summed, z):
     """Add the sites' weighted votes for voxel plane z to `plane`, and their weights to `summed`."""
+    shape, strides, steps, box, trims, wraps = layout
     SZ, SY, SX = match.shape
     C, width, step = field.shape[0], box[2], steps[2]
     weights = np.empty(width, np.int32)
@@ -268,8 +267,9 @@ def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, 
 
 
 @inline
-def _spread(summed, weights, steps, box, trims, wraps):
+def _spread(summed, weights, layout):
     """Sum the weights of a plane's sites over its voxels."""
+    _, _, steps, box, trims, wraps = layout
     SY, SX = summed.shape
     row = np.empty(SX, np.int32)
     for y in range(weights.shape[0]):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
 from trabecula.synth.shared.matching.kernels import reach
+from trabecula.synth.shared.matching.neighbourhoods import Triple
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.slabs import axis_order, put_axis_first
+from trabecula.synth.shared.slabs import put_axis_first
 
 _MOST_WEIGHT = 1023  # of a neighbourhood
 _MOST_FACTOR = 256  # times an int8 is an int16
@@ -31,6 +32,22 @@ _MOST_FACTOR = 256  # times an int8 is an int16
 _THICK = 8
 _CACHED = 1 << 17  # voxels that are summed up at once where planes are small
 _TOGETHER = 16  # planes across x that enter a slab at once: a line of the cache
+
+
+class ViewLayout(NamedTuple):
+    """Geometry of a view's neighbourhoods for kernels: (3,) along the axes of the view, but for the
+    width and the axis. `shape` and `strides` are those of the candidates' cells, `sides` those of
+    the volume.
+    """
+
+    shape: tuple[int, ...]
+    sides: tuple[int, ...]
+    strides: Triple
+    steps: Triple
+    width: int
+    trims: Triple
+    wraps: tuple[bool, ...]
+    axis: int
 
 
 @dataclass(frozen=True)
@@ -50,12 +67,10 @@ class ViewGrid:
     ) -> ViewGrid:
         """Lay the neighbourhoods of a view over a region that is covered."""
         box, steps = candidates.basis.box, candidates.steps
-        order = axis_order(axis)
-        seen = Region(tuple(region.shape[a] for a in order), tuple(region.wraps[a] for a in order))
+        seen = region.view_along(axis)
         shape = seen.grid(box=box, steps=steps)
-        free = None if region.free is None else put_axis_first(region.free, axis)
-        active = replace(seen, free=free).active(shape, box=box, steps=steps)
-        return cls(axis, Grid(candidates, seen, shape, active, targets))
+        active = seen.active(shape, box=box, steps=steps)
+        return cls(axis, Grid(candidates, replace(seen, free=None), shape, active, targets))
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ class RegionViews:
     """All views of a region at one resolution."""
 
     region: Region  # covered in every view
-    planes: tuple[ViewGrid, ...]
+    grids: tuple[ViewGrid, ...]
     targets: tuple[Histogram, ...]  # that the free voxels are to have, one a channel
 
     @property
@@ -71,8 +86,8 @@ class RegionViews:
         """Return the integer factor of a voxel of an exemplar that counts fully: as fine as sums of
         all votes in int32 allow.
         """
-        candidates = self.planes[0].grid.candidates
-        overlaps = len(self.planes) * (-(-candidates.basis.width // candidates.step)) ** 2
+        candidates = self.grids[0].grid.candidates
+        overlaps = len(self.grids) * (-(-candidates.basis.width // candidates.step)) ** 2
         room = (2**31 - 1) // (_MOST_WEIGHT * FULL * overlaps)
         return min(_MOST_FACTOR, 1 << (room.bit_length() - 1))
 
@@ -99,7 +114,7 @@ class RegionViews:
 
 
 def cast_plane_votes(
-    frame: RegionViews,
+    views: RegionViews,
     matches: Sequence[np.ndarray],
     weights: Sequence[np.ndarray],
     *,
@@ -114,25 +129,25 @@ def cast_plane_votes(
     matches, weights : sequences of (sz, sy, sx) int32
         One a view, on its grid.
     factors : sequence of (z, y, x) int, optional
-        How much every voxel of a view's exemplar counts, 1 .. `frame.full`. Default: all alike.
+        How much every voxel of a view's exemplar counts, 1 .. `views.full`. Default: all alike.
     trim : int
         Voxels at the rim of a neighbourhood that do not vote.
     """
-    views: list[tuple[Any, ...]] = []
-    for place, plane in enumerate(frame.planes):
-        field = plane.grid.candidates.stack.field
+    arguments: list[tuple[Any, ...]] = []
+    for place, view in enumerate(views.grids):
+        field = view.grid.candidates.stack.field
         factor = np.int16(1) if factors is None else factors[place].astype(np.int16)
         values = np.concatenate([field * factor, np.broadcast_to(factor, (1, *field.shape[1:]))])
-        views.append((values, matches[place], weights[place], *view_layout(plane, trim)))
-    shape = frame.region.shape
-    votes = memmap.empty((len(frame.targets), *shape), np.int16)
+        arguments.append((values, matches[place], weights[place], view_layout(view, trim)))
+    shape = views.region.shape
+    votes = memmap.empty((len(views.targets), *shape), np.int16)
 
     def work(start: int, stop: int) -> None:
         thick = planes_at_once(shape)
         for first in range(start, stop, thick):
             total = np.zeros((len(votes) + 1, min(thick, stop - first), *shape[1:]), np.int32)
-            for view in views:
-                add_votes(total, first, *view)
+            for each in arguments:
+                add_votes(total, first, *each)
             divide(total, votes, first)
 
     for_slabs(work, shape[0], anywhere=True)
@@ -144,29 +159,23 @@ def planes_at_once(shape: tuple[int, ...]) -> int:
     return max(_THICK, _CACHED // (shape[1] * shape[2]))
 
 
-def view_layout(plane: ViewGrid, trim: int) -> tuple[Any, ...]:
-    """Return the kernels' description of a view's neighbourhoods: (3,) along its axes, but for the
-    width and its axis.
-    """
-    grid, candidates = plane.grid, plane.grid.candidates
-    width, trims = candidates.basis.width, trims_of(grid, trim)
-    sides, wraps = grid.region.shape, grid.region.wraps
-    return (
+def view_layout(view: ViewGrid, trim: int) -> ViewLayout:
+    """Return the geometry of a view's neighbourhoods."""
+    grid, candidates = view.grid, view.grid.candidates
+    return ViewLayout(
         candidates.shape,
-        sides,
+        grid.region.shape,
         candidates.strides,
         candidates.steps,
-        width,
-        trims,
-        wraps,
-        plane.axis,
+        candidates.basis.width,
+        trims_of(grid, trim),
+        grid.region.wraps,
+        view.axis,
     )
 
 
 @kernel
-def add_votes(
-    total, start, values, match, weight, shape, sides, strides, steps, width, trims, wraps, axis
-):
+def add_votes(total, start, values, match, weight, layout):
     """Add the weighted sums of a view's matched neighbourhoods to a slab of the volume that begins
     at plane `start`.
 
@@ -175,42 +184,27 @@ def add_votes(
     does not vote, except at a border that does not wrap.
     """
     C, depth, height, across = total.shape
+    axis = layout.axis
     rows = height if axis == 0 else depth
     together = _TOGETHER if axis == 2 else 1
-    planes = np.empty((together, C, rows, (match.shape[2] - 1) * steps[2] + width), np.int32)
+    covered = (match.shape[2] - 1) * layout.steps[2] + layout.width
+    planes = np.empty((together, C, rows, covered), np.int32)
     if axis == 0:
         for z in range(depth):
             m, w = match[start + z], weight[start + z]
-            _vote_rows(
-                values, m, w, shape, sides, strides, steps, width, trims, wraps, 0, planes[0]
-            )
+            _vote_rows(values, m, w, layout, 0, planes[0])
             total[:, z] += planes[0, :, :, :across]
     elif axis == 1:
         for y in range(height):
             m, w = match[y], weight[y]
-            _vote_rows(
-                values, m, w, shape, sides, strides, steps, width, trims, wraps, start, planes[0]
-            )
+            _vote_rows(values, m, w, layout, start, planes[0])
             total[:, :, y] += planes[0, :, :, :across]
     else:
         for first in range(0, across, together):
             count = min(together, across - first)
             for n in range(count):
                 m, w = match[first + n], weight[first + n]
-                _vote_rows(
-                    values,
-                    m,
-                    w,
-                    shape,
-                    sides,
-                    strides,
-                    steps,
-                    width,
-                    trims,
-                    wraps,
-                    start,
-                    planes[n],
-                )
+                _vote_rows(values, m, w, layout, start, planes[n])
             for c in range(C):
                 for z in range(depth):
                     for y in range(height):
@@ -219,12 +213,11 @@ def add_votes(
 
 
 @inline
-def _vote_rows(
-    values, match, weight, shape, sides, strides, steps, width, trims, wraps, start, plane
-):
+def _vote_rows(values, match, weight, layout, start, plane):
     """Sum the weighted votes of the sites of one plane, in as many of its rows from `start` on as
     `plane` (C, rows, ...) has.
     """
+    shape, sides, strides, steps, width, trims, wraps, _ = layout
     C, SY, SX, step = len(values), match.shape[0], match.shape[1], steps[2]
     weights = np.empty(width, np.int32)
     plane[:] = 0

@@ -99,14 +99,11 @@ class Region:
         return found
 
     def view_along(self, axis: int) -> Region:
-        """Return the region with `axis` first."""
-
-        def view(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else put_axis_first(values, axis)
-
+        """Return the region with `axis` first, without the bounds."""
         order = axis_order(axis)
         shape, wraps = tuple(self.shape[a] for a in order), tuple(self.wraps[a] for a in order)
-        return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
+        free = None if self.free is None else put_axis_first(self.free, axis)
+        return Region(shape, wraps, free)
 
     def halve(self) -> Region:
         """Halve the resolution: a voxel is free where any of its eight is; bounds are not carried

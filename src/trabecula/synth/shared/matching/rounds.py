@@ -12,7 +12,7 @@ from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram, match_histogram
 from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
-from trabecula.synth.shared.matching.kernels import vote, weigh
+from trabecula.synth.shared.matching.kernels import CubeLayout, vote, weigh
 from trabecula.synth.shared.matching.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.pyramid import double
@@ -97,23 +97,18 @@ def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int 
     stack = candidates.stack
     votes = memmap.empty((len(stack.field), *region.shape), np.int16)
 
+    layout = CubeLayout(
+        candidates.shape,
+        candidates.strides,
+        candidates.steps,
+        candidates.basis.box,
+        trims_of(grid, trim),
+        region.wraps,
+    )
+
     def work(start: int, stop: int) -> None:
         plane = np.empty((len(votes) + 1, *grid.reach[1:]), np.int32)
-        vote(
-            stack.field,
-            match,
-            weights,
-            candidates.shape,
-            candidates.strides,
-            candidates.steps,
-            candidates.basis.box,
-            trims_of(grid, trim),
-            region.wraps,
-            plane,
-            votes,
-            start,
-            stop,
-        )
+        vote(stack.field, match, weights, layout, plane, votes, start, stop)
 
     for_slabs(work, region.shape[0], anywhere=True)
     return votes

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,6 +72,14 @@ class Stack:
         return within
 
 
+class Cells(NamedTuple):
+    """Extent and strides of the grid of candidates, and the steps of the output's sites."""
+
+    shape: tuple[int, ...]
+    strides: Triple
+    steps: Triple
+
+
 @dataclass(frozen=True)
 class Candidates:
     """The neighbourhoods of one width: `features` (N, D) int16 of the cells of a grid of `shape`,
@@ -97,6 +106,11 @@ class Candidates:
     def strides(self) -> Triple:
         """Return the distance between cells along each axis."""
         return steps_of(self.stride, flat=self.basis.flat)
+
+    @property
+    def cells(self) -> Cells:
+        """Return the geometry of the cells and of the sites, for kernels."""
+        return Cells(self.shape, self.strides, self.steps)
 
     @classmethod
     def of(
@@ -178,42 +192,14 @@ def carry_matches(
     moved, bounds = memmap.empty(grid, np.int32), new.bounds()
 
     def work(start: int, stop: int) -> None:
-        _carry(
-            match,
-            old.shape,
-            old.strides,
-            old.steps,
-            old.stack.starts,
-            moved,
-            new.shape,
-            new.strides,
-            new.steps,
-            bounds,
-            factor,
-            start,
-            stop,
-        )
+        _carry(match, old.cells, old.stack.starts, moved, new.cells, bounds, factor, start, stop)
 
     for_slabs(work, grid[0])
     return moved
 
 
 @kernel
-def _carry(
-    match,
-    shape,
-    strides,
-    steps,
-    starts,
-    moved,
-    new_shape,
-    new_strides,
-    new_steps,
-    bounds,
-    factor,
-    start,
-    stop,
-):
+def _carry(match, cells, starts, moved, new_cells, bounds, factor, start, stop):
     """Carry matches over to planes start..stop of another grid.
 
     match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape`
@@ -221,6 +207,8 @@ def _carry(
     the volumes that E is stacked of; bounds (n, 3, 4) int64 of each volume of the new E its start
     (0 but along z), the last corner within it, and the first and last cell.
     """
+    shape, strides, steps = cells
+    new_shape, new_strides, new_steps = new_cells
     site, corner = np.empty(3, np.int64), np.empty(3, np.int64)
     for z in range(start, stop):
         for y in range(moved.shape[1]):

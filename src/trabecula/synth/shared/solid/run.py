@@ -94,7 +94,7 @@ class ViewRounds(CoarseToFine[ViewStageT]):
     def search(self, stage: ViewStageT, number: int) -> None:
         """Find new matches in every view, and what they weigh in the vote."""
         self.weights = []
-        for place, view in enumerate(stage.views.planes):
+        for place, view in enumerate(stage.views.grids):
             self.matches[place], distance = self.find_matches(stage, place, number)
             self.weights.append(robust_weights(view.grid, distance, self.robustness))
             del distance
@@ -114,7 +114,7 @@ class ViewRounds(CoarseToFine[ViewStageT]):
         """Match every site with a random patch."""
         self.matches = [
             random_matches(view.grid, stage.stage + np.uint64(place))
-            for place, view in enumerate(stage.views.planes)
+            for place, view in enumerate(stage.views.grids)
         ]
 
     def arrays(self, stage: ViewStageT, number: int) -> dict[str, np.ndarray]:
@@ -220,7 +220,7 @@ class SolidRounds(ViewRounds[SolidStage]):
             self.start_matches(stage)
             shape = (len(views.targets), *region.shape)
             self.votes, self.field = memmap.zeros(shape, np.int16), memmap.zeros(shape, np.int8)
-            self.weights = [equal_weights(view.grid.active) for view in views.planes]
+            self.weights = [equal_weights(view.grid.active) for view in views.grids]
             self.cast(stage, 0)
             return
         coarser = self.model.levels[stage.index + 1].views
@@ -233,7 +233,7 @@ class SolidRounds(ViewRounds[SolidStage]):
         self.field = region.clip_to_bounds(field)
         self.matches = [
             carry_matches(match, old, view.grid.candidates, view.grid.shape, factor=2)
-            for match, (_, old), view in zip(self.matches, coarser, views.planes, strict=True)
+            for match, (_, old), view in zip(self.matches, coarser, views.grids, strict=True)
         ]
         self.votes = votes_of(self.field)
         self.sources = self.debt = None
@@ -242,7 +242,7 @@ class SolidRounds(ViewRounds[SolidStage]):
         self, stage: SolidStage, place: int, number: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find new matches, and their distances, in one view."""
-        config, view, old = self.config, stage.views.planes[place], self.matches[place]
+        config, view, old = self.config, stage.views.grids[place], self.matches[place]
         seen = view.put_axis_first(self.field)
         if config.search == "exact":
             return exact_search(

@@ -149,7 +149,7 @@ class Sites:
         _rebuild(chosen, rebuilt, blocks)
         steps, box = np.array(self.steps), np.array(self.box)
         collect = partial(
-            add, blocks, numbers, np.array(first), steps, box, *self.places, rest, total, votes
+            add, blocks, numbers, np.array(first), steps, box, self.places, rest, total, votes
         )
         for_slabs(collect, votes.shape[1], least=4)
 
@@ -204,27 +204,14 @@ def draw_starts(key, number, sides, starts):
 
 
 @kernel
-def add(
-    blocks,
-    numbers,
-    first,
-    steps,
-    box,
-    places_z,
-    places_y,
-    places_x,
-    rest,
-    total,
-    votes,
-    start,
-    stop,
-):
+def add(blocks, numbers, first, steps, box, places, rest, total, votes, start, stop):
     """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
 
     blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,)
-    the number of the first site along z and y; places_*: the places along an axis of the voxels
+    the number of the first site along z and y; places: the places along an axis of the voxels
     that all sites cover; rest (C,) is added to each.
     """
+    places_z, places_y, places_x = places
     width, voxels = box[2], box[0] * box[1] * box[2]
     channels = len(total)
     line = np.empty((channels, len(places_x)), np.int32)
