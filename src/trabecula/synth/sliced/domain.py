@@ -69,7 +69,8 @@ def _coarse(
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
             planes = slice(z * side, (z + 1) * side)
-            here, below, above = known[planes], low[:, planes], high[:, planes]
+            here, below = known[planes], low[:, planes]
+            above = high[:, planes]
             depth = np.where(here, np.where(below > 0, above, below), np.float32(0))
             counts = _blocks(here[None].astype(np.float32), side)
             sums = _blocks(depth, side)[:, 0] / np.maximum(counts[:, 0], 1)

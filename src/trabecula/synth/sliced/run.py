@@ -61,7 +61,8 @@ class SlicedRounds(ViewRounds[Any]):
 
     def __init__(self, model: SlicedModel, request: Request, regions: list[Region]) -> None:
         super().__init__()
-        self.model, self.config, self.request = model, model.config, request
+        self.model, self.config = model, model.config
+        self.request = request
         self.regions, self.top = regions, len(regions) - 1
         # The layout is made of coarse neighbourhoods already, but not beside known voxels.
         self.first = self.top - bool(self.top and request.fixed is None)
@@ -78,7 +79,8 @@ class SlicedRounds(ViewRounds[Any]):
 
     def open_stage(self, place: int) -> LayoutStage | SlicedStage:
         """Prepare the layout, or the views of a level."""
-        config, content, index = self.config, self.model.content, self.first + 1 - place
+        config, content = self.config, self.model.content
+        index = self.first + 1 - place
         if place == 0:
             layout, region = self.model.layouts[self.top], self.regions[self.top]
             histograms = content.target_histograms(layout.histograms, self.request)

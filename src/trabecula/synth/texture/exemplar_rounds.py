@@ -141,7 +141,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         fractions: Sequence[np.ndarray] = (),
     ) -> None:
         self.levels, self.regions = levels, regions
-        self.request, self.config, self.distances = request, config, distances
+        self.request, self.config = request, config
+        self.distances = distances
         self.targets, self.fractions = targets, fractions
         self.match: np.ndarray | None = None
         self.field: np.ndarray | None = None
@@ -271,7 +272,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
 
     def vote(self, stage: GridStage, number: int) -> None:
         """Make the field that the matches vote for."""
-        grid, trim, last = stage.grid, stage.trims[number], number == stage.rounds - 1
+        grid, trim = stage.grid, stage.trims[number]
+        last = number == stage.rounds - 1
         if self.config.energetic:
             assert self.field is not None and self.balance is not None
             votes, self.balance = energy_vote(

@@ -96,9 +96,11 @@ class TextureForecast:
         """List the moments of the rounds with one width, of the steps before them, and of the
         choice of the values after them.
         """
-        channels, request, threads = len(candidates.stack.field), self.request, thread_count()
+        channels, request = len(candidates.stack.field), self.request
+        threads = thread_count()
         shape, grid = self._shape(candidates), self._grid(candidates)
-        voxels, asked, sites = prod(shape), prod(request.shape), prod(grid)
+        voxels, requested = prod(shape), prod(request.shape)
+        sites = prod(grid)
         known, cropped = request.fixed is not None, shape != request.shape
         free = (1 if known else int(request.mask is not None and cropped)) + int(
             known and request.mask is not None
@@ -114,7 +116,7 @@ class TextureForecast:
                 + grid[1] * grid[2]
             )
         )
-        between = threads * min(asked, max(AT_ONCE, request.shape[1] * request.shape[2]))
+        between = threads * min(requested, max(AT_ONCE, request.shape[1] * request.shape[2]))
         search = threads * self._search_bytes(candidates) + (16 + 48 * self.exact) * len(
             candidates.features
         )
@@ -124,17 +126,17 @@ class TextureForecast:
             Moment(held + voxels * 2 * channels + 9 * sites, vote),
             Moment(held + voxels * (3 * channels + 8 * self.graded) + 5 * sites, ranks),
             Moment(
-                asked * (2 * channels + self._value_bytes(channels)),
+                requested * (2 * channels + self._value_bytes(channels)),
                 ranks * (3 if self.distances and channels > 1 else 1),
             ),
         ]
         if cropped:
-            moments.append(Moment(2 * channels * (voxels + asked), between * 2 * channels))
+            moments.append(Moment(2 * channels * (voxels + requested), between * 2 * channels))
         if known:
             moments.append(Moment(held + voxels * (4 * channels + 9) + 5 * sites, between * 16))
             kept = 8 * channels + 16 if self.distances else 11 * channels + 2
             moments.append(
-                Moment(asked * kept, between * (32 if self.distances else 12 * channels))
+                Moment(requested * kept, between * (32 if self.distances else 12 * channels))
             )
         if self.energetic:
             moments.append(
@@ -163,12 +165,10 @@ class TextureForecast:
         """Return one thread's bytes of features, and of the sums over blocks that they
         are made of.
         """
-        shape, grid, threads = self._shape(candidates), self._grid(candidates), thread_count()
-        basis, channels, depth = (
-            candidates.basis,
-            len(candidates.stack.field),
-            candidates.features.shape[1],
-        )
+        shape, grid = self._shape(candidates), self._grid(candidates)
+        threads = thread_count()
+        basis, channels = candidates.basis, len(candidates.stack.field)
+        depth = candidates.features.shape[1]
         thick = min(
             planes_together(depth, grid), -(-grid[0] // (4 * threads if threads > 1 else 1))
         )

@@ -85,8 +85,8 @@ def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
         name: value[planes] if isinstance(value, np.ndarray) else value
         for name, value in request.target.items()
     }
-    asked = porosity_of(target)
-    return 0.0 if asked is None else asked
+    requested = porosity_of(target)
+    return 0.0 if requested is None else requested
 
 
 def fractions_by_level(fractions: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
@@ -128,8 +128,8 @@ def average_target(request: Request) -> Request:
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            asked = np.asarray(_porosity_on(request, slice(z, z + 1)))[0]
-            inside = asked if request.mask is None else asked[request.mask[z]]
+            requested = np.asarray(_porosity_on(request, slice(z, z + 1)))[0]
+            inside = requested if request.mask is None else requested[request.mask[z]]
             planes[z] = inside.sum(dtype=np.float64), inside.size
 
     for_slabs(work, len(planes))
@@ -169,9 +169,9 @@ class FractionTarget:
             near = fractions[places[0][z]][np.ix_(*places[1:])]
             return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
 
-        wanted, asked = window_sums_of_planes(whole, region.shape, width, wraps)
+        wanted, requested = window_sums_of_planes(whole, region.shape, width, wraps)
         counted, voxels = window_sums_of_planes(counts, region.shape, width, wraps)
-        return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
+        return cls(region, wanted, counted, width, float(requested / max(1, voxels) / _UNIT))
 
     def guide(self, grid: Grid) -> np.ndarray:
         """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""

@@ -80,9 +80,11 @@ class Texture(Method):
         if self.config.novelty_for(distances=distances) and novel_layout.top_for(
             min(min(shape) for shape in shapes)
         ):
-            width, halves, each = novel_layout.WIDTH, 1, 8 + 9 * channels
+            width, halves = novel_layout.WIDTH, 1
+            each = 8 + 9 * channels
         else:  # the second level's neighbourhoods are the ones that are described in full
-            width, halves, each = max(self.config.neighbourhood), 2, 14 + 11 * channels
+            width, halves = max(self.config.neighbourhood), 2
+            each = 14 + 11 * channels
         count = turns * sum(
             int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes
         )

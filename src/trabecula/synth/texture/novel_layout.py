@@ -218,8 +218,10 @@ class NovelRounds(CoarseToFine[Any]):
         request: Request,
         config: TextureConfig,
     ) -> None:
-        self.aims, self.slices, self.schedule = aims, slices, schedule
-        self.request, self.config, self.top = request, config, len(aims) - 1
+        self.aims, self.slices = aims, slices
+        self.schedule = schedule
+        self.request, self.config = request, config
+        self.top = len(aims) - 1
         self.regions = [
             Region(torus_shape(request.shape, request.periodic, level, self.top), _AROUND)
             for level in range(self.top + 1)
@@ -333,7 +335,8 @@ class NovelRounds(CoarseToFine[Any]):
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
         assert self.field is not None
-        part, grid, periodic = stage.part, stage.grid, self.request.periodic
+        part, grid = stage.part, stage.grid
+        periodic = self.request.periodic
         if part.beyond:
             self.debt = accumulate_debt(self.debt, self.field, stage.target, periodic=periodic)
         aim = self.debt

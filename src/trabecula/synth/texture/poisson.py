@@ -94,7 +94,8 @@ def _solve(
     """Iterate conjugate gradients on `field`. Scalar products are summed plane by plane, then over
     planes.
     """
-    weights, pairs, planes = votes.weights, votes.pairs, len(field)
+    weights, pairs = votes.weights, votes.pairs
+    planes = len(field)
     part = np.empty((planes, 2))
     inverse, rest, along, image = (memmap.empty(field.shape, np.float32) for _ in range(4))
 

@@ -275,7 +275,8 @@ def free_voxels(request: Request) -> np.ndarray | None:
 
 def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
     """Write `empty` outside the mask, and the known voxels, into values."""
-    mask, fixed, known = request.mask, request.fixed, request.known
+    mask, fixed = request.mask, request.fixed
+    known = request.known
 
     def work(start: int, stop: int) -> None:
         part = values[start:stop]

@@ -178,7 +178,8 @@ def exact_search(
     """Return the best of the k nearest neighbourhoods by the modified distance (section 4.2):
     matches and their distances.
     """
-    among, count, active = grid.candidates.index, len(grid.candidates.numbers), grid.active
+    among, count = grid.candidates.index, len(grid.candidates.numbers)
+    active = grid.active
     shares = index_histogram(old, len(grid.candidates.features), active)
     factors = usage_factors(shares, weight=index_penalty * count, theta=1 / count)
     match, found = (memmap.empty(old.shape, np.int32, least=0) for _ in range(2))

@@ -123,11 +123,8 @@ def project_planes(
     with their first plane.
     """
     length, count = basis.vectors.shape
-    box, grains, steps = (
-        basis.box,
-        box_of(basis.grain, flat=basis.flat),
-        steps_of(step, flat=basis.flat),
-    )
+    box, grains = basis.box, box_of(basis.grain, flat=basis.flat)
+    steps = steps_of(step, flat=basis.flat)
     # The sum over a block of n equal values has n times their value, but only sqrt(n) times their
     # norm.
     factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))

@@ -93,12 +93,8 @@ class SolidForecast:
         return self.scratch + thread_count() * each + _RANKS
 
     def _moments(self) -> list[int]:
-        channels, voxels, asked, threads = (
-            self._channels,
-            prod(self.shape),
-            prod(self.request.shape),
-            thread_count(),
-        )
+        channels, voxels = self._channels, prod(self.shape)
+        requested, threads = prod(self.request.shape), thread_count()
         sites = [prod(grid) for grid in self._grids()]
         most, every = max(sites), sum(sites)
         kept = voxels * (3 * channels + (4 if self.chosen else 0)) + 5 * every + self._bound_bytes()
@@ -119,14 +115,14 @@ class SolidForecast:
             + threads * self._vote_bytes(),
             kept + 4 * every + voxels * (channels + 2) + between,
             kept
-            + 2 * channels * asked * (self.shape != self.request.shape)
-            + asked * self._value_bytes()
+            + 2 * channels * requested * (self.shape != self.request.shape)
+            + requested * self._value_bytes()
             + between,
         ]
         if self.request.fixed is not None:
             moments.append(kept + 4 * every + voxels * (2 * channels + 9) + between)
             moments.append(
-                asked * (8 * channels + 16 if self.distances else 11 * channels + 2) + between
+                requested * (8 * channels + 16 if self.distances else 11 * channels + 2) + between
             )
         if self.correcting:
             moments.append(kept + self.correcting + voxels * 2 * channels)

@@ -161,7 +161,8 @@ class SolidRounds(ViewRounds[SolidStage]):
     def __init__(self, model: SolidModel, request: Request) -> None:
         super().__init__()
         config = model.config
-        self.model, self.config, self.request = model, config, request
+        self.model, self.config = model, config
+        self.request = request
         self.used = levels_for(request.shape, len(model.levels), width=config.neighbourhood)
         self.regions: list[Region] = regions_of(
             request,
@@ -183,7 +184,8 @@ class SolidRounds(ViewRounds[SolidStage]):
 
     def open_stage(self, place: int) -> SolidStage:
         """Prepare the views of a level; the region itself is not needed after that."""
-        config, model, index = self.config, self.model, self.used - 1 - place
+        config, model = self.config, self.model
+        index = self.used - 1 - place
         level, rounds = model.levels[index], at_level(config.rounds, index)
         if place == 0:
             rounds = config.first_rounds
@@ -242,7 +244,8 @@ class SolidRounds(ViewRounds[SolidStage]):
         self, stage: SolidStage, place: int, number: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find new matches, and their distances, in one view."""
-        config, view, old = self.config, stage.views.grids[place], self.matches[place]
+        config, view = self.config, stage.views.grids[place]
+        old = self.matches[place]
         seen = view.put_axis_first(self.field)
         if config.search == "exact":
             return exact_search(
@@ -291,7 +294,8 @@ class SolidRounds(ViewRounds[SolidStage]):
 
     def correct(self, stage: SolidStage, number: int) -> None:
         """Take steps on the two-point function of the free voxels."""
-        views, target, region = stage.views, stage.target, stage.views.region
+        views, target = stage.views, stage.target
+        region = stage.views.region
         if target is None or not stage.steps:
             return
         last = stage.index == 0 and number == stage.rounds - 1

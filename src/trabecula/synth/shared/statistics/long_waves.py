@@ -65,11 +65,8 @@ class LongWaves:
         variances, which is 1/8 at least (no correlation at such distances) and 1 at most.
         """
         count = sum(2 * width <= side for width in self.widths)
-        variances, bands, widths = (
-            self.variances[:, :count],
-            self.bands[:, :count],
-            list(self.widths[:count]),
-        )
+        variances, bands = self.variances[:, :count], self.bands[:, :count]
+        widths = list(self.widths[:count])
         if not count:
             return LongWaves((), variances, bands, self.softness)
         if count < len(self.widths):
@@ -242,7 +239,8 @@ def _adjust(
         del band, wide  # free these sums before the next are allocated
     if shift is None:
         return False
-    change, unit, limit = shift, np.float32(UNIT * waves.softness), FULL * UNIT
+    change, unit = shift, np.float32(UNIT * waves.softness)
+    limit = FULL * UNIT
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):

@@ -232,11 +232,8 @@ def round_bytes(slices: SliceTarget) -> int:
     """Forecast the memory of a round whatever the volume: features of the exemplars, and
     neighbourhoods that are put back.
     """
-    size, (components, length), threads = (
-        slices.features.shape[1],
-        slices.back.shape,
-        thread_count(),
-    )
+    size, (components, length) = slices.features.shape[1], slices.back.shape
+    threads = thread_count()
     batch = 4 * BATCH + BATCH // length * (2 * components + 40)
     of_a_thread = AT_ONCE * (20 * size + 8 * length) + 24 * size * BINS
     return slices.features.nbytes + batch + 40 * size * BINS + threads * of_a_thread
