@@ -11,19 +11,21 @@ import trabecula as tb
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
-from trabecula.synth.mrf import relax
-from trabecula.synth.mrf.colouring import Classes
-from trabecula.synth.mrf.content import content_of
-from trabecula.synth.mrf.feedback import Joint, joint_of, local_change
-from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
-from trabecula.synth.mrf.limits import STEPS
-from trabecula.synth.mrf.palette import palette_of
-from trabecula.synth.mrf.patches import patches_of
-from trabecula.synth.mrf.planes import across, union_of
-from trabecula.synth.mrf.porosity_reweighting import tilted
-from trabecula.synth.mrf.relax import Relaxation
-from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.slice_planes import Face
+from trabecula.synth.mrf.candidates import patches_of, tilted
+from trabecula.synth.mrf.density import STEPS
+from trabecula.synth.mrf.lattice import (
+    Classes,
+    Lattice,
+    any_of_eight,
+    grown,
+    halved,
+    known_halved,
+    lattices_of,
+)
+from trabecula.synth.mrf.picture_levels import content_of, palette_of
+from trabecula.synth.mrf.relaxation import Relaxation, started
+from trabecula.synth.mrf.slice_planes import Face, across, union_of
+from trabecula.synth.mrf.statistics_feedback import Joint, joint_of, local_change
 
 NONE = {"feedback": 0.0, "coupling": 0.0, "shares": False, "oblique": False, "final_heat": (1.0,)}
 
@@ -503,7 +505,7 @@ def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, m
             raise KeyboardInterrupt
         return sweep(self, step)
 
-    monkeypatch.setattr(relax.Relaxation, "sweep", broken)
+    monkeypatch.setattr(Relaxation, "sweep", broken)
     with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
         model.generate((14, 16, 18), seed=3)
     assert (tmp_path / "a.part").exists()

@@ -9,25 +9,24 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.engine.compile import kernel
-from trabecula.synth.mrf import decision_rules
-from trabecula.synth.mrf.content import content_of
-from trabecula.synth.mrf.density import densities, optimal_bandwidth
-from trabecula.synth.mrf.gather import gather_confidence, gather_levels, gather_places
-from trabecula.synth.mrf.lattice import Lattice, marks_of
-from trabecula.synth.mrf.limits import STEPS, largest_feature
-from trabecula.synth.mrf.patch_distance import _weigh_products, weigh
-from trabecula.synth.mrf.patches import patches_of, source_of
-from trabecula.synth.mrf.planes import across
-from trabecula.synth.mrf.tables import (
+from trabecula.synth.mrf import site_update, slice_planes
+from trabecula.synth.mrf.candidates import _weigh_products, patches_of, source_of, weigh
+from trabecula.synth.mrf.density import (
     LOGS,
     NEAREST_WEIGHT,
     POWERS,
+    STEPS,
     UNIT,
+    densities,
     kernel_table,
     log_of,
+    optimal_bandwidth,
     power_of,
     shift_for,
 )
+from trabecula.synth.mrf.lattice import Lattice, marks_of
+from trabecula.synth.mrf.picture_levels import content_of, largest_feature
+from trabecula.synth.mrf.slice_planes import across, gather_confidence, gather_levels, gather_places
 
 WIDTH = 5
 
@@ -228,16 +227,16 @@ def test_the_heuristics_on_densities_made_by_hand():
     shares = [[[0.1, 0.2, 0.1, 0.6], [0.5, 0.2, 0.1, 0.2], [0.3, 0.25, 0.25, 0.2]]]
     log, features = units(shares), np.array([[0], [10], [20], [100]], np.int16)
     nothing, chosen = np.zeros(4, np.int64), np.empty(1, np.uint8)
-    decision_rules.of_views(log, features, False, chosen)
+    slice_planes.of_views(log, features, False, chosen)
     assert chosen[0] == 0  # the third view is the least certain: .3 for level 0
-    decision_rules.of_views(log, features, True, chosen)
+    slice_planes.of_views(log, features, True, chosen)
     assert chosen[0] == 2  # the mean of 100, 0 and 0 is 33, nearest to 20
     score = np.empty((1, 4), np.int64)
-    decision_rules.least_of(log, np.zeros((1, 4), np.int64), score)
-    decision_rules.greatest(score, chosen)
+    slice_planes.least_of(log, np.zeros((1, 4), np.int64), score)
+    site_update.greatest(score, chosen)
     assert chosen[0] == 1  # least densities .1, .2, .1, .2: the first of the equals
-    decision_rules.combined(log, nothing, np.zeros((1, 4), np.int64), score)
-    decision_rules.greatest(score, chosen)
+    slice_planes.combined(log, nothing, np.zeros((1, 4), np.int64), score)
+    site_update.greatest(score, chosen)
     assert chosen[0] == 3  # products .015, .01, .0025, .024
     assert 2.0 ** (score[0] / UNIT) == pytest.approx([0.015, 0.01, 0.0025, 0.024], rel=1e-3)
 
@@ -245,7 +244,7 @@ def test_the_heuristics_on_densities_made_by_hand():
 def test_the_correction_takes_the_marginal_off():
     log, prior = units([[[0.4, 0.6], [0.3, 0.7], [0.5, 0.5]]]), 2 * units([0.2, 0.8])
     score = np.empty((1, 2), np.int64)
-    decision_rules.combined(log, prior, np.zeros((1, 2), np.int64), score)
+    slice_planes.combined(log, prior, np.zeros((1, 2), np.int64), score)
     assert 2.0 ** (score[0] / UNIT) == pytest.approx([0.06 / 0.04, 0.21 / 0.64], rel=1e-3)
 
 
@@ -255,8 +254,8 @@ def test_draws_have_the_density_to_a_power(heat):
     count = 40_000
     score = np.tile(units(shares), (count, 1))
     chosen = np.empty(count, np.uint8)
-    decision_rules.drawn(
-        score, decision_rules.coldness(heat), POWERS, np.arange(count), np.uint64(7), 0, chosen
+    site_update.drawn(
+        score, site_update.coldness(heat), POWERS, np.arange(count), np.uint64(7), 0, chosen
     )
     wanted = shares ** (1 / heat)
     wanted /= wanted.sum()
@@ -272,7 +271,7 @@ def test_proposals_are_accepted_as_the_paper_draws_them():
     score = np.tile(units([1.0, ratio]), (count, 1))
     for present, wanted in ((0, 0.5 * ratio * heat), (1, 0.5)):
         chosen = np.empty(count, np.uint8)
-        decision_rules.proposed(
+        site_update.proposed(
             score,
             round(65536 * heat),
             POWERS,

@@ -13,9 +13,8 @@ import trabecula as tb
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
 from trabecula.synth.mrf import fraction_control
-from trabecula.synth.mrf.colouring import Classes
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.decision_rules import COLD, COLDEST, coldness, drawn
+from trabecula.synth.mrf.candidates import patches_of, pixels_along
+from trabecula.synth.mrf.density import LOGS, POWERS, UNIT
 from trabecula.synth.mrf.fraction_control import (
     SITE,
     expected,
@@ -24,11 +23,11 @@ from trabecula.synth.mrf.fraction_control import (
     of_groups,
     shares_of,
 )
-from trabecula.synth.mrf.lattice import Lattice
-from trabecula.synth.mrf.patches import patches_of
-from trabecula.synth.mrf.planes import Plane, across, pixels_along, turned, union_of
-from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT
+from trabecula.synth.mrf.lattice import Classes, Lattice, lattices_of
+from trabecula.synth.mrf.relaxation import started
+from trabecula.synth.mrf.site_update import COLD, COLDEST, coldness, drawn
+from trabecula.synth.mrf.slice_planes import Plane, across, turned, union_of
+from trabecula.synth.mrf.statistics_feedback import Couplings
 
 HEATS = (4.0, 1.0, 0.3, 1 / 64)
 

@@ -12,7 +12,7 @@ import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
 from trabecula.engine.pickling import ReferencedFiles
-from trabecula.synth.mrf import site_class
+from trabecula.synth.mrf import site_update
 
 SHAPE = (11, 14, 13)
 
@@ -51,7 +51,7 @@ class Others:
 def as_if_large(monkeypatch):
     """A class of few sites is done as one of many is."""
     for name, value in (("_FEW", 1), ("_MANY", 0), ("_SMALL", 0)):
-        monkeypatch.setattr(site_class, name, value)
+        monkeypatch.setattr(site_update, name, value)
 
 
 def parts_of(picture, names):

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
-from trabecula.synth.quilt.cut import ALL, LEAST, MOST, seamed
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.seams import ALL, LEAST, MOST, seamed
 
 MARGIN = 1
 HUGE = 10**6

@@ -8,18 +8,23 @@ from quilt_lattice import lattice, reference
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.synth.quilt.bit_packing import Words, mismatches, planes_for, query_of
-from trabecula.synth.quilt.candidate_pools import Descriptors, Pool
+from trabecula.synth.quilt.candidates import Descriptors, Pool, Ranked
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, Frame, near_empty
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.connectivity import CLOSED, FINE, SOLID, VOID, Bodies, Judge, classes_for
-from trabecula.synth.quilt.cut import seamed
-from trabecula.synth.quilt.feature_size import thin_voxels
+from trabecula.synth.quilt.connectivity import (
+    CLOSED,
+    FINE,
+    SOLID,
+    VOID,
+    Bodies,
+    Judge,
+    classes_for,
+    thin_voxels,
+)
+from trabecula.synth.quilt.patch_library import Words, mismatches, planes_for, query_of
 from trabecula.synth.quilt.period import in_phase, period_along, periods_of, shifts_of
-from trabecula.synth.quilt.ranking import Ranked
 from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.struts import Struts
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.windows import Frame, near_empty
+from trabecula.synth.quilt.seams import Struts, seamed
 
 
 @given(st.integers(0, 10**6), st.sampled_from([(7, 3, 2), (14, 4, 2), (9, 5, 3), (6, 2, 11)]))

@@ -15,15 +15,14 @@ from scipy import ndimage
 import trabecula as tb
 from trabecula.engine import checkpoint, memmap
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt import candidate_pools, components, connectivity, method
-from trabecula.synth.quilt.candidate_pools import Descriptors, Pools
+from trabecula.synth.quilt import candidates, connectivity, method
+from trabecula.synth.quilt.candidates import Descriptors, Pools
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, Frame
+from trabecula.synth.quilt.compatibility import REASONS, Trace
 from trabecula.synth.quilt.connectivity import SOLID, VOID, Bodies, classes_for
-from trabecula.synth.quilt.memory import _pooled
+from trabecula.synth.quilt.method import _pooled
 from trabecula.synth.quilt.period import phase_key
 from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.trace import REASONS, Trace
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.windows import Frame
 
 CELL = dict(patch=11, overlap=3)
 
@@ -164,9 +163,9 @@ def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
     labels, sizes = label_components(values == 1, periodic=wraps)
     into = np.full(values.shape, 99, np.int32)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(components, "_AT_ONCE", 42 * thick)
-        part, found = components.parts_of(values, np.arange(256) == 1, wraps, into=into)
-        _, counted = components.parts_of(values, np.arange(256) == 1, wraps)
+        patch.setattr(connectivity, "_AT_ONCE", 42 * thick)
+        part, found = connectivity.parts_of(values, np.arange(256) == 1, wraps, into=into)
+        _, counted = connectivity.parts_of(values, np.arange(256) == 1, wraps)
     assert found.tolist() == sizes.tolist() == counted.tolist()
     assert np.array_equal(np.where(values == 1, part[np.where(values == 1, into, 0)], 0), labels)
     assert (into[values != 1] == 99).all()
@@ -265,7 +264,7 @@ def test_pools_that_are_forgotten_are_made_again(out_of_step, monkeypatch):
     assert all(period == pytest.approx(7.25, abs=0.1) for period in out_of_step.periods)
     request = tb.Request((30, 24, 24), seed=1)
     values = out_of_step.traced(request)[0]
-    monkeypatch.setattr(candidate_pools, "HELD", 0)
+    monkeypatch.setattr(candidates, "HELD", 0)
     run = Run(out_of_step.learnt, out_of_step.config, request)
     assert np.array_equal(run.made(), values)
     assert not run.pools._made
@@ -289,7 +288,7 @@ def test_what_must_stay_in_memory_does_not_grow(lattice_model):
 
 
 def test_a_form_in_pieces_is_found_in_slabs(monkeypatch):
-    monkeypatch.setattr(components, "_AT_ONCE", 1)
+    monkeypatch.setattr(connectivity, "_AT_ONCE", 1)
     mask = np.zeros((9, 6, 6), bool)
     mask[:, 1:3] = True
     method._check_one_form(mask, (False,) * 3)

@@ -1,18 +1,70 @@
-"""The local conditional density of all levels at once (Urs 2014, equations 3 to 7).
-
-For the neighbourhood r of a site and a level l, f(l) = sum over p of exp(-(D_p + (l - y_p)^2) / 2
-h^2), where D_p is the squared distance of r to the exemplar's neighbourhood p and y_p its centre.
-D_p is shared by all levels: what is summed up first is exp(-D_p / 2 h^2) over the p of equal
-centre, and the centre's Gaussian is a small matrix. Distances are whole numbers and weights are
-entries of a table of whole numbers, so every sum is exact and the same on every machine.
-"""
+"""DENSITY"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.mrf.tables import log_of
+
+UNIT = 1 << 16
+"""A factor of two in a density."""
+
+_FINE = 4096
+
+LOGS = np.rint(UNIT * np.log2(1 + (np.arange(_FINE) + 0.5) / _FINE)).astype(np.int64)
+
+POWERS = np.rint(2.0**31 * 2.0 ** (-np.arange(_FINE) / _FINE)).astype(np.int64)
+
+NEAREST_WEIGHT = 1 << 22
+"""The weight of the exemplar's nearest neighbourhood; others weigh less, those below 1 nothing."""
+
+
+def kernel_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
+    """exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded, for i = 0, 1, ... while it is at
+    least 1, then a 0 (int32).
+
+    The middle of a step counts where it is wider than 1.
+    """
+    step = 1 << shift
+    count = int(np.log(NEAREST_WEIGHT * 2.0) * twice_variance / step) + 2
+    differences = np.arange(count) * float(step) + (step - 1) / 2
+    table = np.rint(NEAREST_WEIGHT * np.exp(-differences / twice_variance)).astype(np.int32)
+    return np.ascontiguousarray(
+        np.append(table[: max(1, int(np.count_nonzero(table)))], np.int32(0))
+    )
+
+
+def shift_for(twice_variance: float) -> int:
+    """The width of a step, as a power of two, such that the table has about 8000 entries at most
+    and stays in the cache.
+    """
+    shift = 0
+    while np.log(NEAREST_WEIGHT * 2.0) * twice_variance > 8000 << shift:
+        shift += 1
+    return shift
+
+
+def log_units(values: np.ndarray) -> np.ndarray:
+    """log2 in units of 2^-16, rounded (int64), of positive values."""
+    return np.rint(np.log2(values) * UNIT).astype(np.int64)
+
+
+@inline
+def log_of(bits, logs):
+    """log2 in units of 2^-16 of a positive normal float64 given by its bits."""
+    return ((bits >> 52) - 1023) * UNIT + logs[(bits >> 40) & (_FINE - 1)]
+
+
+@inline
+def power_of(units, powers):
+    """2^(units / 2^16) times 2^31 as a whole number, units <= 0."""
+    fall = -units
+    whole = fall >> 16
+    return powers[(fall >> 4) & (_FINE - 1)] >> whole if whole < 32 else 0
+
+
+STEPS = 16
+"""Steps of (1 - t)^2, the weight of a neighbour of temperature t."""
 
 LANES = 16
 """The number of candidates is filled up to a multiple of this."""
@@ -25,6 +77,7 @@ _S1, _S2, _S4 = (
     np.uint64(0x3333333333333333),
     np.uint64(0x0F0F0F0F0F0F0F0F),
 )
+
 _BYTES, _1, _2, _4, _56 = (
     np.uint64(0x0101010101010101),
     np.uint64(1),
@@ -199,3 +252,46 @@ def optimal_bandwidth(variance: float, count: int, dimensions: int) -> float:
         d, of a neighbourhood with its centre.
     """
     return float(np.sqrt(variance) * (4 / (count * (dimensions + 2))) ** (1 / (dimensions + 4)))
+
+
+@kernel
+def plain_rows(found, features, rows):
+    """Rows (S, C K + 1) float32: -2 times the features, channel by channel, and a 1 for the
+    squares.
+    """
+    K, C = found.shape[1], features.shape[1]
+    for s in range(len(found)):
+        for c in range(C):
+            for k in range(K):
+                rows[s, c * K + k] = -2 * features[found[s, k], c]
+        rows[s, C * K] = 1
+
+
+@kernel
+def weighted_rows(found, weight, features, rows):
+    """Rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel, then the
+    weights.
+    """
+    K, C = found.shape[1], features.shape[1]
+    for s in range(len(found)):
+        for c in range(C):
+            for k in range(K):
+                rows[s, c * K + k] = -2 * np.int32(weight[s, k]) * features[found[s, k], c]
+        for k in range(K):
+            rows[s, C * K + k] = weight[s, k]
+
+
+@kernel
+def bit_rows(found, weight, codes, each, words, masks):
+    """Neighbours as bits: `codes` (L,) uint64 of so many bits `each`, packed from the low end into
+    (S, W) uint64; `masks` alike, with ones where a neighbour is there."""
+    ones = (np.uint64(1) << np.uint64(each)) - np.uint64(1)
+    per = 64 // each
+    for s in range(len(found)):
+        words[s] = 0
+        masks[s] = 0
+        for k in range(found.shape[1]):
+            shift = np.uint64(k % per * each)
+            if weight[s, k]:
+                words[s, k // per] |= codes[found[s, k]] << shift
+                masks[s, k // per] |= ones << shift

@@ -1,29 +1,28 @@
-"""The one owner of the levels' shares: every class of sites is drawn with the shares that are
-wanted.
-
-A density that confirms itself is like a magnet: whichever level has more voxels grows until it has
-all, and a bias that learns from sweep to sweep only drives it from one side to the other. So the
-scores of each class are shifted, group of levels by group, just so far that the expected shares of
-the class are the wanted ones, before anything is drawn.
-"""
+"""FRACTIONS"""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.synth.mrf.decision_rules import COLD
-from trabecula.synth.mrf.site_class import over_rows, room_for_rows, sum_over_rows
-from trabecula.synth.mrf.tables import LOGS, POWERS, UNIT, log_of, power_of
+from trabecula.synth.mrf.density import LOGS, POWERS, UNIT, log_of, power_of
+from trabecula.synth.mrf.site_update import COLD, Members, over_rows, room_for_rows, sum_over_rows
 
 SITE = 1 << 31
 """Steps of an expected number of sites."""
 
 # through the groups, from the shifts of the class before; two groups are settled in one
 _ROUNDS = 2
+
 _NARROW, _WIDE = 2 * UNIT, np.int64(1) << 30
+
 _FINE = 1 << 8
+
 _MOST = 16 * UNIT
+
 _LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at most
 
 
@@ -199,3 +198,88 @@ def shares_of(score, kept, added, coldness, powers, total):
             whole += weight[level]
         for level in range(len(weight)):
             total[level] += weight[level] / whole
+
+
+@dataclass
+class Shifts:
+    """What is added to the scores of groups of levels, and of levels within them, for the wanted
+    shares.
+
+    Attributes
+    ----------
+    groups : (L,) uint8
+    wanted : (L,) float64
+        Shares of the levels.
+    of_groups, fine : (G,), (L,) int64
+        In units; they go on from class to class.
+    """
+
+    groups: np.ndarray
+    wanted: np.ndarray
+
+    def __post_init__(self) -> None:
+        self._by_group = np.bincount(self.groups, self.wanted)
+        self.of_groups = np.zeros(len(self._by_group), np.int64)
+        self.fine = np.zeros(len(self.wanted), np.int64)
+
+    def settle(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
+        """The shifts (L,) int32 that give the sites of a class the wanted shares where they lie in
+        the result.
+        """
+        if not members.asked:
+            return (self.of_groups[self.groups] + self.fine).astype(np.int32)
+        energy = self._energy(members, score, coldness)
+        self.of_groups = shifts_for(energy, self._by_group, coldness=coldness, start=self.of_groups)
+        del energy
+        shift = self.of_groups[self.groups] + self.fine
+        if len(self._by_group) < len(self.wanted):
+            self.fine = moved_levels(
+                self._taken(members, score, shift, coldness),
+                self.groups,
+                self.wanted,
+                count=members.asked,
+                coldness=coldness,
+                shift=self.fine,
+            )
+        return shift.astype(np.int32)
+
+    def _energy(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
+        """Scores (S', G) int64 of the groups at the sites in the result."""
+        (rows, asked), asks_for = members.starts, members.classes.lattice.asks_for
+        energy = members.room((members.asked, len(self._by_group)), np.int64)
+
+        def work(first: int, last: int) -> None:
+            kept = asks_for(members.sites(first, last))
+            into = energy[asked[first] : asked[last]]
+            of_groups(
+                score[rows[first] : rows[last]],
+                kept,
+                self.fine,
+                self.groups,
+                coldness,
+                LOGS,
+                POWERS,
+                into,
+            )
+
+        members.over(work)
+        return energy
+
+    def _taken(
+        self, members: Members, score: np.ndarray, shift: np.ndarray, coldness: int
+    ) -> np.ndarray:
+        """How many of these sites every level is expected to take, (L,) float64."""
+        rows, asks_for = members.starts[0], members.classes.lattice.asks_for
+        # by plane: sums of floats that no slab touches
+        totals = np.zeros((members.depth, len(shift)))
+
+        def work(first: int, last: int) -> None:
+            kept = asks_for(members.sites(first, last))
+            for z in range(first, last):
+                of_plane = kept[rows[z] - rows[first] : rows[z + 1] - rows[first]]
+                shares_of(
+                    score[rows[z] : rows[z + 1]], of_plane, shift, coldness, POWERS, totals[z]
+                )
+
+        members.over(work)
+        return np.array([math.fsum(column) for column in totals.T])

@@ -1,15 +1,18 @@
-"""The output at one scale: its levels, what may change, what counts as a neighbour, and what
-belongs to the result.
-"""
+"""LATTICE"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from trabecula.core.request import Request
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.synth.mrf.picture_levels import Content
 
 ALL = np.zeros((0, 0, 0), bool)
 """To a kernel: every voxel is marked."""
@@ -166,3 +169,175 @@ def _spread(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
         wide |= np.roll(plane, step, axis)
         wide |= np.roll(plane, -step, axis)
     return wide
+
+
+def padded_shape(
+    shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int
+) -> tuple[int, ...]:
+    """The torus that a result is cut from, for `count` scales.
+
+    Along an open axis a neighbourhood does not reach from one end of the result to the other. Were
+    the lattice to end there, its rim, known from one side alone, would look different; and a coarse
+    scale needs room for a neighbourhood.
+    """
+    grain = 2 ** (count - 1)
+    return tuple(
+        side if around else -(-max(side + width - 1, width * grain) // grain) * grain
+        for side, around in zip(shape, periodic, strict=True)
+    )
+
+
+def count_of(shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int) -> int:
+    """How many of `count` scales a result has: a periodic axis has to hold a neighbourhood on each."""
+    rings = [side for side, around in zip(shape, periodic, strict=True) if around]
+    while count > 1 and any(-(-side // 2 ** (count - 1)) < width for side in rings):
+        count -= 1
+    return count
+
+
+def lattices_of(request: Request, content: Content, count: int, width: int) -> list[Lattice]:
+    """The output at `count` resolutions at most, finest first."""
+    count = count_of(request.shape, request.periodic, count=count, width=width)
+    shape = padded_shape(request.shape, request.periodic, count=count, width=width)
+    box, form, known = request.shape, request.mask, None
+    levels, there = memmap.zeros(shape, np.uint8), None
+    if form is not None:
+        # A little more than the form, so that its rim as well is known from all sides.
+        there = grown(form, shape, width // 2)
+    if request.fixed is not None and request.known is not None:
+        known = _measured(request, content, levels, there)
+    lattices = [Lattice(levels, _without(there, known), there, box, form)]
+    while len(lattices) < count:
+        if known is None:
+            levels = memmap.zeros(halved(levels.shape), np.uint8)
+        else:
+            levels, known = known_halved(levels, known)
+        there = None if there is None else any_of_eight(there)
+        box, form = halved(box), None if form is None else any_of_eight(form)
+        lattices.append(Lattice(levels, _without(there, known), there, box, form))
+    return lattices
+
+
+def _measured(
+    request: Request, content: Content, levels: np.ndarray, there: np.ndarray | None
+) -> np.ndarray:
+    """Where voxels are known, (Z, Y, X) bool; their levels are written, and they are there."""
+    assert request.fixed is not None and request.known is not None
+    marks, values, known = request.known, request.fixed.values, memmap.zeros(levels.shape, bool)
+    _, height, width = marks.shape
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            known[z, :height, :width] = marks[z]
+            if marks[z].any():
+                levels[z, :height, :width][marks[z]] = content.levels_of(values[z][marks[z]])
+            if there is not None:
+                there[z, :height, :width] |= marks[z]
+
+    for_slabs(work, len(marks))
+    return known
+
+
+def _without(there: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
+    """What is there and not known."""
+    if known is None:
+        return there
+    free = memmap.empty(known.shape, bool)
+
+    def work(first: int, last: int) -> None:
+        np.logical_not(known[first:last], out=free[first:last])
+        if there is not None:
+            free[first:last] &= there[first:last]
+
+    for_slabs(work, len(free))
+    return free
+
+
+Name = tuple[int, int, int, int]
+
+
+def colours_along(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:
+    """A colour for every cell of a ring such that cells of one colour lie more than `reach` apart,
+    and how many there are.
+
+    Colours begin at 0 again in every block. A ring whose length is no multiple of reach + 1 gets
+    longer blocks here and there, and a few more colours; so does one that is to have an `even`
+    number of blocks, or one alone.
+    """
+    blocks = max(1, side // (reach + 1))
+    if even and blocks > 1:
+        blocks -= blocks % 2
+    starts = np.arange(blocks + 1) * side // blocks
+    return np.concatenate([np.arange(stop - start) for start, stop in pairwise(starts)]), -(
+        -side // blocks
+    )
+
+
+class Classes:
+    """The classes of a lattice: no two sites of one are in each other's neighbourhood in any plane.
+
+    Sites of equal colours along all axes lie too far apart for any plane along the axes. Sites
+    whose colours differ along all three share none of these planes; so for these the class of all
+    (c, c + a, c + b) is one, and there are m^2 classes. A plane of two diagonals reaches twice as
+    far along an axis; so for planes that are `turned` blocks are told apart like the squares of a
+    chessboard, and there are 2 m^3.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    width : int
+        Of the neighbourhoods.
+    turned : bool
+    """
+
+    def __init__(self, lattice: Lattice, width: int, *, turned: bool = False) -> None:
+        self.lattice = lattice
+        found = [colours_along(side, width // 2, even=turned) for side in lattice.shape]
+        self._colours = tuple(colours for colours, _ in found)
+        self._blocks = tuple(np.cumsum(colours == 0) for colours in self._colours)
+        self._count = max(count for _, count in found)
+        every = range(self._count)
+        self.names: list[Name] = [
+            (c, a, b, square)
+            for c in (every if turned else [-1])
+            for a in every
+            for b in every
+            for square in ((0, 1) if turned else (-1,))
+        ]
+
+    def sites(self, name: Name, first: int, last: int) -> np.ndarray:
+        """The free sites of a class in the planes first .. last as flat places, rising (int64)."""
+        found: np.ndarray = _sites(
+            name, self._count, first, last, self._colours, self._blocks, marks_of(self.lattice.free)
+        )
+        return found
+
+
+@kernel
+def _sites(name, count, first, last, colours, blocks, free):
+    along_z, along_y, along_x = colours
+    block_z, block_y, block_x = blocks
+    colour, a, b, square = name
+    Y, X = len(along_y), len(along_x)
+    marks = free.ravel()
+    places = np.empty(0, np.int64)
+    for fill in range(2):  # how many there are first
+        found = 0
+        for z in range(first, last):
+            if colour >= 0 and along_z[z] != colour:
+                continue
+            for y in range(Y):
+                if along_y[y] != (along_z[z] + a) % count:
+                    continue
+                for x in range(X):
+                    fits = along_x[x] == (along_z[z] + b) % count
+                    if square >= 0:
+                        fits = fits and (block_z[z] + block_y[y] + block_x[x]) % 2 == square
+                    place = (z * Y + y) * X + x
+                    if fits and (len(marks) == 0 or marks[place]):
+                        if fill:
+                            places[found] = place
+                        found += 1
+        if not fill:
+            places = np.empty(found, np.int64)
+    return places

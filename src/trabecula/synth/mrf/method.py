@@ -1,20 +1,9 @@
-"""`mrf`: fit learns the picture's neighbourhoods at every scale, generate relaxes a volume from
-coarse to fine.
-
-1. The pictures become numbered levels (`content`), decimated by two for every scale; their
-neighbourhoods become the
-   candidates of a Parzen estimate with h_opt (`source`).
-2. The coarsest scale starts from white noise with the picture's histogram; each finer one from what
-it inherits.
-3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the
-slices through it
-   (`density`), the views' densities made one, a level chosen (`choose`), the site's temperature or
-   the bias learnt (`relax`).
-"""
+"""METHOD"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,22 +20,29 @@ from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
+from trabecula.synth.mrf.candidates import (
+    Source,
+    bytes_of,
+    learning_bytes,
+    patches_of,
+    scales_of,
+    source_of,
+    tilted,
+)
 from trabecula.synth.mrf.config import MrfConfig
-from trabecula.synth.mrf.content import Content, content_of
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.forecast import Run, learning_bytes
-from trabecula.synth.mrf.lattice import Lattice
-from trabecula.synth.mrf.limits import STEPS, largest_feature, scales_of
-from trabecula.synth.mrf.patches import Source, bytes_of, patches_of, source_of
-from trabecula.synth.mrf.planes import across, turned
-from trabecula.synth.mrf.porosity_reweighting import tilted
-from trabecula.synth.mrf.scales import count_of, lattices_of, padded_shape, started
-from trabecula.synth.mrf.slice_planes import Face
+from trabecula.synth.mrf.density import STEPS
+from trabecula.synth.mrf.lattice import Lattice, count_of, lattices_of, padded_shape
+from trabecula.synth.mrf.picture_levels import Content, content_of, largest_feature
+from trabecula.synth.mrf.relaxation import started
+from trabecula.synth.mrf.site_update import ROWS_AT_ONCE
+from trabecula.synth.mrf.slice_planes import BATCH_OF_BITS, BATCH_OF_PRODUCTS, Face, across, turned
+from trabecula.synth.mrf.statistics_feedback import Couplings
 from trabecula.synth.shared.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+
 # along which of a turned plane's axes steps are diagonals
 _STRETCHED = ((False, True), (True, True))
 
@@ -319,3 +315,111 @@ class MrfModel(PictureModel):
 def _turns(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
     """Whether turned planes go without being asked for."""
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
+
+
+_SMALL = 100_000  # bytes of what does not depend on the picture
+_OF_A_SITE = 42  # bytes while it is told whether sites lie in the result
+
+_OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run's memory depends on.
+
+    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads`
+    how many work at once.
+    """
+
+    request: Request
+    shape: tuple[int, ...]
+    content: Content
+    sources: Sequence[Source]
+    views: int
+    pairs: Pairs | None
+    config: MrfConfig
+    threads: int
+
+    @property
+    def scratch(self) -> int:
+        """What batches of sites take in all threads."""
+        content = self.content
+        around, (levels, channels) = self.config.neighbourhood**2 - 1, content.features.shape
+        shares = levels * (24 * self.views + 24) + around * 11
+        words = [len(source.bits) for source in self.sources if source.bits is not None]
+        if words:
+            return self.threads * BATCH_OF_BITS * (shares + 16 * max(words))
+        widest = max(len(source.centres) for source in self.sources)
+        return self.threads * (
+            BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest
+        )
+
+    @property
+    def output(self) -> int:
+        """The lattices of all scales, and the most that anything takes beside them; the scratch of
+        sites comes on top.
+        """
+        beside = *self._sites(), self._couplings() - self.scratch, self._values() - self.scratch
+        return self._held() + max(0, *beside)
+
+    @property
+    def slab(self) -> int:
+        """What the thinnest slabs take where all that is as large as the result lies in files."""
+        _, height, width = self.shape
+        levels, each = len(self.content.values), self.content.values[0].nbytes
+        sites = _OF_A_SITE * height * width // (self.config.neighbourhood // 2 + 1) ** 2
+        plane = (_OF_A_PLANE + 2 * each) * height * width
+        if self.request.known is not None and self.content.kind == "colour":
+            plane += 80 * height * width + 40 * levels * ROWS_AT_ONCE
+        most = self.threads * max(plane, sites + ROWS_AT_ONCE * 4 * levels)
+        if self.pairs is not None:
+            most = max(most, self.pairs.slab_bytes + self.pairs.kept_bytes)
+        return self.scratch + self._tables + 2 * _SMALL + most
+
+    @property
+    def _voxels(self) -> int:
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def _tables(self) -> int:
+        """Of the offsets of pairs: their bins, and their weights for a while."""
+        return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
+
+    def _held(self) -> int:
+        """From the first sweep to the last, coarser scales included."""
+        levels, channels = self.content.features.shape
+        marks = (self.request.mask is not None) + (self.request.known is not None)
+        each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
+        if self.pairs is not None:
+            each += 9 / 8 * 2 * channels
+        return (
+            round(self._voxels * each) + 8 * 4 * self.views * levels**2 + self._tables + 2 * _SMALL
+        )
+
+    def _sites(self) -> tuple[int, int]:
+        """A class of sites with their scores, and then with the groups' scores less what scratch
+        there was before.
+        """
+        levels, channels = self.content.features.shape
+        groups = int(self.content.groups.max()) + 1
+        sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
+        rows = 4 * levels + self.views * channels * (self.config.feedback_of(self.content.sort) > 0)
+        return (8 + rows) * sites, self.config.shares * (
+            rows + 8 * groups + _OF_A_SITE
+        ) * sites - self.scratch
+
+    def _couplings(self) -> int:
+        """The transforms of a field."""
+        if self.pairs is None:
+            return 0
+        return (
+            2 * self.pairs.spectrum_bytes
+            + self.pairs.kernel_bytes
+            + 4 * self._voxels
+            + self.pairs.slab_bytes
+        )
+
+    def _values(self) -> int:
+        """The values that come out."""
+        each = self.content.values[0].nbytes
+        return each * int(np.prod(self.request.shape, dtype=np.int64))

@@ -1,28 +1,157 @@
-"""One class of sites at once: the scores of all levels, the shifts that make the expected shares
-right, the draw.
-
-1. Every site's scores, from the densities of its slices, the feedback and the couplings (`scored`).
-2. The groups' shifts, and how far the levels within them move for the next class (`Shifts`).
-3. New levels (`levels_for`), which the feedback counts (`count_into`).
-"""
+"""SITES"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
-from trabecula.synth.mrf import decision_rules
-from trabecula.synth.mrf.bias_feedback import Tables
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.feedback import count
-from trabecula.synth.mrf.fraction_control import moved_levels, of_groups, shares_of, shifts_for
-from trabecula.synth.mrf.site_class import Members
-from trabecula.synth.mrf.slice_planes import Frame
-from trabecula.synth.mrf.tables import LOGS, POWERS
+from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.random import below, philox
+from trabecula.synth.mrf.density import POWERS, UNIT, power_of
+from trabecula.synth.mrf.lattice import Classes, Name
+from trabecula.synth.mrf.slice_planes import Frame, best_level, of_views
+from trabecula.synth.mrf.statistics_feedback import Couplings, Tables, count
 
-_ROWS = 4096  # sites that get new levels at once
+T = TypeVar("T")
+
+_FEW = 1 << 14
+"""Sites of which light work is done before threads have begun."""
+
+_MANY = 1 << 22
+"""Voxels of which some may be resident wherever they lie."""
+
+_SMALL = 1 << 20
+"""Bytes of an array that is not worth a file."""
+
+_ENOUGH = 256
+"""Sites that are worth a thread where each has a density."""
+
+
+@dataclass
+class Members:
+    """The sites of a class that are to be asked: found anew wherever they are needed, since their
+    places would take more room than their levels do.
+
+    `temperature` (Z, Y, X) float32, `held` bool: only sites that are warm or held are asked;
+    without entries where that is nobody's business.
+    """
+
+    classes: Classes
+    name: Name
+    temperature: np.ndarray
+    held: np.ndarray
+
+    def sites(self, first: int, last: int) -> np.ndarray:
+        """Flat places in the planes first .. last, rising."""
+        sites = self.classes.sites(self.name, first, last)
+        if not self.temperature.size:
+            return sites
+        warm = self.temperature.reshape(-1)[sites] > 0
+        if self.held.size:
+            warm |= self.held.reshape(-1)[sites]
+        return sites[warm]
+
+    @property
+    def depth(self) -> int:
+        """Planes of the lattice."""
+        return self.classes.lattice.shape[0]
+
+    @cached_property
+    def starts(self) -> tuple[np.ndarray, np.ndarray]:
+        """How many sites lie before each plane, and of these how many in the result: twice (Z + 1,)
+        int64.
+        """
+        lattice = self.classes.lattice
+        plane, counts = lattice.shape[1] * lattice.shape[2], np.zeros((2, self.depth + 1), np.int64)
+
+        def work(first: int, last: int) -> None:
+            sites = self.sites(first, last)
+            z = sites // plane - first
+            counts[0, first + 1 : last + 1] = np.bincount(z, minlength=last - first)
+            counts[1, first + 1 : last + 1] = np.bincount(
+                z[lattice.asks_for(sites)], minlength=last - first
+            )
+
+        if lattice.levels.size > _MANY:
+            for_slabs(work, self.depth)
+        else:
+            work(0, self.depth)
+        before, within = counts.cumsum(axis=1)
+        return before, within
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return int(self.starts[0][-1])
+
+    @property
+    def asked(self) -> int:
+        """How many of them lie in the result."""
+        return int(self.starts[1][-1])
+
+    @property
+    def _are_few(self) -> bool:
+        return self.count < _FEW and self.classes.lattice.levels.size <= _MANY
+
+    def room(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
+        """An array of rows for sites, for `dear_over` to write; in memory where it is small: every
+        visit has some.
+        """
+        small = self._are_few and math.prod(shape) * np.dtype(dtype).itemsize < _SMALL
+        return np.empty(tuple(shape), dtype) if small else memmap.empty(shape, dtype, least=0)
+
+    def over(self, work: Callable[[int, int], object]) -> None:
+        """Light work on planes of them."""
+        if self._are_few:
+            work(0, self.depth)
+        else:
+            for_slabs(work, self.depth, least=self._planes(_FEW))
+
+    def sum_over(self, work: Callable[[int, int], T]) -> T:
+        """The sum of whole numbers over planes of them."""
+        return (
+            work(0, self.depth)
+            if self._are_few
+            else sum_slabs(work, self.depth, least=self._planes(_FEW))
+        )
+
+    def dear_over(self, work: Callable[[int, int], object]) -> None:
+        """Dear work on planes of them, which other processes may do; it writes slabs of what `room`
+        gave.
+        """
+        for_slabs(work, self.depth, least=self._planes(_ENOUGH), anywhere=not self._are_few)
+
+    def _planes(self, sites: int) -> int:
+        """Planes that hold so many sites."""
+        return max(1, self.depth * sites // max(1, self.count))
+
+
+ROWS_AT_ONCE = 4096  # sites that get new levels at once
+
+
+def over_rows(work: Callable[[int, int], object], rows: int) -> None:
+    """Light work on rows of numbers, one for each site."""
+    if rows < _FEW:
+        work(0, rows)
+    else:
+        for_slabs(work, rows, least=_FEW)
+
+
+def sum_over_rows(work: Callable[[int, int], T], rows: int) -> T:
+    """The sum of whole numbers over rows."""
+    return work(0, rows) if rows < _FEW else sum_slabs(work, rows, least=_FEW)
+
+
+def room_for_rows(rows: int) -> np.ndarray:
+    """A whole number for every row (int64); in memory where that is little."""
+    return np.empty(rows, np.int64) if rows < _FEW else memmap.empty(rows, np.int64)
 
 
 @dataclass(frozen=True)
@@ -116,7 +245,7 @@ def scored(
                 asked, room, temperature, pulled, bias, cells[:, rows], mirrored=mirrored
             )
             if at_once:
-                decision_rules.of_views(log, features, heuristic == "h1b", chosen[rows])
+                of_views(log, features, heuristic == "h1b", chosen[rows])
                 continue
             if couplings is not None:
                 couplings.pull(asked, pulled)
@@ -124,91 +253,6 @@ def scored(
 
     members.dear_over(work)
     return Scored(score, chosen, cells)
-
-
-@dataclass
-class Shifts:
-    """What is added to the scores of groups of levels, and of levels within them, for the wanted
-    shares.
-
-    Attributes
-    ----------
-    groups : (L,) uint8
-    wanted : (L,) float64
-        Shares of the levels.
-    of_groups, fine : (G,), (L,) int64
-        In units; they go on from class to class.
-    """
-
-    groups: np.ndarray
-    wanted: np.ndarray
-
-    def __post_init__(self) -> None:
-        self._by_group = np.bincount(self.groups, self.wanted)
-        self.of_groups = np.zeros(len(self._by_group), np.int64)
-        self.fine = np.zeros(len(self.wanted), np.int64)
-
-    def settle(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
-        """The shifts (L,) int32 that give the sites of a class the wanted shares where they lie in
-        the result.
-        """
-        if not members.asked:
-            return (self.of_groups[self.groups] + self.fine).astype(np.int32)
-        energy = self._energy(members, score, coldness)
-        self.of_groups = shifts_for(energy, self._by_group, coldness=coldness, start=self.of_groups)
-        del energy
-        shift = self.of_groups[self.groups] + self.fine
-        if len(self._by_group) < len(self.wanted):
-            self.fine = moved_levels(
-                self._taken(members, score, shift, coldness),
-                self.groups,
-                self.wanted,
-                count=members.asked,
-                coldness=coldness,
-                shift=self.fine,
-            )
-        return shift.astype(np.int32)
-
-    def _energy(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
-        """Scores (S', G) int64 of the groups at the sites in the result."""
-        (rows, asked), asks_for = members.starts, members.classes.lattice.asks_for
-        energy = members.room((members.asked, len(self._by_group)), np.int64)
-
-        def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
-            into = energy[asked[first] : asked[last]]
-            of_groups(
-                score[rows[first] : rows[last]],
-                kept,
-                self.fine,
-                self.groups,
-                coldness,
-                LOGS,
-                POWERS,
-                into,
-            )
-
-        members.over(work)
-        return energy
-
-    def _taken(
-        self, members: Members, score: np.ndarray, shift: np.ndarray, coldness: int
-    ) -> np.ndarray:
-        """How many of these sites every level is expected to take, (L,) float64."""
-        rows, asks_for = members.starts[0], members.classes.lattice.asks_for
-        # by plane: sums of floats that no slab touches
-        totals = np.zeros((members.depth, len(shift)))
-
-        def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
-            for z in range(first, last):
-                of_plane = kept[rows[z] - rows[first] : rows[z + 1] - rows[first]]
-                shares_of(
-                    score[rows[z] : rows[z + 1]], of_plane, shift, coldness, POWERS, totals[z]
-                )
-
-        members.over(work)
-        return np.array([math.fsum(column) for column in totals.T])
 
 
 def levels_for(
@@ -219,25 +263,89 @@ def levels_for(
     """
     chosen = np.empty(len(sites), np.uint8)
     if step.rule == "icm" or (step.rule == "gibbs" and step.heat == 0):
-        decision_rules.greatest(score, chosen)
+        greatest(score, chosen)
     elif step.rule == "gibbs":
-        decision_rules.drawn(
-            score, decision_rules.coldness(step.heat), POWERS, sites, step.key, step.number, chosen
-        )
+        drawn(score, coldness(step.heat), POWERS, sites, step.key, step.number, chosen)
     else:
         heat = round(65536 * step.heat)
-        decision_rules.proposed(
-            score, heat, POWERS, present, proposals, sites, step.key, step.number, chosen
-        )
+        proposed(score, heat, POWERS, present, proposals, sites, step.key, step.number, chosen)
     return chosen
 
 
 def parts_of(count: int) -> list[slice]:
     """So many rows, a few at a time."""
-    return [slice(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
+    return [
+        slice(first, min(first + ROWS_AT_ONCE, count)) for first in range(0, count, ROWS_AT_ONCE)
+    ]
 
 
 def count_into(tables: Tables, cells: np.ndarray, frame: Frame, chosen: np.ndarray) -> None:
     """Count the levels chosen at some sites by cell (V, S, C)."""
     for face, cell in zip(frame.faces, cells, strict=True):
         count(cell, frame.content.groups, chosen, tables[face.learner])
+
+
+COLD = 4096
+"""The coldness of temperature 1."""
+
+COLDEST = 64 * COLD
+"""The coldness that stands for the mode; colder, differences of scores times it would not fit into
+64 bits.
+"""
+
+
+def coldness(heat: float) -> int:
+    """1 / heat in whole 4096ths, `COLDEST` at most."""
+    return max(1, round(min(COLDEST, COLD / heat)))
+
+
+@kernel
+def greatest(score, chosen):
+    """The level of the greatest score; of equals the first."""
+    for s in range(len(score)):
+        chosen[s] = best_level(score[s])
+
+
+@kernel
+def drawn(score, coldness, powers, sites, key, sweep, chosen):
+    """A level drawn with probability proportional to 2^(score coldness / 2^16 / 2^12); coldness
+    4096 is temperature 1.
+    """
+    weight = np.empty(score.shape[1], np.int64)
+    for s in range(len(score)):
+        top = score[s, best_level(score[s])]
+        total = np.int64(0)
+        for level in range(len(weight)):
+            weight[level] = power_of(((score[s, level] - top) * coldness) >> 12, powers)
+            total += weight[level]
+        word = philox(key, sites[s], sites[s] >> 32, sweep, 0)[0]
+        at = np.int64(np.float64(word) * 2.0**-32 * np.float64(total))
+        level = 0
+        while level + 1 < len(weight) and at >= weight[level]:
+            at -= weight[level]
+            level += 1
+        chosen[s] = level
+
+
+@kernel
+def proposed(score, temperature, powers, present, tries, sites, key, sweep, chosen):
+    """The paper's figure 1: a level at random takes the place of the present one where p > 1 or p t
+    > q, p the ratio of scores.
+
+    `temperature` in 0 .. 2^16; `tries` proposals one after another, each with a q of its own.
+    """
+    for s in range(len(score)):
+        level = np.int64(present[s])
+        for trial in range(tries):
+            first, second, _, _ = philox(key, sites[s], sites[s] >> 32, sweep, trial)
+            other = below(first, score.shape[1])
+            ratio = score[s, other] - score[s, level]
+            if ratio > 0:
+                level = other
+            else:
+                weight = power_of(max(ratio, -31 * UNIT), powers)  # p times 2^31
+                if (np.float64(weight) * np.float64(temperature) * 2.0**-47) > np.float64(
+                    second
+                ) * 2.0**-32:
+                    level = other
+        chosen[s] = level

@@ -1,6 +1,4 @@
-"""Three planes at once: the scores of every level at some sites, from the densities of the slices
-through them.
-"""
+"""SLICES"""
 
 from __future__ import annotations
 
@@ -9,19 +7,69 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.synth.mrf import decision_rules
-from trabecula.synth.mrf.bias_feedback import Tables
-from trabecula.synth.mrf.colouring import Classes
-from trabecula.synth.mrf.content import Content
-from trabecula.synth.mrf.density import densities
-from trabecula.synth.mrf.feedback import cells_of, pull
-from trabecula.synth.mrf.gather import gather_confidence, gather_levels, gather_places, local_sums
-from trabecula.synth.mrf.lattice import Lattice, marks_of
-from trabecula.synth.mrf.limits import STEPS
-from trabecula.synth.mrf.patch_distance import weigh
-from trabecula.synth.mrf.patches import Source
-from trabecula.synth.mrf.planes import Plane
-from trabecula.synth.mrf.tables import LOGS, log_units
+from trabecula.engine.compile import inline, kernel
+from trabecula.synth.mrf.candidates import Source, weigh
+from trabecula.synth.mrf.density import LOGS, STEPS, densities, log_units
+from trabecula.synth.mrf.lattice import Classes, Lattice, marks_of
+from trabecula.synth.mrf.picture_levels import Content
+from trabecula.synth.mrf.statistics_feedback import Tables, cells_of, pull
+
+Step = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane by what one step along a picture's rows' axis, and one along its columns' axis, is in
+    voxels (z, y, x).
+    """
+
+    rows: Step
+    columns: Step
+
+    @property
+    def stretched(self) -> tuple[bool, bool]:
+        """Whether the steps are diagonals."""
+        return sum(map(abs, self.rows)) > 1, sum(map(abs, self.columns)) > 1
+
+    @property
+    def mirrored(self) -> Plane:
+        """The same plane, its picture seen from behind."""
+        z, y, x = self.columns
+        return Plane(self.rows, (-z, -y, -x))
+
+    def offsets(self, width: int) -> np.ndarray:
+        """Where the neighbours lie, (w^2 - 1, 3) int64, in the order of a picture's pixels."""
+        steps = np.arange(width) - width // 2
+        grid = steps[:, None, None] * np.array(self.rows) + steps[None, :, None] * np.array(
+            self.columns
+        )
+        return np.delete(grid.reshape(-1, 3), width**2 // 2, axis=0)
+
+
+def across(axis: int) -> Plane:
+    """The plane along two axes that is seen across the third."""
+    rows, columns = (other for other in range(3) if other != axis)
+    return Plane(_unit(rows), _unit(columns))
+
+
+def turned(axis: int) -> tuple[Plane, Plane, Plane]:
+    """Three orthogonal planes, turned by 45 degrees about an axis."""
+    first, second = (other for other in range(3) if other != axis)
+    up, down = np.add(_unit(first), _unit(second)), np.subtract(_unit(first), _unit(second))
+    rising, falling, along = tuple(up.tolist()), tuple(down.tolist()), _unit(axis)
+    return Plane(rising, falling), Plane(along, rising), Plane(along, falling)
+
+
+def union_of(planes: Sequence[Plane], width: int) -> np.ndarray:
+    """All neighbours in three dimensions, each once (equation 11)."""
+    return np.unique(np.concatenate([plane.offsets(width) for plane in planes]), axis=0)
+
+
+def _unit(axis: int) -> Step:
+    steps = [0, 0, 0]
+    steps[axis] = 1
+    return steps[0], steps[1], steps[2]
+
 
 BATCH_OF_BITS, BATCH_OF_PRODUCTS = 1024, 128
 """Sites of a batch: what belongs to them stays in the cache."""
@@ -144,9 +192,9 @@ class Frame:
         """One score (S, L) int32 of the views' logarithms and what is added to them: h2a or h2b."""
         total = np.empty(pulled.shape, np.int64)
         if heuristic == "h2a":
-            decision_rules.least_of(log, pulled, total)
+            least_of(log, pulled, total)
         else:
-            decision_rules.combined(log, self._prior, pulled, total)
+            combined(log, self._prior, pulled, total)
         score[:] = np.clip(total, -_MOST, _MOST)
 
 
@@ -161,3 +209,128 @@ def prior_of(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
     return np.rint((len(marginals) - 1) * power * log_units(np.maximum(share, floor))).astype(
         np.int64
     )
+
+
+@kernel
+def combined(log, prior, bias, score):
+    """H2b with its corrections: the sum of the views' logarithms, less `prior` (L,), plus `bias`
+    (S, L); all in units.
+    """
+    for s in range(len(log)):
+        for level in range(log.shape[2]):
+            total = bias[s, level] - prior[level]
+            for v in range(log.shape[1]):
+                total += log[s, v, level]
+            score[s, level] = total
+
+
+@kernel
+def least_of(log, bias, score):
+    """H2a: the least of the views' logarithms, plus `bias`."""
+    for s in range(len(log)):
+        for level in range(log.shape[2]):
+            least = log[s, 0, level]
+            for v in range(1, log.shape[1]):
+                least = min(least, log[s, v, level])
+            score[s, level] = least + bias[s, level]
+
+
+@inline
+def best_level(row):
+    best = 0
+    for level in range(1, len(row)):
+        if row[level] > row[best]:
+            best = level
+    return best
+
+
+@kernel
+def of_views(log, features, mean, chosen):
+    """H1a, or H1b where `mean`: from the most probable level of each view. `chosen` (S,) uint8."""
+    V, L, C = log.shape[1], log.shape[2], features.shape[1]
+    total = np.empty(C, np.int64)
+    for s in range(len(log)):
+        lowest = 0
+        total[:] = 0
+        for v in range(V):
+            best = best_level(log[s, v])
+            if v == 0 or log[s, v, best] < log[s, lowest, best_level(log[s, lowest])]:
+                lowest = v
+            for c in range(C):
+                total[c] += features[best, c]
+        if not mean:
+            chosen[s] = best_level(log[s, lowest])
+            continue
+        nearest, at = np.int64(2**62), 0
+        for level in range(L):
+            apart = np.int64(0)
+            for c in range(C):
+                apart += (V * np.int64(features[level, c]) - total[c]) ** 2
+            if apart < nearest:
+                nearest, at = apart, level
+        chosen[s] = at
+
+
+@kernel
+def gather_places(sites, offsets, shape, there, places):
+    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `there`;
+    without entries all are.
+    """
+    marks = there.ravel()
+    every = len(marks) == 0
+    Z, Y, X = shape
+    reach = offsets.max()
+    for s in range(len(sites)):
+        z, y, x = sites[s] // (Y * X), sites[s] // X % Y, sites[s] % X
+        near = min(z, y, x) < reach or z >= Z - reach or y >= Y - reach or x >= X - reach
+        for k in range(len(offsets)):
+            dz, dy, dx = offsets[k]
+            place = sites[s] + (dz * Y + dy) * X + dx
+            if near:
+                place = ((z + dz) % Z * Y + (y + dy) % Y) * X + (x + dx) % X
+            places[s, k] = place if every or marks[place] else -1
+
+
+@kernel
+def gather_levels(places, levels, found, weight):
+    """The levels of the neighbours (S, K) uint8, and 1 or 0 in `weight` (S, K) uint8 as they are
+    there or not.
+    """
+    flat = levels.ravel()
+    for s in range(len(places)):
+        for k in range(places.shape[1]):
+            place = places[s, k]
+            found[s, k] = flat[place] if place >= 0 else 0
+            weight[s, k] = place >= 0
+
+
+@kernel
+def gather_confidence(places, temperature, full, weight):
+    """Weights (1 - t)^2 of the neighbours (equation 9), in `full` steps, rounded; 0 for those that
+    are not there.
+    """
+    flat = temperature.ravel()
+    for s in range(len(places)):
+        for k in range(places.shape[1]):
+            if places[s, k] >= 0:
+                confidence = 1 - np.float64(flat[places[s, k]])
+                weight[s, k] = np.uint8(np.floor(full * confidence * confidence + 0.5))
+
+
+@kernel
+def local_sums(found, weight, features, sums):
+    """The features summed over the neighbours, (S, C) int32, scaled up where some are missing
+    (weight 0).
+    """
+    K = found.shape[1]
+    for s in range(len(found)):
+        count = 0
+        sums[s] = 0
+        for k in range(K):
+            if weight[s, k]:
+                count += 1
+                for c in range(features.shape[1]):
+                    sums[s, c] += features[found[s, k], c]
+        if 0 < count < K:
+            for c in range(features.shape[1]):
+                sums[s, c] = sums[s, c] * K // count

@@ -1,30 +1,17 @@
-"""Connectivity by construction (section 4.3): bodies of the phases that are to hang together,
-followed while the output grows.
-
-A *body* is a connected set of voxels of one class (the solid, or the void). It may still grow as
-long as it has *ends*: faces towards voxels that are not made yet. A piece is taken if
-1. whatever hung together outside its box still does (seen in a window with a margin around the
-box), and
-2. no body is closed, that is without an end, while there is another of its class.
-So there is one body of a class in the end, beside islands of a few voxels, which may be closed and
-are painted over when all is made. Void that reaches a face of the volume or of the form is out: all
-of it is body 0, which never closes.
-"""
+"""CONNECT"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.quilt.component_kernels import (
-    first_ends,
-    flooded,
-    islands,
-    largest,
-    renumbered,
-)
-from trabecula.synth.quilt.components import parts_of, slabs_of
+from trabecula.measure.labelling import meeting
+from trabecula.measure.runs import Runs, merged_pieces, runs_of
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.connectivity_kernels import (
     ENDS,
     LINK,
@@ -33,16 +20,22 @@ from trabecula.synth.quilt.connectivity_kernels import (
     Book,
     Sight,
     entered,
+    first_ends,
+    flooded,
+    islands,
     judged,
+    largest,
     led,
+    renumbered,
 )
-from trabecula.synth.quilt.voxel_codes import FIXED, OUT
 
 FINE, TORN, CLOSED = 0, 1, 2
 """Verdicts on a piece."""
 
 SOLID, VOID = 1, 2
+
 _ALWAYS = 1 << 40  # ends of what is out
+
 _MORE = 4096  # bodies by which the book grows
 
 
@@ -252,3 +245,131 @@ class Judge:
         first = np.flatnonzero((parts[SHUT_NOW] > 0) & (parts[LINK] == 0))
         kept = (parts[ENDS] > 0) | (parts[WHOLE] > self.island)
         return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept
+
+
+_AT_ONCE = 1 << 21
+"""Voxels of a slab at most: its runs and labels take some bytes each, whether scratch files are in
+use or not.
+"""
+
+_FACES = 6  # neighbours of a voxel
+
+
+def slabs_of(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """First and last plane (which is not among them) of slabs that are worked on one after the
+    other.
+    """
+    plane = int(np.prod(shape[1:], dtype=np.int64))
+    thick = max(1, min(memmap.thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
+    for first in range(0, shape[0], thick):
+        yield first, min(first + thick, shape[0])
+        memmap.release_pages()
+
+
+def parts_of(
+    values: np.ndarray, member: np.ndarray, wraps: Sequence[bool], *, into: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the parts of the voxels whose value is a member.
+
+    Parameters
+    ----------
+    values : (Z, Y, X) uint8
+    member : (256,) bool
+    wraps : three bool
+        Axes at whose ends voxels are neighbours.
+    into : (Z, Y, X) int32, optional
+        Gets a number, from 1 on, for every voxel of a member; others are left as they are.
+
+    Returns
+    -------
+    part : (m + 1,) int64
+        The part, 1 .. n in the order of first voxels, that a number of `into` stands for; several
+        may stand for one.
+    sizes : (n,) int64
+        Voxels of every part.
+    """
+    sizes, pairs, count = [], [np.empty((0, 2), np.int64)], 0
+    first = last = np.zeros(values.shape[1:], np.int64)
+    for a, b in slabs_of(values.shape):
+        runs = runs_of(np.ascontiguousarray(values[a:b]), member, _FACES)
+        top, bottom = _layer(runs, 0, 0, count), _layer(runs, 0, -1, count)
+        pairs.append(_touching(last, top))  # before the first slab there is nothing
+        pairs += [
+            _touching(_layer(runs, n, -1, count), _layer(runs, n, 0, count))
+            for n in (1, 2)
+            if wraps[n]
+        ]
+        first, last = top if a == 0 else first, bottom
+        if into is not None:
+            labels = runs.labels()
+            np.add(labels, np.int32(count), out=into[a:b], where=labels > 0)
+        sizes.append(runs.sizes)
+        count += len(runs.sizes)
+    if wraps[0]:
+        pairs.append(_touching(last, first))
+    part, merged = merged_pieces(np.concatenate(sizes), np.concatenate(pairs))
+    return np.concatenate([[0], part]), merged
+
+
+def _layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
+    """The numbers at one end of a slab, int64; `before` of them are those of slabs before."""
+    box = [(0, side) for side in runs.shape]
+    box[axis] = (runs.shape[axis] - 1, runs.shape[axis]) if end else (0, 1)
+    labels = runs.labels(tuple(box)).take(0, axis).astype(np.int64)
+    return np.where(labels > 0, labels + before, 0)
+
+
+def _touching(far: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """(n, 2) numbers that are neighbours from a layer to the one behind it."""
+    return meeting(far, near, _FACES, (False, False))
+
+
+def thin_voxels(window: np.ndarray, margin: tuple[int, ...], size: int, solid: np.ndarray) -> int:
+    """Voxels of a window's box that lie in no `size`-cube of solid; what is not made yet, or
+    outside, may be solid.
+
+    Parameters
+    ----------
+    window : (z, y, x) uint8
+    margin : three ints
+    size : int
+        Voxels; along an axis of one voxel it is 1.
+    solid : (256,) bool
+        Which values are solid.
+    """
+    may_be = solid[window] | (window == EMPTY) | (window == OUT)
+    sides = tuple(1 if side == 1 else size for side in window.shape)
+    covered = np.zeros(window.shape, np.bool_)
+    _cover_cubes(may_be, sides, covered)
+    thin = solid[window] & ~covered
+    return int(
+        np.count_nonzero(
+            thin[tuple(slice(m, s - m) for m, s in zip(margin, window.shape, strict=True))]
+        )
+    )
+
+
+@kernel
+def _cover_cubes(may_be, sides, covered):
+    """Mark every voxel of every full cube; a cube may reach beyond the window."""
+    depth, height, width = may_be.shape
+    for z in range(1 - sides[0], depth):
+        for y in range(1 - sides[1], height):
+            for x in range(1 - sides[2], width):
+                full = True
+                for k in range(max(z, 0), min(z + sides[0], depth)):
+                    for j in range(max(y, 0), min(y + sides[1], height)):
+                        for i in range(max(x, 0), min(x + sides[2], width)):
+                            if not may_be[k, j, i]:
+                                full = False
+                                break
+                        if not full:
+                            break
+                    if not full:
+                        break
+                if not full:
+                    continue
+                for k in range(max(z, 0), min(z + sides[0], depth)):
+                    for j in range(max(y, 0), min(y + sides[1], height)):
+                        for i in range(max(x, 0), min(x + sides[2], width)):
+                            covered[k, j, i] = True

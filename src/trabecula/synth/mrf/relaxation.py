@@ -1,9 +1,4 @@
-"""Relaxation at one scale: sweeps over the classes of sites, each class at once.
-
-Within a class no site is another's neighbour, so that all of them at once is the same as one after
-another. What a site becomes depends on its neighbours, on what has been learnt and on a random
-number of its own; batches, slabs and threads do not matter.
-"""
+"""RELAX"""
 
 from __future__ import annotations
 
@@ -17,28 +12,32 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import generator, key
+from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, due, offer
-from trabecula.engine.parallel import sum_slabs
-from trabecula.synth.mrf import decision_rules
-from trabecula.synth.mrf.bias_feedback import Steering
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.mrf.config import MrfConfig
-from trabecula.synth.mrf.content import Content
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.lattice import ALL, Lattice, marks_of
-from trabecula.synth.mrf.planes import union_of
-from trabecula.synth.mrf.site_class import Members
+from trabecula.synth.mrf.fraction_control import Shifts
+from trabecula.synth.mrf.lattice import (
+    ALL,
+    Lattice,
+    marks_of,
+)
+from trabecula.synth.mrf.picture_levels import Content
 from trabecula.synth.mrf.site_update import (
+    COLDEST,
+    Members,
     Scored,
-    Shifts,
     Step,
     Tally,
+    coldness,
     count_into,
     levels_for,
     parts_of,
     scored,
 )
-from trabecula.synth.mrf.slice_planes import Face, Frame
-from trabecula.synth.mrf.temperature import cool
+from trabecula.synth.mrf.slice_planes import Face, Frame, gather_places, union_of
+from trabecula.synth.mrf.statistics_feedback import Couplings, Steering
 
 T = TypeVar("T")
 
@@ -166,7 +165,7 @@ class Relaxation:
             shift = self.shifts.settle(
                 members,
                 found.score,
-                decision_rules.COLDEST if cold else decision_rules.coldness(heat),
+                COLDEST if cold else coldness(heat),
             )
         return members.sum_over(
             lambda first, last: self._changed(members, found, shift, frame, step, first, last)
@@ -274,3 +273,130 @@ class Relaxation:
 
 def _of_scale(schedule: Sequence[T], scale: int) -> T:
     return schedule[min(scale, len(schedule) - 1)]
+
+
+@kernel
+def cool(sites, offsets, there, held, xi, temperature):
+    """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held`
+    sites keep theirs.
+
+    What is not `there` is no neighbour; without entries all are.
+    """
+    flat, kept = temperature.ravel(), held.ravel()
+    places = np.empty((1, len(offsets)), np.int64)
+    for s in range(len(sites)):
+        if kept[sites[s]]:
+            continue
+        gather_places(sites[s : s + 1], offsets, temperature.shape, there, places)
+        total, number = np.float64(xi), 0
+        for place in places[0]:
+            if place >= 0:
+                total += flat[place]
+                number += 1
+        flat[sites[s]] = max(0.0, total / max(number, 1))
+
+
+def started(
+    lattice: Lattice,
+    coarse: np.ndarray | None,
+    frames: Sequence[Sequence[Face]],
+    content: Content,
+    config: MrfConfig,
+    *,
+    seed: int,
+    scale: int,
+    wanted: np.ndarray,
+    couplings: Couplings | None,
+) -> Relaxation:
+    """The relaxation of a scale at its start: white noise with the picture's histogram, and what a
+    coarser one hands on.
+
+    `wanted` are the shares (L,) of the levels in the result, known voxels among them.
+
+    `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the
+    first of its eight ("one", 1/8), or to all ("all", 8/8); either way only the first inherits its
+    temperature of 0.
+    """
+    marginal = np.sum([face.source.marginal for face in frames[0]], axis=0)
+    # else there is nothing that it would not overwrite
+    if coarse is None or config.upsampling == "one":
+        _fill_with_noise(lattice, marginal, seed, scale)
+    if coarse is not None:
+        _hand_on(lattice, coarse, config.upsampling)
+    relaxation = Relaxation(
+        lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings
+    )
+    if config.relaxation == "icm":
+        relaxation.temperature, relaxation.held = _warm(lattice, inherits=coarse is not None)
+    return relaxation
+
+
+def _of_free(lattice: Lattice, wanted: np.ndarray) -> np.ndarray:
+    """The shares that voxels still to be made need, so that they and the known ones have the wanted
+    shares together.
+    """
+    left, held = lattice.known(len(wanted))
+    missing = np.maximum(wanted * (left + int(held.sum())) - held, 0)
+    return missing / missing.sum() if left and missing.sum() > 0 else wanted
+
+
+def _fill_with_noise(lattice: Lattice, marginal: np.ndarray, seed: int, scale: int) -> None:
+    """Free voxels drawn from a histogram, each plane with random numbers of its own."""
+    ends = np.cumsum(marginal)
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            raw = generator(seed, f"mrf/{scale}/noise", z).bit_generator.random_raw(
+                lattice.levels[z].size
+            )
+            raw %= np.uint64(ends[-1])
+            drawn = (
+                np.searchsorted(ends, raw, side="right").astype(np.uint8).reshape(lattice.shape[1:])
+            )
+            _put(lattice, slice(z, z + 1), drawn[None])
+
+    for_slabs(work, lattice.shape[0])
+
+
+def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
+    """What a coarser scale found goes to the first of each eight voxels, or to all; what is not
+    free stays.
+    """
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            if upsampling == "all":
+                found = coarse[z // 2].repeat(2, axis=0).repeat(2, axis=1)
+                _put(lattice, slice(z, z + 1), found[None, : lattice.shape[1], : lattice.shape[2]])
+            elif z % 2 == 0:
+                _put(
+                    lattice,
+                    (slice(z, z + 1), slice(None, None, 2), slice(None, None, 2)),
+                    coarse[None, z // 2],
+                )
+
+    for_slabs(work, lattice.shape[0])
+
+
+def _put(lattice: Lattice, part: Any, found: np.ndarray) -> None:
+    """Levels for the free voxels of a part."""
+    np.copyto(
+        lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part]
+    )
+
+
+def _warm(lattice: Lattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first
+    of every eight.
+    """
+    temperature, held = memmap.zeros(lattice.shape, np.float32), memmap.zeros(lattice.shape, bool)
+
+    def work(first: int, last: int) -> None:
+        for z in range(first, last):
+            free = np.ones(lattice.shape[1:], bool) if lattice.free is None else lattice.free[z]
+            if inherits and z % 2 == 0:
+                held[z, ::2, ::2] = free[::2, ::2]
+            temperature[z] = free & ~held[z]
+
+    for_slabs(work, lattice.shape[0])
+    return temperature, held

@@ -1,30 +1,170 @@
-"""Pair couplings: an energy of pairs of voxels, learnt until the output's two-point function is the
-picture's.
-
-A neighbourhood sees few voxels; how things lie farther apart is in no slice's density. So pairs of
-voxels up to some distance have an energy that depends on their offset alone, one multiplier for
-every statistic, moved by how far the statistic is off (Zhu, Wu, Mumford 1998, "Filters, random
-fields and maximum entropy (FRAME)", doi:10.1023/A:1007925832420, section 3). Offsets are told apart
-by their distance and by the axis that they lie nearest to; those that no picture holds have none.
-"""
+"""STATISTICS"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.mrf.tables import UNIT
+from trabecula.synth.mrf.density import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs, Planes
+
+if TYPE_CHECKING:
+    from trabecula.synth.mrf.candidates import Patches
+    from trabecula.synth.mrf.picture_levels import Content
+
+
+_ROWS = 4096  # neighbourhoods that are summed at once
+
+_MOST = 12.0  # factors of two in a bias
+
+
+@dataclass(frozen=True)
+class Joint:
+    """How often (C, B, G) float64 a group of levels has a local sum in a cell; `edges` (C, B - 1)
+    int32 part the cells.
+    """
+
+    edges: np.ndarray
+    share: np.ndarray
+
+
+def joint_of(patches: Patches, content: Content, bins: int) -> Joint:
+    """The joint statistic of a picture's neighbourhoods, with cells of about equal share."""
+    features = content.features
+    groups = int(content.groups.max()) + 1
+    edges = np.empty((features.shape[1], bins - 1), np.int32)
+    share = np.zeros((features.shape[1], bins, groups))
+    for c in range(features.shape[1]):
+        column = features[:, c].astype(np.int32)
+        parts = np.array_split(patches.around, 1 + len(patches.around) // _ROWS)
+        sums = np.concatenate([column[part].sum(1, dtype=np.int32) for part in parts])
+        edges[c] = np.sort(sums)[np.arange(1, bins) * len(sums) // bins]
+        np.add.at(
+            share[c],
+            (np.searchsorted(edges[c], sums, side="left"), content.groups[patches.centres]),
+            1,
+        )
+    return Joint(edges, share / len(patches.centres))
+
+
+def local_change(joint: Joint, counted: np.ndarray) -> np.ndarray:
+    """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G),
+    at most 1 factor of two.
+
+    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the
+    groups' own shares, which have another owner. One count is added on both sides, so that what is
+    rare is not moved by chance.
+    """
+    wanted = joint.share * counted[0].sum() + 1
+    seen = counted + 1
+    given = np.log2(wanted / wanted.sum(2, keepdims=True)) - np.log2(
+        seen / seen.sum(2, keepdims=True)
+    )
+    given = np.clip(given - given.mean(2, keepdims=True), -1, 1)
+    given -= (joint.share.sum(2, keepdims=True) * given).sum(1, keepdims=True)
+    return given
+
+
+def in_units(bias: np.ndarray) -> np.ndarray:
+    """Factors of two in whole units (int64)."""
+    return np.rint(np.clip(bias, -_MOST, _MOST) * UNIT).astype(np.int64)
+
+
+@kernel
+def cells_of(sums, edges, cells):
+    """The cell (S, C) uint8 of every local sum (S, C) int32: as many as there are edges below it."""
+    for s in range(len(sums)):
+        for c in range(len(edges)):
+            cell = 0
+            while cell < edges.shape[1] and sums[s, c] > edges[c, cell]:
+                cell += 1
+            cells[s, c] = cell
+
+
+@kernel
+def pull(cells, bias, groups, out):
+    """Adds the bias (C, B, G) of the cells to every level: `out` (S, L) int64."""
+    for s in range(len(cells)):
+        for c in range(len(bias)):
+            row = bias[c, cells[s, c]]
+            for level in range(len(groups)):
+                out[s, level] += row[groups[level]]
+
+
+@kernel
+def count(cells, groups, chosen, table):
+    """Counts the levels chosen (S,) by cell and group: `table` (C, B, G) int64."""
+    for s in range(len(cells)):
+        for c in range(len(table)):
+            table[c, cells[s, c], groups[chosen[s]]] += 1
+
+
+Tables = list[np.ndarray]
+"""By cell and group (C, B, G) int64, for each learner: counts, or a bias in units."""
+
+
+class Steering:
+    """A bias by cell of the local sum and group of levels, one for each learner.
+
+    Parameters
+    ----------
+    joints : sequence of Joint
+        The statistics of every learner.
+    views : int
+        How many views pull at a site at once.
+    rate : float
+        Setting `feedback`.
+
+    Attributes
+    ----------
+    by_cell : list of (C, B, G) float64
+    """
+
+    def __init__(self, joints: Sequence[Joint], views: int, *, rate: float) -> None:
+        self._joints = list(joints)
+        # Every view and every channel pulls with its own table: together they move as far as the
+        # rate says.
+        self._rate = rate / (views * len(joints[0].share))
+        self.by_cell = [np.zeros(joint.share.shape) for joint in joints]
+
+    def bias(self) -> Tables:
+        """The bias of every group by cell, in units."""
+        return [in_units(part) for part in self.by_cell]
+
+    def empty_tables(self) -> Tables:
+        """What a sweep counts into."""
+        return [np.zeros(part.shape, np.int64) for part in self.by_cell]
+
+    def learn(self, counted: Tables) -> None:
+        """The counts of a whole sweep; learners that it did not ask have none."""
+        for n, (joint, table) in enumerate(zip(self._joints, counted, strict=True)):
+            if table.any():
+                self.by_cell[n] = self.by_cell[n] + self._rate * local_change(joint, table)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What the next sweep starts from."""
+        return {f"by_cell{n}": part for n, part in enumerate(self.by_cell)}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+        self.by_cell = [arrays[f"by_cell{n}"] for n in range(len(self.by_cell))]
+
 
 CONES = 2
 """Without, what lies along the axes is made up for by what lies along diagonals."""
 
 _NEAR = 2  # voxels: what lies nearer is the densities' own
+
 _LEAST = 4  # voxels of a scale that couplings reach at least
-_MOST = 30.0  # factors of two that they move a site by, at most
+
+_MOST_PULL = 30.0  # factors of two that they move a site by, at most
+
 _GRAIN = 1 << 10  # steps of a field in a factor of two: the last bits of a transform decide nothing
 
 Pictures = Sequence[tuple[int, np.ndarray]]
@@ -145,7 +285,7 @@ class Couplings:
 
         def work(first: int, last: int) -> None:
             for z in range(first, last):
-                units = np.clip(found[z] * np.float32(1 / np.log(2)), -_MOST, _MOST)
+                units = np.clip(found[z] * np.float32(1 / np.log(2)), -_MOST_PULL, _MOST_PULL)
                 into[z] = np.rint(units * _GRAIN)
 
         for_slabs(work, len(into))

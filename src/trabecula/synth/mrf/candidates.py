@@ -1,4 +1,4 @@
-"""A picture at one scale: its neighbourhoods ready for distances, its bandwidth and its statistics."""
+"""CANDIDATES"""
 
 from __future__ import annotations
 
@@ -7,11 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.synth.mrf.content import Content
-from trabecula.synth.mrf.density import LANES, blur_of, optimal_bandwidth
-from trabecula.synth.mrf.feedback import Joint, joint_of
-from trabecula.synth.mrf.planes import pixels_along
-from trabecula.synth.mrf.tables import kernel_table, shift_for
+from trabecula.core.image import Image
+from trabecula.synth.mrf.config import MrfConfig
+from trabecula.synth.mrf.density import (
+    LANES,
+    bins_of_bits,
+    bins_of_products,
+    bit_rows,
+    blur_of,
+    kernel_table,
+    optimal_bandwidth,
+    plain_rows,
+    shift_for,
+    weighted_rows,
+)
+from trabecula.synth.mrf.picture_levels import Content
+from trabecula.synth.mrf.statistics_feedback import Joint, joint_of
+from trabecula.synth.shared.pictures import ROOM
 
 _MANY = 65536  # neighbourhoods that are looked at for the statistics, at most
 
@@ -229,3 +241,184 @@ def bytes_of(sources: Sequence[Source]) -> int:
         for part in (source.bits, source.plain, source.weighted, source.table)
     ]
     return sum(part.nbytes for part in arrays if part is not None)
+
+
+def pixels_along(width: int, stretched: bool) -> np.ndarray:
+    """Where the neighbours lie along an axis of the picture, pixels from the centre."""
+    steps = np.arange(width) - width // 2
+    return np.rint(steps * np.sqrt(2)).astype(np.int64) if stretched else steps
+
+
+def scales_of(images: Sequence[Image], config: MrfConfig) -> int:
+    """How many scales leave room for a neighbourhood in every picture."""
+    smallest, count = min(min(image.shape) for image in images), 1
+    while count < config.scales and smallest // 2**count >= config.neighbourhood + ROOM:
+        count += 1
+    return count
+
+
+_SLOPES = np.linspace(-40, 40, 161)
+
+_WHOLE = 1 << 20
+
+
+def tilted(patches: Patches, void: int, porosity: float) -> Patches:
+    """As many neighbourhoods as before, drawn evenly with weights exp(theta u), u the share of void
+    in each.
+
+    theta, of -40 .. 40, is such that their centres come as near to `porosity` as they can: places
+    of the picture that are more porous than others teach more often.
+    """
+    centre = patches.centres == void
+    share = ((patches.around == void).sum(1, dtype=np.int32) + centre) / (
+        patches.around.shape[1] + 1
+    )
+    # Not by halving an interval: where few neighbourhoods are left, the porosity of their centres
+    # is no rising function.
+    misses = [abs(_porosity(_weights(share, theta), centre) - porosity) for theta in _SLOPES]
+    ends = np.cumsum(_weights(share, _SLOPES[int(np.argmin(misses))]))
+    count = len(share)
+    places = (2 * np.arange(count) + 1) * int(ends[-1]) // (2 * count)
+    return patches[np.searchsorted(ends, places, side="right")]
+
+
+def _weights(share: np.ndarray, theta: float) -> np.ndarray:
+    """Whole numbers, so that machines agree."""
+    power = theta * share
+    return np.rint(_WHOLE * np.exp(power - power.max())).astype(np.int64)
+
+
+def _porosity(weights: np.ndarray, centre: np.ndarray) -> float:
+    return float(weights[centre].sum() / weights.sum())
+
+
+def weigh(
+    found: np.ndarray,
+    weight: np.ndarray,
+    steps: int,
+    source: Source,
+    features: np.ndarray,
+    view: int,
+    bins: np.ndarray,
+    scratch: np.ndarray,
+) -> None:
+    """The weights by centre of one view: `bins` (S, V, L) int64, [:, view] is written.
+
+    `found` and `weight` (S, K) uint8 are the neighbours' levels and weights, in `steps`; `scratch`
+    has room for S products.
+    """
+    if source.bits is not None:
+        words = np.empty((len(found), len(source.bits)), np.uint64)
+        masks = np.empty_like(words)
+        bit_rows(found, weight, *codes_of(len(features)), words, masks)
+        bins_of_bits(
+            words, masks, source.bits, source.centres, source.times, source.table, view, bins
+        )
+        return
+    complete = weight.all(axis=1) if steps == 1 else np.zeros(len(weight), bool)
+    for rows, plain in ((np.flatnonzero(complete), True), (np.flatnonzero(~complete), False)):
+        if len(rows) == len(found):
+            _weigh_products(
+                found, weight, steps, source, features, view, bins, scratch, plain=plain
+            )
+        elif len(rows):
+            part = np.empty((len(rows), 1, bins.shape[2]), np.int64)
+            _weigh_products(
+                found[rows], weight[rows], steps, source, features, 0, part, scratch, plain=plain
+            )
+            bins[rows, view] = part[:, 0]
+
+
+def _weigh_products(
+    found: np.ndarray,
+    weight: np.ndarray,
+    steps: int,
+    source: Source,
+    features: np.ndarray,
+    view: int,
+    bins: np.ndarray,
+    scratch: np.ndarray,
+    *,
+    plain: bool,
+) -> None:
+    """The same by a matrix product; `plain` where all neighbours count in full, which takes fewer
+    columns.
+    """
+    assert source.plain is not None and source.weighted is not None
+    columns = source.plain if plain else source.weighted
+    rows = np.empty((len(found), len(columns)), np.float32)
+    if plain:
+        plain_rows(found, features, rows)
+    else:
+        weighted_rows(found, weight, features, rows)
+    products = scratch[: len(rows), : columns.shape[1]]
+    np.matmul(rows, columns, out=products)
+    table, shift = (
+        (source.table, source.shift)
+        if steps == 1
+        else (source.weighted_table, source.weighted_shift)
+    )
+    bins_of_products(products, source.centres, table, shift, view, bins)
+
+
+_ROWS = 4096  # neighbourhoods that are summed at once
+_TABLES = 80_000  # bytes of the two tables of a source
+
+_SMALL = 100_000  # bytes of what does not depend on the picture
+
+_OF_A_PIXEL = {"labels": 10, "grey": 20, "colour": 132}  # bytes that numbering the levels takes
+
+
+def learning_bytes(
+    images: Sequence[Image], scales: int, config: MrfConfig, *, turned: bool
+) -> tuple[int, int]:
+    """What is kept of the pictures once they are learnt at all scales, and the most that it takes
+    meanwhile.
+    """
+    area, held = config.neighbourhood**2, sum(int(np.prod(image.shape)) for image in images)
+    peak = held * _OF_A_PIXEL[images[0].kind]
+    for scale in range(scales):
+        before = 0
+        for image in [*images, *([images[0]] * 2 if turned else [])]:
+            count = _neighbourhoods(image.shape, scale, config)
+            kept = _source_bytes(image, count, config)
+            sums = (
+                5.3 * area * min(count, _ROWS)
+                + 12 * min(count, _MANY)
+                + area * _MANY * (count > _MANY)
+            )
+            preparing = kept + _SMALL + max(6.3 * area * min(count, config.candidates), sums)
+            peak = max(peak, held + area * count + round(max(before + 2 * area * count, preparing)))
+            held += kept
+            # the neighbourhoods of the last picture go when the next ones are there
+            before = area * count
+    return held, peak
+
+
+def _neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -> int:
+    """How many a picture has at a scale."""
+    stride, edge = 2**scale, config.neighbourhood - 1
+    corners = np.ndindex(stride, stride) if config.every else [(0, 0)]
+    return sum(
+        int(
+            np.prod(
+                [
+                    max(0, -(-(side - first) // stride) - edge)
+                    for side, first in zip(shape, corner, strict=True)
+                ]
+            )
+        )
+        for corner in corners
+    )
+
+
+def _source_bytes(image: Image, count: int, config: MrfConfig) -> int:
+    """What is kept of so many neighbourhoods, were they all different."""
+    chosen, around = min(count, config.candidates), config.neighbourhood**2 - 1
+    phases = len(np.unique(image.values)) if image.kind == "labels" else 0
+    if phases and config.relaxation != "icm":
+        words = -(-around // (64 // codes_of(phases)[1]))
+        return chosen * (8 * words + 10)
+    channels = 3 if image.kind == "colour" else phases if phases > 2 else 1
+    levels = {"labels": phases, "grey": config.levels, "colour": config.colours}[image.kind]
+    return chosen * (4 * around * (2 * channels + 1) + 13) + 8 * levels**2 + _TABLES

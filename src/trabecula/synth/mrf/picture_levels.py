@@ -1,5 +1,5 @@
-"""What the pictures hold, as numbered levels: labels, grey values or colours, each level with
-whole-number features.
+"""The pictures as numbered levels: labels, grey values or colours, each level with whole-number
+features.
 
 The squared distance of two neighbourhoods is the sum over their pixels of the squared differences
 of the levels' features.
@@ -15,7 +15,8 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.engine.random import below, philox
-from trabecula.synth.mrf.palette import palette_of
+from trabecula.synth.mrf.config import MrfConfig
+from trabecula.synth.mrf.density import STEPS
 
 _GROUPS = 12  # of levels, for the feedback
 
@@ -205,3 +206,74 @@ def _grouped(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:
     counts = np.sum([np.bincount(picture.ravel(), minlength=count) for picture in pictures], axis=0)
     middle = np.cumsum(counts) - counts / 2
     return np.minimum(middle * _GROUPS // max(1, counts.sum()), _GROUPS - 1).astype(np.uint8)
+
+
+def palette_of(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many colours that stand for all.
+
+    Parameters
+    ----------
+    pixels : (N, 3) uint8
+    most : int
+        1 .. 256.
+
+    Returns
+    -------
+    colours : (L, 3) uint8
+        Each occurs among the pixels: of its box the one nearest to the mean.
+    which : (N,) uint8
+        The box of every pixel.
+
+    Examples
+    --------
+    >>> colours, which = palette_of(np.array([[0, 0, 0], [9, 9, 9], [250, 0, 0]], np.uint8), 2)
+    >>> colours.tolist(), which.tolist()
+    ([[0, 0, 0], [250, 0, 0]], [0, 0, 1])
+    """
+    packed = pixels.astype(np.int64) @ np.array([65536, 256, 1])
+    present, where, counts = np.unique(packed, return_inverse=True, return_counts=True)
+    colours = np.stack([present >> 16, present >> 8 & 255, present & 255], axis=1)
+    boxes = [np.arange(len(present))]
+    scatter = [_scatter(colours, counts, boxes[0])]
+    while len(boxes) < min(most, len(present)):
+        worst = int(np.argmax([part.sum() for part in scatter]))
+        lower, upper = _halves(colours, counts, boxes[worst], int(np.argmax(scatter[worst])))
+        boxes[worst] = lower
+        boxes.append(upper)
+        scatter[worst] = _scatter(colours, counts, lower)
+        scatter.append(_scatter(colours, counts, upper))
+    number = np.empty(len(present), np.uint8)
+    table = np.empty((len(boxes), 3), np.uint8)
+    for i, box in enumerate(boxes):
+        number[box] = i
+        size = int(counts[box].sum())
+        # from the mean, times the size
+        apart = colours[box] * size - (colours[box] * counts[box, None]).sum(0)
+        table[i] = colours[box[int(np.argmin(np.abs(apart).sum(1)))]]
+    return table, number[where]
+
+
+def _scatter(colours: np.ndarray, counts: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """The sum of squared deviations from the mean, for each channel."""
+    size = counts[box].sum()
+    first = (colours[box] * counts[box, None]).sum(0)
+    second = (colours[box] ** 2 * counts[box, None]).sum(0)
+    return np.asarray(second - first.astype(np.float64) ** 2 / size)
+
+
+def _halves(
+    colours: np.ndarray, counts: np.ndarray, box: np.ndarray, channel: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """A box split at its mean along a channel: neither part is empty where the scatter is not 0."""
+    values = colours[box, channel]
+    below = values * counts[box].sum() <= (values * counts[box]).sum()
+    return box[below], box[~below]
+
+
+def largest_feature(kind: str, config: MrfConfig) -> int:
+    """Such that distances stay exact in float32: 3 W F^2 C K < 2^24, with weights up to W."""
+    channels = 3 if kind == "colour" else 1
+    weight = STEPS if config.relaxation == "icm" else 1
+    return min(
+        127, int(np.sqrt((2**24 - 1) / (3 * weight * channels * (config.neighbourhood**2 - 1))))
+    )
