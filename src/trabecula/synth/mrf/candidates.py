@@ -11,25 +11,25 @@ from trabecula.core.image import Image
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.density import (
     LANES,
-    bins_of_bits,
-    bins_of_products,
     bit_rows,
-    blur_of,
-    kernel_table,
+    centre_gaussian,
+    gaussian_table,
     optimal_bandwidth,
     plain_rows,
-    shift_for,
+    table_shift,
     weighted_rows,
+    weights_from_bits,
+    weights_from_products,
 )
-from trabecula.synth.mrf.picture_levels import Content
-from trabecula.synth.mrf.statistics_feedback import Joint, joint_of
+from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.statistics_feedback import JointHistogram, joint_histogram
 from trabecula.synth.shared.pictures import ROOM
 
 _MANY = 65536  # neighbourhoods that are looked at for the statistics, at most
 
 
 @dataclass(frozen=True)
-class Patches:
+class Neighbourhoods:
     """Neighbourhoods of a picture: `around` (n, K) uint8 levels without the centre, `centres` (n,)
     uint8.
     """
@@ -37,17 +37,17 @@ class Patches:
     around: np.ndarray
     centres: np.ndarray
 
-    def __getitem__(self, chosen: np.ndarray) -> Patches:
-        return Patches(self.around[chosen], self.centres[chosen])
+    def __getitem__(self, chosen: np.ndarray) -> Neighbourhoods:
+        return Neighbourhoods(self.around[chosen], self.centres[chosen])
 
-    def spread(self, most: int) -> Patches:
+    def subsample(self, most: int) -> Neighbourhoods:
         """At most so many, evenly spread over the picture."""
         count = len(self.centres)
         return self if count <= most else self[(2 * np.arange(most) + 1) * count // (2 * most)]
 
 
 @dataclass(frozen=True)
-class Source:
+class ParzenCandidates:
     """What the density of one view needs at one scale.
 
     Attributes
@@ -86,25 +86,25 @@ class Source:
     blur: np.ndarray
     bandwidth: float
     marginal: np.ndarray
-    joint: Joint
+    joint: JointHistogram
 
 
-def patches_of(
+def extract_neighbourhoods(
     picture: np.ndarray,
     *,
     scale: int,
     width: int,
     every: bool,
-    stretched: tuple[bool, bool] = (False, False),
-) -> Patches:
+    diagonal: tuple[bool, bool] = (False, False),
+) -> Neighbourhoods:
     """The neighbourhoods of a picture (R, C) of levels, decimated `scale` times by two.
 
     With `every` the 4^scale pictures that begin at another pixel teach as well; the paper decimates
-    once. Along an axis (rows', columns') that is `stretched` neighbours lie sqrt(2) pixels apart,
+    once. Along an axis (rows', columns') that is `diagonal` neighbours lie sqrt(2) pixels apart,
     rounded.
     """
     stride = 2**scale
-    rows, columns = (pixels_along(width, wide) for wide in stretched)
+    rows, columns = (pixels_along(width, wide) for wide in diagonal)
     found = []
     for corner in np.ndindex((stride, stride) if every else (1, 1)):
         part = picture[corner[0] :: stride, corner[1] :: stride]
@@ -116,19 +116,19 @@ def patches_of(
             )
     middle = width**2 // 2
     around = np.concatenate([np.delete(part, middle, axis=1) for part in found])
-    return Patches(around, np.concatenate([part[:, middle] for part in found]))
+    return Neighbourhoods(around, np.concatenate([part[:, middle] for part in found]))
 
 
-def source_of(
-    patches: Patches,
-    content: Content,
+def prepare_candidates(
+    neighbourhoods: Neighbourhoods,
+    content: PictureLevels,
     *,
     most: int,
     bandwidth: float,
     steps: int,
     products: bool,
     bins: int,
-) -> Source:
+) -> ParzenCandidates:
     """Prepare neighbourhoods.
 
     Parameters
@@ -145,8 +145,8 @@ def source_of(
         Cells of a local sum, for the feedback.
     """
     features = content.features
-    marginal = np.bincount(patches.centres, minlength=len(features))
-    chosen = patches.spread(most)
+    marginal = np.bincount(neighbourhoods.centres, minlength=len(features))
+    chosen = neighbourhoods.subsample(most)
     count, around = chosen.around.shape
     width = content.dimensions * (around + 1)
     h = bandwidth * optimal_bandwidth(
@@ -155,26 +155,26 @@ def source_of(
     twice = max(2 * h * h, 1e-6)
     bits, times = None, np.ones(count, np.int64)
     if content.kind == "labels" and not products:
-        chosen, times = _distinct(chosen)
-        bits = _bits(chosen, len(features))
+        chosen, times = _merge_equal(chosen)
+        bits = _pack_bits(chosen, len(features))
     filled = -(-len(times) // LANES) * LANES
     centres, repeated = np.full(filled, 255, np.uint8), np.zeros(filled, np.int64)
     centres[: len(times)], repeated[: len(times)] = chosen.centres, times
-    shift, weighted_shift = shift_for(twice), shift_for(twice * steps)
-    return Source(
+    shift, weighted_shift = table_shift(twice), table_shift(twice * steps)
+    return ParzenCandidates(
         centres,
         repeated,
         bits,
-        _columns(chosen, features, each=False) if bits is None else None,
-        _columns(chosen, features, each=True) if bits is None else None,
-        kernel_table(twice, shift=shift),
+        _product_columns(chosen, features, each=False) if bits is None else None,
+        _product_columns(chosen, features, each=True) if bits is None else None,
+        gaussian_table(twice, shift=shift),
         shift,
-        kernel_table(twice * steps, shift=weighted_shift),
+        gaussian_table(twice * steps, shift=weighted_shift),
         weighted_shift,
-        blur_of(features, twice),
+        centre_gaussian(features, twice),
         h,
         marginal,
-        joint_of(patches.spread(_MANY), content, bins),
+        joint_histogram(neighbourhoods.subsample(_MANY), content, bins),
     )
 
 
@@ -185,15 +185,15 @@ def _variance(features: np.ndarray, marginal: np.ndarray) -> float:
     return max(float(share @ ((features - mean) ** 2).sum(1)), 1e-3)
 
 
-def _distinct(patches: Patches) -> tuple[Patches, np.ndarray]:
+def _merge_equal(neighbourhoods: Neighbourhoods) -> tuple[Neighbourhoods, np.ndarray]:
     """Each neighbourhood with its centre once, and how often it occurs."""
     rows, times = np.unique(
-        np.column_stack([patches.centres, patches.around]), axis=0, return_counts=True
+        np.column_stack([neighbourhoods.centres, neighbourhoods.around]), axis=0, return_counts=True
     )
-    return Patches(rows[:, 1:], np.ascontiguousarray(rows[:, 0])), times
+    return Neighbourhoods(rows[:, 1:], np.ascontiguousarray(rows[:, 0])), times
 
 
-def codes_of(count: int) -> tuple[np.ndarray, int]:
+def label_codes(count: int) -> tuple[np.ndarray, int]:
     """Bits for labels that differ in as many places, whichever two are compared, and how many bits
     one has: two labels differ in one bit, more in two."""
     if count == 2:
@@ -203,19 +203,21 @@ def codes_of(count: int) -> tuple[np.ndarray, int]:
     return np.uint64(1) << np.arange(count, dtype=np.uint64), count
 
 
-def _bits(patches: Patches, count: int) -> np.ndarray:
-    codes, each = codes_of(count)
+def _pack_bits(neighbourhoods: Neighbourhoods, count: int) -> np.ndarray:
+    codes, each = label_codes(count)
     per = 64 // each
-    filled = -(-len(patches.centres) // LANES) * LANES
-    packed = np.zeros((-(-patches.around.shape[1] // per), filled), np.uint64)
-    for k, column in enumerate(patches.around.T):
+    filled = -(-len(neighbourhoods.centres) // LANES) * LANES
+    packed = np.zeros((-(-neighbourhoods.around.shape[1] // per), filled), np.uint64)
+    for k, column in enumerate(neighbourhoods.around.T):
         packed[k // per, : len(column)] |= codes[column] << np.uint64(k % per * each)
     return packed
 
 
-def _columns(patches: Patches, features: np.ndarray, *, each: bool) -> np.ndarray:
+def _product_columns(
+    neighbourhoods: Neighbourhoods, features: np.ndarray, *, each: bool
+) -> np.ndarray:
     """Features by channel and neighbour, then the squares: of `each` neighbour, or all together."""
-    count, around = patches.around.shape
+    count, around = neighbourhoods.around.shape
     channels = features.shape[1]
     columns = np.zeros(
         (channels * around + (around if each else 1), -(-count // LANES) * LANES), np.float32
@@ -223,33 +225,33 @@ def _columns(patches: Patches, features: np.ndarray, *, each: bool) -> np.ndarra
     squares = (features.astype(np.int32) ** 2).sum(1).astype(np.float32)
     for c in range(channels):
         columns[c * around : (c + 1) * around, :count] = (
-            features[:, c].astype(np.float32)[patches.around].T
+            features[:, c].astype(np.float32)[neighbourhoods.around].T
         )
     if each:
-        columns[channels * around :, :count] = squares[patches.around].T
+        columns[channels * around :, :count] = squares[neighbourhoods.around].T
     else:
-        columns[-1, :count] = squares[patches.around].sum(1)
+        columns[-1, :count] = squares[neighbourhoods.around].sum(1)
     columns[:, count:] = columns[:, :1]  # what fills up must never be the nearest alone
     return columns
 
 
-def bytes_of(sources: Sequence[Source]) -> int:
+def candidate_bytes(candidate_sets: Sequence[ParzenCandidates]) -> int:
     """Memory that sources hold."""
     arrays = [
         part
-        for source in sources
-        for part in (source.bits, source.plain, source.weighted, source.table)
+        for candidates in candidate_sets
+        for part in (candidates.bits, candidates.plain, candidates.weighted, candidates.table)
     ]
     return sum(part.nbytes for part in arrays if part is not None)
 
 
-def pixels_along(width: int, stretched: bool) -> np.ndarray:
+def pixels_along(width: int, diagonal: bool) -> np.ndarray:
     """Where the neighbours lie along an axis of the picture, pixels from the centre."""
     steps = np.arange(width) - width // 2
-    return np.rint(steps * np.sqrt(2)).astype(np.int64) if stretched else steps
+    return np.rint(steps * np.sqrt(2)).astype(np.int64) if diagonal else steps
 
 
-def scales_of(images: Sequence[Image], config: MrfConfig) -> int:
+def count_scales(images: Sequence[Image], config: MrfConfig) -> int:
     """How many scales leave room for a neighbourhood in every picture."""
     smallest, count = min(min(image.shape) for image in images), 1
     while count < config.scales and smallest // 2**count >= config.neighbourhood + ROOM:
@@ -262,41 +264,45 @@ _SLOPES = np.linspace(-40, 40, 161)
 _WHOLE = 1 << 20
 
 
-def tilted(patches: Patches, void: int, porosity: float) -> Patches:
+def reweight_by_porosity(
+    neighbourhoods: Neighbourhoods, void: int, porosity: float
+) -> Neighbourhoods:
     """As many neighbourhoods as before, drawn evenly with weights exp(theta u), u the share of void
     in each.
 
     theta, of -40 .. 40, is such that their centres come as near to `porosity` as they can: places
     of the picture that are more porous than others teach more often.
     """
-    centre = patches.centres == void
-    share = ((patches.around == void).sum(1, dtype=np.int32) + centre) / (
-        patches.around.shape[1] + 1
+    centre = neighbourhoods.centres == void
+    share = ((neighbourhoods.around == void).sum(1, dtype=np.int32) + centre) / (
+        neighbourhoods.around.shape[1] + 1
     )
     # Not by halving an interval: where few neighbourhoods are left, the porosity of their centres
     # is no rising function.
-    misses = [abs(_porosity(_weights(share, theta), centre) - porosity) for theta in _SLOPES]
-    ends = np.cumsum(_weights(share, _SLOPES[int(np.argmin(misses))]))
+    misses = [
+        abs(_mean_porosity(_tilt_weights(share, theta), centre) - porosity) for theta in _SLOPES
+    ]
+    ends = np.cumsum(_tilt_weights(share, _SLOPES[int(np.argmin(misses))]))
     count = len(share)
     places = (2 * np.arange(count) + 1) * int(ends[-1]) // (2 * count)
-    return patches[np.searchsorted(ends, places, side="right")]
+    return neighbourhoods[np.searchsorted(ends, places, side="right")]
 
 
-def _weights(share: np.ndarray, theta: float) -> np.ndarray:
+def _tilt_weights(share: np.ndarray, theta: float) -> np.ndarray:
     """Whole numbers, so that machines agree."""
     power = theta * share
     return np.rint(_WHOLE * np.exp(power - power.max())).astype(np.int64)
 
 
-def _porosity(weights: np.ndarray, centre: np.ndarray) -> float:
+def _mean_porosity(weights: np.ndarray, centre: np.ndarray) -> float:
     return float(weights[centre].sum() / weights.sum())
 
 
-def weigh(
+def weigh_candidates(
     found: np.ndarray,
     weight: np.ndarray,
     steps: int,
-    source: Source,
+    candidates: ParzenCandidates,
     features: np.ndarray,
     view: int,
     bins: np.ndarray,
@@ -307,33 +313,48 @@ def weigh(
     `found` and `weight` (S, K) uint8 are the neighbours' levels and weights, in `steps`; `scratch`
     has room for S products.
     """
-    if source.bits is not None:
-        words = np.empty((len(found), len(source.bits)), np.uint64)
+    if candidates.bits is not None:
+        words = np.empty((len(found), len(candidates.bits)), np.uint64)
         masks = np.empty_like(words)
-        bit_rows(found, weight, *codes_of(len(features)), words, masks)
-        bins_of_bits(
-            words, masks, source.bits, source.centres, source.times, source.table, view, bins
+        bit_rows(found, weight, *label_codes(len(features)), words, masks)
+        weights_from_bits(
+            words,
+            masks,
+            candidates.bits,
+            candidates.centres,
+            candidates.times,
+            candidates.table,
+            view,
+            bins,
         )
         return
     complete = weight.all(axis=1) if steps == 1 else np.zeros(len(weight), bool)
     for rows, plain in ((np.flatnonzero(complete), True), (np.flatnonzero(~complete), False)):
         if len(rows) == len(found):
-            _weigh_products(
-                found, weight, steps, source, features, view, bins, scratch, plain=plain
+            _weigh_by_products(
+                found, weight, steps, candidates, features, view, bins, scratch, plain=plain
             )
         elif len(rows):
             part = np.empty((len(rows), 1, bins.shape[2]), np.int64)
-            _weigh_products(
-                found[rows], weight[rows], steps, source, features, 0, part, scratch, plain=plain
+            _weigh_by_products(
+                found[rows],
+                weight[rows],
+                steps,
+                candidates,
+                features,
+                0,
+                part,
+                scratch,
+                plain=plain,
             )
             bins[rows, view] = part[:, 0]
 
 
-def _weigh_products(
+def _weigh_by_products(
     found: np.ndarray,
     weight: np.ndarray,
     steps: int,
-    source: Source,
+    candidates: ParzenCandidates,
     features: np.ndarray,
     view: int,
     bins: np.ndarray,
@@ -344,8 +365,8 @@ def _weigh_products(
     """The same by a matrix product; `plain` where all neighbours count in full, which takes fewer
     columns.
     """
-    assert source.plain is not None and source.weighted is not None
-    columns = source.plain if plain else source.weighted
+    assert candidates.plain is not None and candidates.weighted is not None
+    columns = candidates.plain if plain else candidates.weighted
     rows = np.empty((len(found), len(columns)), np.float32)
     if plain:
         plain_rows(found, features, rows)
@@ -354,11 +375,11 @@ def _weigh_products(
     products = scratch[: len(rows), : columns.shape[1]]
     np.matmul(rows, columns, out=products)
     table, shift = (
-        (source.table, source.shift)
+        (candidates.table, candidates.shift)
         if steps == 1
-        else (source.weighted_table, source.weighted_shift)
+        else (candidates.weighted_table, candidates.weighted_shift)
     )
-    bins_of_products(products, source.centres, table, shift, view, bins)
+    weights_from_products(products, candidates.centres, table, shift, view, bins)
 
 
 _ROWS = 4096  # neighbourhoods that are summed at once
@@ -370,7 +391,7 @@ _OF_A_PIXEL = {"labels": 10, "grey": 20, "colour": 132}  # bytes that numbering 
 
 
 def learning_bytes(
-    images: Sequence[Image], scales: int, config: MrfConfig, *, turned: bool
+    images: Sequence[Image], scales: int, config: MrfConfig, *, oblique: bool
 ) -> tuple[int, int]:
     """What is kept of the pictures once they are learnt at all scales, and the most that it takes
     meanwhile.
@@ -379,7 +400,7 @@ def learning_bytes(
     peak = held * _OF_A_PIXEL[images[0].kind]
     for scale in range(scales):
         before = 0
-        for image in [*images, *([images[0]] * 2 if turned else [])]:
+        for image in [*images, *([images[0]] * 2 if oblique else [])]:
             count = _neighbourhoods(image.shape, scale, config)
             kept = _source_bytes(image, count, config)
             sums = (
@@ -417,7 +438,7 @@ def _source_bytes(image: Image, count: int, config: MrfConfig) -> int:
     chosen, around = min(count, config.candidates), config.neighbourhood**2 - 1
     phases = len(np.unique(image.values)) if image.kind == "labels" else 0
     if phases and config.relaxation != "icm":
-        words = -(-around // (64 // codes_of(phases)[1]))
+        words = -(-around // (64 // label_codes(phases)[1]))
         return chosen * (8 * words + 10)
     channels = 3 if image.kind == "colour" else phases if phases > 2 else 1
     levels = {"labels": phases, "grey": config.levels, "colour": config.colours}[image.kind]

@@ -131,9 +131,9 @@ class MrfConfig:
         for name, (low, high) in _RANGES.items():
             if getattr(self, name) is not None:
                 self._keep(name, low, high)
-        self._keep_several("sweeps", 1, 1000, whole=True)
-        self._keep_several("heat", 0, 10, whole=False)
-        self._keep_several("final_heat", 0, 10, whole=False)
+        self._check_schedule("sweeps", 1, 1000, whole=True)
+        self._check_schedule("heat", 0, 10, whole=False)
+        self._check_schedule("final_heat", 0, 10, whole=False)
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
         for name in ("every", "resynthesis", "shares", "spread"):
@@ -154,7 +154,7 @@ class MrfConfig:
             self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
         )
 
-    def _keep_several(self, name: str, low: float, high: float, *, whole: bool) -> None:
+    def _check_schedule(self, name: str, low: float, high: float, *, whole: bool) -> None:
         given = getattr(self, name)
         counts = tuple(given) if isinstance(given, (list, tuple)) else (given,)
         if not counts:

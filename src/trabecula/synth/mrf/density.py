@@ -19,7 +19,7 @@ NEAREST_WEIGHT = 1 << 22
 """The weight of the exemplar's nearest neighbourhood; others weigh less, those below 1 nothing."""
 
 
-def kernel_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
+def gaussian_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
     """exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded, for i = 0, 1, ... while it is at
     least 1, then a 0 (int32).
 
@@ -34,7 +34,7 @@ def kernel_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
     )
 
 
-def shift_for(twice_variance: float) -> int:
+def table_shift(twice_variance: float) -> int:
     """The width of a step, as a power of two, such that the table has about 8000 entries at most
     and stays in the cache.
     """
@@ -88,7 +88,7 @@ _BYTES, _1, _2, _4, _56 = (
 
 
 @inline
-def _ones(word):
+def _bit_count(word):
     """How many bits are set."""
     word = word - ((word >> _1) & _S1)
     word = (word & _S2) + ((word >> _2) & _S2)
@@ -98,19 +98,19 @@ def _ones(word):
 
 # Loops of their own, over one row: LLVM turns only these into wide instructions.
 @inline
-def _first_distances(word, mask, row, distance):
+def _set_distances(word, mask, row, distance):
     for p in range(len(row)):
-        distance[p] = _ones((row[p] ^ word) & mask)
+        distance[p] = _bit_count((row[p] ^ word) & mask)
 
 
 @inline
-def _more_distances(word, mask, row, distance):
+def _add_distances(word, mask, row, distance):
     for p in range(len(row)):
-        distance[p] += np.uint8(_ones((row[p] ^ word) & mask))
+        distance[p] += np.uint8(_bit_count((row[p] ^ word) & mask))
 
 
 @inline
-def _passing(distance, reach, passed):
+def _mark_near(distance, reach, passed):
     """The least distance, and which lie at most `reach` beyond it."""
     least = np.uint8(255)
     for p in range(len(distance)):
@@ -122,7 +122,7 @@ def _passing(distance, reach, passed):
 
 
 @kernel
-def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
+def weights_from_bits(words, masks, candidates, centres, times, table, view, bins):
     """Weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ where
     the mask is set.
 
@@ -135,11 +135,11 @@ def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
     distance, passed = np.empty(n, np.uint8), np.empty(n, np.bool_)
     eights, beyond = passed.view(np.uint64), len(table) - 1
     for s in range(len(words)):
-        _first_distances(words[s, 0], masks[s, 0], candidates[0], distance)
+        _set_distances(words[s, 0], masks[s, 0], candidates[0], distance)
         for w in range(1, len(candidates)):
-            _more_distances(words[s, w], masks[s, w], candidates[w], distance)
+            _add_distances(words[s, w], masks[s, w], candidates[w], distance)
         distance[count:] = 255
-        least = _passing(distance, beyond - 1, passed)
+        least = _mark_near(distance, beyond - 1, passed)
         bins[s, view] = 0
         total, centre = np.int64(0), centres[0]
         for e in range(len(eights)):
@@ -154,7 +154,7 @@ def bins_of_bits(words, masks, candidates, centres, times, table, view, bins):
 
 
 @kernel
-def bins_of_products(products, centres, table, shift, view, bins):
+def weights_from_products(products, centres, table, shift, view, bins):
     """Weights by centre from products: `products` (S, n) float32 whole numbers, the distances less
     a constant of the site.
 
@@ -171,8 +171,8 @@ def bins_of_products(products, centres, table, shift, view, bins):
     cut = np.float32((len(table) - 1) << shift)
     for s in range(len(products)):
         row = products[s]
-        least = _least(row, low)
-        _below(row, least + cut, passed)
+        least = _minimum(row, low)
+        _mark_below(row, least + cut, passed)
         found = 0
         for e in range(len(eights)):
             if eights[e]:
@@ -187,7 +187,7 @@ def bins_of_products(products, centres, table, shift, view, bins):
 
 
 @inline
-def _least(row, low):
+def _minimum(row, low):
     """The least entry, by lanes: LLVM reorders no sum or minimum of floats by itself."""
     lanes = len(low)
     low[:] = row[:lanes]
@@ -199,13 +199,13 @@ def _least(row, low):
 
 
 @inline
-def _below(row, bound, passed):
+def _mark_below(row, bound, passed):
     for p in range(len(row)):
         passed[p] = row[p] < bound
 
 
 @kernel
-def densities(bins, blur, logs, share, log):
+def parzen_densities(bins, blur, logs, share, log):
     """Equation 7 from the weights: `share` (S, V, L) float64, summing to 1 over the levels, and its
     `log` in units (int64).
 
@@ -231,7 +231,7 @@ def densities(bins, blur, logs, share, log):
                 log[s, v, level] = log_of(bits[s, v, level], logs)
 
 
-def blur_of(features: np.ndarray, twice_variance: float) -> np.ndarray:
+def centre_gaussian(features: np.ndarray, twice_variance: float) -> np.ndarray:
     """exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so that
     machines agree.
     """

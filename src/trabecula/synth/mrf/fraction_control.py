@@ -9,7 +9,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.synth.mrf.density import LOGS, POWERS, UNIT, log_of, power_of
-from trabecula.synth.mrf.site_update import COLD, Members, over_rows, room_for_rows, sum_over_rows
+from trabecula.synth.mrf.site_update import COLD, SiteClass, allocate_rows, run_on_rows, sum_on_rows
 
 SITE = 1 << 31
 """Steps of an expected number of sites."""
@@ -26,7 +26,7 @@ _MOST = 16 * UNIT
 _LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at most
 
 
-def shifts_for(
+def group_shifts(
     energy: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
 ) -> np.ndarray:
     """Shifts (G,) int64 of the groups' scores, in units, the largest 0.
@@ -34,7 +34,7 @@ def shifts_for(
     Parameters
     ----------
     energy : (S, G) int64
-        Scores of the groups (`of_groups`) at the sites of a class, in units.
+        Scores of the groups (`group_scores`) at the sites of a class, in units.
     wanted : (G,) float64
         Shares that the class is to have, sum 1.
     coldness : int
@@ -42,20 +42,22 @@ def shifts_for(
     start : (G,) int64
         The shifts of the class before.
     """
-    shift, lead = start.copy(), room_for_rows(len(energy))
+    shift, lead = start.copy(), allocate_rows(len(energy))
     first, rounds = (1, 1) if len(wanted) == 2 else (0, _ROUNDS)
     for _ in range(rounds):
         for group in range(first, len(wanted)):
 
             def work(begin: int, end: int, group: int = group) -> None:
-                leads(energy[begin:end], shift, group, coldness, LOGS, POWERS, lead[begin:end])
+                score_leads(
+                    energy[begin:end], shift, group, coldness, LOGS, POWERS, lead[begin:end]
+                )
 
-            over_rows(work, len(lead))
-            shift[group] = _settled(lead, float(wanted[group]), coldness, int(shift[group]))
+            run_on_rows(work, len(lead))
+            shift[group] = _solve_shift(lead, float(wanted[group]), coldness, int(shift[group]))
     return shift - shift.max()
 
 
-def moved_levels(
+def level_shifts(
     taken: np.ndarray,
     groups: np.ndarray,
     wanted: np.ndarray,
@@ -73,7 +75,7 @@ def moved_levels(
     Parameters
     ----------
     taken : (L,) float64
-        How many of the class's `count` sites every level is expected to take (`shares_of`), with
+        How many of the class's `count` sites every level is expected to take (`add_expected_levels`), with
         all shifts.
     groups : (L,) uint8
     wanted : (L,) float64
@@ -91,14 +93,14 @@ def moved_levels(
     return moved
 
 
-def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
+def _solve_shift(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
     """The shift of a group at which its expected share is `wanted`, found by halving an interval
     around the last one.
     """
 
     def taken(shift: int) -> int:
         return int(
-            sum_over_rows(lambda a, b: expected(lead[a:b], shift, coldness, POWERS), len(lead))
+            sum_on_rows(lambda a, b: expected_sites(lead[a:b], shift, coldness, POWERS), len(lead))
         )
 
     aim, room = wanted * len(lead) * SITE, int(_NARROW)
@@ -117,7 +119,7 @@ def _settled(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
 
 
 @kernel
-def of_groups(score, kept, added, groups, coldness, logs, powers, energy):
+def group_scores(score, kept, added, groups, coldness, logs, powers, energy):
     """Scores of the groups (S', G) int64: the logarithm of the sum of their levels' weights, at
     this coldness.
 
@@ -146,7 +148,7 @@ def of_groups(score, kept, added, groups, coldness, logs, powers, energy):
 
 
 @kernel
-def leads(energy, shift, group, coldness, logs, powers, lead):
+def score_leads(energy, shift, group, coldness, logs, powers, lead):
     """By how much a group's shifted score, its own shift left out, lies above all others' together,
     (S,) int64.
     """
@@ -167,7 +169,7 @@ def leads(energy, shift, group, coldness, logs, powers, lead):
 
 
 @kernel
-def expected(lead, shift, coldness, powers):
+def expected_sites(lead, shift, coldness, powers):
     """How many of the sites a group that leads by `lead` + `shift` is expected to take, in steps of
     1 / `SITE`: whole numbers, so that they may be summed in any order."""
     total = np.int64(0)
@@ -179,9 +181,9 @@ def expected(lead, shift, coldness, powers):
 
 
 @kernel
-def shares_of(score, kept, added, coldness, powers, total):
+def add_expected_levels(score, kept, added, coldness, powers, total):
     """Adds the expected number of sites of every level (L,) to `total`; of sites and scores as of
-    `of_groups`.
+    `group_scores`.
     """
     weight = np.empty(score.shape[1], np.float64)
     for s in range(len(score)):
@@ -201,7 +203,7 @@ def shares_of(score, kept, added, coldness, powers, total):
 
 
 @dataclass
-class Shifts:
+class FractionShifts:
     """What is added to the scores of groups of levels, and of levels within them, for the wanted
     shares.
 
@@ -218,43 +220,47 @@ class Shifts:
     wanted: np.ndarray
 
     def __post_init__(self) -> None:
-        self._by_group = np.bincount(self.groups, self.wanted)
-        self.of_groups = np.zeros(len(self._by_group), np.int64)
-        self.fine = np.zeros(len(self.wanted), np.int64)
+        self._wanted_groups = np.bincount(self.groups, self.wanted)
+        self.by_group = np.zeros(len(self._wanted_groups), np.int64)
+        self.by_level = np.zeros(len(self.wanted), np.int64)
 
-    def settle(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
+    def update(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> np.ndarray:
         """The shifts (L,) int32 that give the sites of a class the wanted shares where they lie in
         the result.
         """
-        if not members.asked:
-            return (self.of_groups[self.groups] + self.fine).astype(np.int32)
-        energy = self._energy(members, score, coldness)
-        self.of_groups = shifts_for(energy, self._by_group, coldness=coldness, start=self.of_groups)
+        if not site_class.count_in_result:
+            return (self.by_group[self.groups] + self.by_level).astype(np.int32)
+        energy = self._group_energy(site_class, score, coldness)
+        self.by_group = group_shifts(
+            energy, self._wanted_groups, coldness=coldness, start=self.by_group
+        )
         del energy
-        shift = self.of_groups[self.groups] + self.fine
-        if len(self._by_group) < len(self.wanted):
-            self.fine = moved_levels(
-                self._taken(members, score, shift, coldness),
+        shift = self.by_group[self.groups] + self.by_level
+        if len(self._wanted_groups) < len(self.wanted):
+            self.by_level = level_shifts(
+                self._expected_levels(site_class, score, shift, coldness),
                 self.groups,
                 self.wanted,
-                count=members.asked,
+                count=site_class.count_in_result,
                 coldness=coldness,
-                shift=self.fine,
+                shift=self.by_level,
             )
         return shift.astype(np.int32)
 
-    def _energy(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
+    def _group_energy(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> np.ndarray:
         """Scores (S', G) int64 of the groups at the sites in the result."""
-        (rows, asked), asks_for = members.starts, members.classes.lattice.asks_for
-        energy = members.room((members.asked, len(self._by_group)), np.int64)
+        (rows, asked), in_result = site_class.starts, site_class.classes.lattice.in_result
+        energy = site_class.allocate(
+            (site_class.count_in_result, len(self._wanted_groups)), np.int64
+        )
 
         def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
+            kept = in_result(site_class.sites(first, last))
             into = energy[asked[first] : asked[last]]
-            of_groups(
+            group_scores(
                 score[rows[first] : rows[last]],
                 kept,
-                self.fine,
+                self.by_level,
                 self.groups,
                 coldness,
                 LOGS,
@@ -262,24 +268,24 @@ class Shifts:
                 into,
             )
 
-        members.over(work)
+        site_class.run_on_planes(work)
         return energy
 
-    def _taken(
-        self, members: Members, score: np.ndarray, shift: np.ndarray, coldness: int
+    def _expected_levels(
+        self, site_class: SiteClass, score: np.ndarray, shift: np.ndarray, coldness: int
     ) -> np.ndarray:
         """How many of these sites every level is expected to take, (L,) float64."""
-        rows, asks_for = members.starts[0], members.classes.lattice.asks_for
+        rows, in_result = site_class.starts[0], site_class.classes.lattice.in_result
         # by plane: sums of floats that no slab touches
-        totals = np.zeros((members.depth, len(shift)))
+        totals = np.zeros((site_class.depth, len(shift)))
 
         def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
+            kept = in_result(site_class.sites(first, last))
             for z in range(first, last):
                 of_plane = kept[rows[z] - rows[first] : rows[z + 1] - rows[first]]
-                shares_of(
+                add_expected_levels(
                     score[rows[z] : rows[z + 1]], of_plane, shift, coldness, POWERS, totals[z]
                 )
 
-        members.over(work)
+        site_class.run_on_planes(work)
         return np.array([math.fsum(column) for column in totals.T])

@@ -12,14 +12,14 @@ from trabecula.core.request import Request
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.mrf.picture_levels import Content
+from trabecula.synth.mrf.picture_levels import PictureLevels
 
 ALL = np.zeros((0, 0, 0), bool)
 """To a kernel: every voxel is marked."""
 
 
 @dataclass
-class Lattice:
+class SiteLattice:
     """The output at one scale.
 
     Attributes
@@ -44,7 +44,7 @@ class Lattice:
 
     levels: np.ndarray
     free: np.ndarray | None = None
-    there: np.ndarray | None = None
+    domain: np.ndarray | None = None
     box: tuple[int, ...] | None = None
     form: np.ndarray | None = None
 
@@ -53,7 +53,7 @@ class Lattice:
         """Voxels along z, y, x."""
         return self.levels.shape
 
-    def asks_for(self, sites: np.ndarray) -> np.ndarray:
+    def in_result(self, sites: np.ndarray) -> np.ndarray:
         """Which sites (S,) are voxels of the result, (S,) bool."""
         if self.form is None and self.box in (None, self.shape):
             return np.ones(len(sites), bool)
@@ -65,7 +65,7 @@ class Lattice:
             asked[asked] = self.form[z[asked], y[asked], x[asked]]
         return asked
 
-    def asked(self, first: int, last: int) -> np.ndarray:
+    def result_mask(self, first: int, last: int) -> np.ndarray:
         """Where the result is in these planes, bool."""
         depth, height, width = self.box or self.shape
         asked = np.zeros((last - first, *self.shape[1:]), bool)
@@ -73,13 +73,13 @@ class Lattice:
         part[...] = True if self.form is None else self.form[first : first + len(part)]
         return asked
 
-    def known(self, count: int) -> tuple[int, np.ndarray]:
+    def count_known(self, count: int) -> tuple[int, np.ndarray]:
         """How many voxels of the result are still to be made, and how many of each of `count`
         levels are known.
         """
 
         def work(first: int, last: int) -> np.ndarray:
-            asked = self.asked(first, last)
+            asked = self.result_mask(first, last)
             if self.free is None:
                 return np.append(np.zeros(count, np.int64), np.count_nonzero(asked))
             free = self.free[first:last]
@@ -92,19 +92,19 @@ class Lattice:
         return int(found[-1]), found[:-1]
 
 
-def marks_of(marks: np.ndarray | None) -> np.ndarray:
+def marks_or_all(marks: np.ndarray | None) -> np.ndarray:
     """What a kernel takes for marks."""
     return ALL if marks is None else marks
 
 
-def halved(shape: tuple[int, ...]) -> tuple[int, ...]:
+def half_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     """The shape at half the resolution."""
     return tuple(-(-side // 2) for side in shape)
 
 
-def any_of_eight(marks: np.ndarray) -> np.ndarray:
+def coarsen_any(marks: np.ndarray) -> np.ndarray:
     """(Z, Y, X) bool at half the resolution: whether any of the eight voxels is marked."""
-    coarse = memmap.zeros(halved(marks.shape), bool)
+    coarse = memmap.zeros(half_shape(marks.shape), bool)
 
     def work(first: int, last: int) -> None:
         for corner in np.ndindex(2, 2, 2):
@@ -115,13 +115,13 @@ def any_of_eight(marks: np.ndarray) -> np.ndarray:
     return coarse
 
 
-def known_halved(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def coarsen_known(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Known voxels (uint8 levels) at half the resolution: a cell takes the first of its eight that
     is known.
     """
     result, found = (
-        memmap.zeros(halved(known.shape), values.dtype),
-        memmap.zeros(halved(known.shape), bool),
+        memmap.zeros(half_shape(known.shape), values.dtype),
+        memmap.zeros(half_shape(known.shape), bool),
     )
 
     def work(first: int, last: int) -> None:
@@ -143,9 +143,9 @@ def _of_corner(values: np.ndarray, corner: tuple[int, ...], first: int, last: in
     return values[2 * first + z : 2 * last : 2, y::2, x::2]
 
 
-def grown(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
+def dilate_box(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
     """What lies at most `reach` (a box) from a form at the corner of a torus, (Z, Y, X) bool."""
-    there = memmap.empty(shape, bool)
+    domain = memmap.empty(shape, bool)
     height, width = form.shape[1:]
 
     def work(first: int, last: int) -> None:
@@ -155,14 +155,14 @@ def grown(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
             for other in sorted(near & set(range(len(form)))):
                 plane[:height, :width] |= form[other]
             for axis in (0, 1):
-                plane = _spread(plane, axis, reach)
-            there[z] = plane
+                plane = _dilate_periodic(plane, axis, reach)
+            domain[z] = plane
 
     for_slabs(work, shape[0])
-    return there
+    return domain
 
 
-def _spread(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
+def _dilate_periodic(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
     """The marks of a plane, and all cells at most `reach` from them along a periodic axis."""
     wide = plane.copy()
     for step in range(1, reach + 1):
@@ -171,7 +171,7 @@ def _spread(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
     return wide
 
 
-def padded_shape(
+def torus_shape(
     shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int
 ) -> tuple[int, ...]:
     """The torus that a result is cut from, for `count` scales.
@@ -187,7 +187,7 @@ def padded_shape(
     )
 
 
-def count_of(shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int) -> int:
+def result_scales(shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int) -> int:
     """How many of `count` scales a result has: a periodic axis has to hold a neighbourhood on each."""
     rings = [side for side, around in zip(shape, periodic, strict=True) if around]
     while count > 1 and any(-(-side // 2 ** (count - 1)) < width for side in rings):
@@ -195,68 +195,74 @@ def count_of(shape: Sequence[int], periodic: Sequence[bool], *, count: int, widt
     return count
 
 
-def lattices_of(request: Request, content: Content, count: int, width: int) -> list[Lattice]:
+def build_lattices(
+    request: Request, content: PictureLevels, count: int, width: int
+) -> list[SiteLattice]:
     """The output at `count` resolutions at most, finest first."""
-    count = count_of(request.shape, request.periodic, count=count, width=width)
-    shape = padded_shape(request.shape, request.periodic, count=count, width=width)
+    count = result_scales(request.shape, request.periodic, count=count, width=width)
+    shape = torus_shape(request.shape, request.periodic, count=count, width=width)
     box, form, known = request.shape, request.mask, None
-    levels, there = memmap.zeros(shape, np.uint8), None
+    levels, domain = memmap.zeros(shape, np.uint8), None
     if form is not None:
         # A little more than the form, so that its rim as well is known from all sides.
-        there = grown(form, shape, width // 2)
+        domain = dilate_box(form, shape, width // 2)
     if request.fixed is not None and request.known is not None:
-        known = _measured(request, content, levels, there)
-    lattices = [Lattice(levels, _without(there, known), there, box, form)]
+        known = _enter_known(request, content, levels, domain)
+    lattices = [SiteLattice(levels, _free_sites(domain, known), domain, box, form)]
     while len(lattices) < count:
         if known is None:
-            levels = memmap.zeros(halved(levels.shape), np.uint8)
+            levels = memmap.zeros(half_shape(levels.shape), np.uint8)
         else:
-            levels, known = known_halved(levels, known)
-        there = None if there is None else any_of_eight(there)
-        box, form = halved(box), None if form is None else any_of_eight(form)
-        lattices.append(Lattice(levels, _without(there, known), there, box, form))
+            levels, known = coarsen_known(levels, known)
+        domain = None if domain is None else coarsen_any(domain)
+        box, form = half_shape(box), None if form is None else coarsen_any(form)
+        lattices.append(SiteLattice(levels, _free_sites(domain, known), domain, box, form))
     return lattices
 
 
-def _measured(
-    request: Request, content: Content, levels: np.ndarray, there: np.ndarray | None
+def _enter_known(
+    request: Request, content: PictureLevels, levels: np.ndarray, domain: np.ndarray | None
 ) -> np.ndarray:
     """Where voxels are known, (Z, Y, X) bool; their levels are written, and they are there."""
     assert request.fixed is not None and request.known is not None
-    marks, values, known = request.known, request.fixed.values, memmap.zeros(levels.shape, bool)
+    marks, values, known = (
+        request.known,
+        request.fixed.values,
+        memmap.zeros(levels.shape, bool),
+    )
     _, height, width = marks.shape
 
     def work(first: int, last: int) -> None:
         for z in range(first, last):
             known[z, :height, :width] = marks[z]
             if marks[z].any():
-                levels[z, :height, :width][marks[z]] = content.levels_of(values[z][marks[z]])
-            if there is not None:
-                there[z, :height, :width] |= marks[z]
+                levels[z, :height, :width][marks[z]] = content.nearest_levels(values[z][marks[z]])
+            if domain is not None:
+                domain[z, :height, :width] |= marks[z]
 
     for_slabs(work, len(marks))
     return known
 
 
-def _without(there: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
+def _free_sites(domain: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
     """What is there and not known."""
     if known is None:
-        return there
+        return domain
     free = memmap.empty(known.shape, bool)
 
     def work(first: int, last: int) -> None:
         np.logical_not(known[first:last], out=free[first:last])
-        if there is not None:
-            free[first:last] &= there[first:last]
+        if domain is not None:
+            free[first:last] &= domain[first:last]
 
     for_slabs(work, len(free))
     return free
 
 
-Name = tuple[int, int, int, int]
+ClassName = tuple[int, int, int, int]
 
 
-def colours_along(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:
+def ring_colours(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:
     """A colour for every cell of a ring such that cells of one colour lie more than `reach` apart,
     and how many there are.
 
@@ -273,13 +279,13 @@ def colours_along(side: int, reach: int, *, even: bool = False) -> tuple[np.ndar
     )
 
 
-class Classes:
+class SiteClasses:
     """The classes of a lattice: no two sites of one are in each other's neighbourhood in any plane.
 
     Sites of equal colours along all axes lie too far apart for any plane along the axes. Sites
     whose colours differ along all three share none of these planes; so for these the class of all
     (c, c + a, c + b) is one, and there are m^2 classes. A plane of two diagonals reaches twice as
-    far along an axis; so for planes that are `turned` blocks are told apart like the squares of a
+    far along an axis; so for planes that are `oblique` blocks are told apart like the squares of a
     chessboard, and there are 2 m^3.
 
     Parameters
@@ -290,31 +296,37 @@ class Classes:
     turned : bool
     """
 
-    def __init__(self, lattice: Lattice, width: int, *, turned: bool = False) -> None:
+    def __init__(self, lattice: SiteLattice, width: int, *, oblique: bool = False) -> None:
         self.lattice = lattice
-        found = [colours_along(side, width // 2, even=turned) for side in lattice.shape]
+        found = [ring_colours(side, width // 2, even=oblique) for side in lattice.shape]
         self._colours = tuple(colours for colours, _ in found)
         self._blocks = tuple(np.cumsum(colours == 0) for colours in self._colours)
         self._count = max(count for _, count in found)
         every = range(self._count)
-        self.names: list[Name] = [
+        self.names: list[ClassName] = [
             (c, a, b, square)
-            for c in (every if turned else [-1])
+            for c in (every if oblique else [-1])
             for a in every
             for b in every
-            for square in ((0, 1) if turned else (-1,))
+            for square in ((0, 1) if oblique else (-1,))
         ]
 
-    def sites(self, name: Name, first: int, last: int) -> np.ndarray:
+    def sites(self, name: ClassName, first: int, last: int) -> np.ndarray:
         """The free sites of a class in the planes first .. last as flat places, rising (int64)."""
-        found: np.ndarray = _sites(
-            name, self._count, first, last, self._colours, self._blocks, marks_of(self.lattice.free)
+        found: np.ndarray = _sites_of_class(
+            name,
+            self._count,
+            first,
+            last,
+            self._colours,
+            self._blocks,
+            marks_or_all(self.lattice.free),
         )
         return found
 
 
 @kernel
-def _sites(name, count, first, last, colours, blocks, free):
+def _sites_of_class(name, count, first, last, colours, blocks, free):
     along_z, along_y, along_x = colours
     block_z, block_y, block_x = blocks
     colour, a, b, square = name

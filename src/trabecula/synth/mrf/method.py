@@ -21,22 +21,28 @@ from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.candidates import (
-    Source,
-    bytes_of,
+    ParzenCandidates,
+    candidate_bytes,
+    count_scales,
+    extract_neighbourhoods,
     learning_bytes,
-    patches_of,
-    scales_of,
-    source_of,
-    tilted,
+    prepare_candidates,
+    reweight_by_porosity,
 )
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.density import STEPS
-from trabecula.synth.mrf.lattice import Lattice, count_of, lattices_of, padded_shape
-from trabecula.synth.mrf.picture_levels import Content, content_of, largest_feature
-from trabecula.synth.mrf.relaxation import started
+from trabecula.synth.mrf.lattice import SiteLattice, build_lattices, result_scales, torus_shape
+from trabecula.synth.mrf.picture_levels import PictureLevels, largest_feature, number_levels
+from trabecula.synth.mrf.relaxation import start_relaxation
 from trabecula.synth.mrf.site_update import ROWS_AT_ONCE
-from trabecula.synth.mrf.slice_planes import BATCH_OF_BITS, BATCH_OF_PRODUCTS, Face, across, turned
-from trabecula.synth.mrf.statistics_feedback import Couplings
+from trabecula.synth.mrf.slice_planes import (
+    BATCH_OF_BITS,
+    BATCH_OF_PRODUCTS,
+    SliceView,
+    oblique_planes,
+    plane_across,
+)
+from trabecula.synth.mrf.statistics_feedback import PairCouplings
 from trabecula.synth.shared.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
@@ -44,7 +50,7 @@ from trabecula.synth.shared.statistics.pairs import Pairs
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 
 # along which of a turned plane's axes steps are diagonals
-_STRETCHED = ((False, True), (True, True))
+_DIAGONAL = ((False, True), (True, True))
 
 
 class Mrf(PictureMethod):
@@ -62,10 +68,14 @@ class Mrf(PictureMethod):
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         config = self.config
         three = len(config.views) in (0, 3)
-        turned = (
-            _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
+        oblique = (
+            _uses_oblique(config, exemplars, three=three)
+            if config.oblique is None
+            else config.oblique
         )
-        kept, peak = learning_bytes(exemplars, scales_of(exemplars, config), config, turned=turned)
+        kept, peak = learning_bytes(
+            exemplars, count_scales(exemplars, config), config, oblique=oblique
+        )
         return Plan(
             {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
         )
@@ -89,7 +99,7 @@ class MrfModel(PictureModel):
             known = [n for n, image in enumerate(images) if image is view.image]
             self.learners.append(known[0] if known else len(images))
             images += [] if known else [view.image]
-        self.content: Content = content_of(
+        self.content: PictureLevels = number_levels(
             images,
             full=largest_feature(images[0].kind, config),
             levels=config.levels,
@@ -97,34 +107,34 @@ class MrfModel(PictureModel):
         )
         three = len(self.views) == 3
         self.oblique = (
-            _turns(config, images, three=three) if config.oblique is None else config.oblique
+            _uses_oblique(config, images, three=three) if config.oblique is None else config.oblique
         )
-        self.count = scales_of(images, config)
-        self.sources = [
+        self.count = count_scales(images, config)
+        self.candidate_sets = [
             self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")
         ]
 
-    def _learn(self, scale: int, porosity: float | None) -> list[Source]:
+    def _learn(self, scale: int, porosity: float | None) -> list[ParzenCandidates]:
         """What each picture says at a scale, then what the first says along diagonals; its
         neighbourhoods chosen for a `porosity` where one is asked for."""
         config, content = self.config, self.content
         kinds = [(picture, (False, False)) for picture in content.pictures]
         if self.oblique:
-            kinds += [(content.pictures[0], stretched) for stretched in _STRETCHED]
-        sources = []
-        for picture, stretched in kinds:
-            patches = patches_of(
+            kinds += [(content.pictures[0], diagonal) for diagonal in _DIAGONAL]
+        candidate_sets = []
+        for picture, diagonal in kinds:
+            neighbourhoods = extract_neighbourhoods(
                 picture,
                 scale=scale,
                 width=config.neighbourhood,
                 every=config.every,
-                stretched=stretched,
+                diagonal=diagonal,
             )
             if porosity is not None and content.void is not None:
-                patches = tilted(patches, content.void, porosity)
-            sources.append(
-                source_of(
-                    patches,
+                neighbourhoods = reweight_by_porosity(neighbourhoods, content.void, porosity)
+            candidate_sets.append(
+                prepare_candidates(
+                    neighbourhoods,
                     content,
                     most=config.candidates,
                     bandwidth=config.bandwidth_of(self.content.sort),
@@ -133,22 +143,30 @@ class MrfModel(PictureModel):
                     bins=config.cells,
                 )
             )
-        return sources
+        return candidate_sets
 
-    def _frames(self, sources: Sequence[Source]) -> list[list[Face]]:
+    def _view_sets(self, candidate_sets: Sequence[ParzenCandidates]) -> list[list[SliceView]]:
         """The views along the axes, and where the material is alike in all directions those turned
         about each of them.
         """
         pairs = zip(self.views, self.learners, strict=True)
-        frames = [[Face(across(view.axis), sources[learner], learner) for view, learner in pairs]]
+        view_sets = [
+            [
+                SliceView(plane_across(view.axis), candidate_sets[learner], learner)
+                for view, learner in pairs
+            ]
+        ]
         for axis in range(3) if self.oblique else ():
-            numbers = [1 + _STRETCHED.index(plane.stretched) for plane in turned(axis)]
-            frames.append(
-                [Face(plane, sources[n], n) for plane, n in zip(turned(axis), numbers, strict=True)]
+            numbers = [1 + _DIAGONAL.index(plane.diagonal) for plane in oblique_planes(axis)]
+            view_sets.append(
+                [
+                    SliceView(plane, candidate_sets[n], n)
+                    for plane, n in zip(oblique_planes(axis), numbers, strict=True)
+                ]
             )
-        return frames
+        return view_sets
 
-    def _couplings(self, scale: int, lattice: Lattice) -> Couplings | None:
+    def _couplings(self, scale: int, lattice: SiteLattice) -> PairCouplings | None:
         """The couplings of a scale, which have learnt nothing yet."""
         rate = self.config.coupling_of(self.content.sort)
         if not rate:
@@ -158,7 +176,7 @@ class MrfModel(PictureModel):
             (view.axis, self.content.pictures[learner][::stride, ::stride])
             for view, learner in zip(self.views, self.learners, strict=True)
         ]
-        return Couplings(
+        return PairCouplings(
             pictures,
             self.content.features,
             lattice.shape,
@@ -176,9 +194,9 @@ class MrfModel(PictureModel):
                     f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for more, or for a smaller "
                     "neighbourhood"
                 )
-        self._porosity(request)
+        self._target_porosity(request)
 
-    def _porosity(self, request: Request) -> float | None:
+    def _target_porosity(self, request: Request) -> float | None:
         """The porosity that is asked for."""
         wanted = porosity_of(request.target)
         if isinstance(wanted, np.ndarray):
@@ -187,7 +205,7 @@ class MrfModel(PictureModel):
             )
         return wanted
 
-    def _shares(self, porosity: float | None) -> np.ndarray:
+    def _target_shares(self, porosity: float | None) -> np.ndarray:
         """The shares (L,) of the levels that the result is to have: the pictures', or with another
         porosity.
         """
@@ -205,25 +223,25 @@ class MrfModel(PictureModel):
         return np.asarray(counts / counts.sum())
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
-        porosity = self._porosity(request)
-        sources = (
-            self.sources
+        porosity = self._target_porosity(request)
+        candidate_sets = (
+            self.candidate_sets
             if porosity is None
             else [self._learn(scale, porosity) for scale in range(self.count)]
         )
-        lattices = lattices_of(request, self.content, self.count, self.config.neighbourhood)
+        lattices = build_lattices(request, self.content, self.count, self.config.neighbourhood)
         top = len(lattices) - 1
-        learnt: Couplings | None = None
-        told: list[dict[str, Any]] = []
-        begin, state = self._resumed(top)
-        wanted = self._shares(porosity)
+        learnt: PairCouplings | None = None
+        report: list[dict[str, Any]] = []
+        begin, state = self._find_checkpoint(top)
+        wanted = self._target_shares(porosity)
         for scale in range(begin, -1, -1):
             coarse = lattices[scale + 1].levels if scale < top else None
             couplings = self._couplings(scale, lattices[scale])
-            relaxation = started(
+            relaxation = start_relaxation(
                 lattices[scale],
                 coarse,
-                self._frames(sources[scale]),
+                self._view_sets(candidate_sets[scale]),
                 self.content,
                 self.config,
                 seed=request.seed,
@@ -233,18 +251,18 @@ class MrfModel(PictureModel):
             )
             del coarse, lattices[scale + 1 :]
             if couplings is not None and state is None:
-                couplings.start(learnt, lattices[scale].levels, lattices[scale].there)
+                couplings.start(learnt, lattices[scale].levels, lattices[scale].domain)
             learnt = couplings
-            told = relaxation.run(told, state)
+            report = relaxation.run(report, state)
             state = None
             del relaxation, couplings
         del learnt
-        return self._delivered(lattices[0].levels, request), {
-            "scales": told,
+        return self._to_values(lattices[0].levels, request), {
+            "scales": report,
             "oblique": self.oblique,
         }
 
-    def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
+    def _to_values(self, levels: np.ndarray, request: Request) -> np.ndarray:
         """Levels as values; what is known comes out as it was, and outside a form is nothing."""
         table, word = self.content.values, key(request.seed, "mrf/values")
         depth, height, width = request.shape
@@ -254,7 +272,7 @@ class MrfModel(PictureModel):
             for z in range(first, last):  # an index of the whole would take 8 bytes a voxel
                 plane = levels[z, :height, :width]
                 values[z] = (
-                    self.content.drawn(plane, z, word) if self.config.spread else table[plane]
+                    self.content.draw_values(plane, z, word) if self.config.spread else table[plane]
                 )
                 if request.mask is not None:
                     values[z][~request.mask[z]] = self.content.empty
@@ -265,7 +283,7 @@ class MrfModel(PictureModel):
         for_slabs(work, depth)
         return values
 
-    def _resumed(self, top: int) -> tuple[int, Checkpoint | None]:
+    def _find_checkpoint(self, top: int) -> tuple[int, Checkpoint | None]:
         """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
         for scale in range(top + 1):
             state = resumed(f"scale {scale}")
@@ -274,32 +292,34 @@ class MrfModel(PictureModel):
         return top, None
 
     def _plan(self, request: Request) -> Plan:
-        run = self._run(request)
-        memory = {**self._fixed(request), "output": run.output, "scratch": run.scratch}
+        run = self._run_memory(request)
+        memory = {**self._constant_bytes(request), "output": run.output, "scratch": run.scratch}
         return Plan(
             memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
         )
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
-        return {**self._fixed(request), "slab": self._run(request).slab}
+        return {**self._constant_bytes(request), "slab": self._run_memory(request).slab}
 
-    def _fixed(self, request: Request) -> dict[str, int]:
+    def _constant_bytes(self, request: Request) -> dict[str, int]:
         """Bytes that do not depend on the shape."""
-        kept = bytes_of([source for scale in self.sources for source in scale])
+        kept = candidate_bytes(
+            [candidates for scale in self.candidate_sets for candidates in scale]
+        )
         memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
         if request.target:  # the pictures are learnt anew
             memory["learning"] = learning_bytes(
-                self.exemplars, self.count, self.config, turned=self.oblique
+                self.exemplars, self.count, self.config, oblique=self.oblique
             )[1]
         return memory
 
-    def _run(self, request: Request) -> Run:
+    def _run_memory(self, request: Request) -> RunMemory:
         config, width = self.config, self.config.neighbourhood
-        count = count_of(request.shape, request.periodic, count=self.count, width=width)
-        shape = padded_shape(request.shape, request.periodic, count=count, width=width)
-        kept = [source for scale in self.sources for source in scale]
+        count = result_scales(request.shape, request.periodic, count=self.count, width=width)
+        shape = torus_shape(request.shape, request.periodic, count=count, width=width)
+        kept = [candidates for scale in self.candidate_sets for candidates in scale]
         pairs = self._pairs(shape)
-        return Run(
+        return RunMemory(
             request, shape, self.content, kept, len(self.views), pairs, config, thread_count()
         )
 
@@ -312,7 +332,7 @@ class MrfModel(PictureModel):
         return Pairs(shape, far, (True, True, True), isotropic_scale(spacing_of(self.views)))
 
 
-def _turns(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
+def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
     """Whether turned planes go without being asked for."""
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
 
@@ -324,7 +344,7 @@ _OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
 
 
 @dataclass(frozen=True)
-class Run:
+class RunMemory:
     """What a run's memory depends on.
 
     `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads`
@@ -333,8 +353,8 @@ class Run:
 
     request: Request
     shape: tuple[int, ...]
-    content: Content
-    sources: Sequence[Source]
+    content: PictureLevels
+    candidate_sets: Sequence[ParzenCandidates]
     views: int
     pairs: Pairs | None
     config: MrfConfig
@@ -346,10 +366,14 @@ class Run:
         content = self.content
         around, (levels, channels) = self.config.neighbourhood**2 - 1, content.features.shape
         shares = levels * (24 * self.views + 24) + around * 11
-        words = [len(source.bits) for source in self.sources if source.bits is not None]
+        words = [
+            len(candidates.bits)
+            for candidates in self.candidate_sets
+            if candidates.bits is not None
+        ]
         if words:
             return self.threads * BATCH_OF_BITS * (shares + 16 * max(words))
-        widest = max(len(source.centres) for source in self.sources)
+        widest = max(len(candidates.centres) for candidates in self.candidate_sets)
         return self.threads * (
             BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest
         )
@@ -359,8 +383,12 @@ class Run:
         """The lattices of all scales, and the most that anything takes beside them; the scratch of
         sites comes on top.
         """
-        beside = *self._sites(), self._couplings() - self.scratch, self._values() - self.scratch
-        return self._held() + max(0, *beside)
+        beside = (
+            *self._site_bytes(),
+            self._couplings() - self.scratch,
+            self._value_bytes() - self.scratch,
+        )
+        return self._lattice_bytes() + max(0, *beside)
 
     @property
     def slab(self) -> int:
@@ -374,18 +402,18 @@ class Run:
         most = self.threads * max(plane, sites + ROWS_AT_ONCE * 4 * levels)
         if self.pairs is not None:
             most = max(most, self.pairs.slab_bytes + self.pairs.kept_bytes)
-        return self.scratch + self._tables + 2 * _SMALL + most
+        return self.scratch + self._table_bytes + 2 * _SMALL + most
 
     @property
     def _voxels(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64))
 
     @property
-    def _tables(self) -> int:
+    def _table_bytes(self) -> int:
         """Of the offsets of pairs: their bins, and their weights for a while."""
         return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
 
-    def _held(self) -> int:
+    def _lattice_bytes(self) -> int:
         """From the first sweep to the last, coarser scales included."""
         levels, channels = self.content.features.shape
         marks = (self.request.mask is not None) + (self.request.known is not None)
@@ -393,10 +421,13 @@ class Run:
         if self.pairs is not None:
             each += 9 / 8 * 2 * channels
         return (
-            round(self._voxels * each) + 8 * 4 * self.views * levels**2 + self._tables + 2 * _SMALL
+            round(self._voxels * each)
+            + 8 * 4 * self.views * levels**2
+            + self._table_bytes
+            + 2 * _SMALL
         )
 
-    def _sites(self) -> tuple[int, int]:
+    def _site_bytes(self) -> tuple[int, int]:
         """A class of sites with their scores, and then with the groups' scores less what scratch
         there was before.
         """
@@ -419,7 +450,7 @@ class Run:
             + self.pairs.slab_bytes
         )
 
-    def _values(self) -> int:
+    def _value_bytes(self) -> int:
         """The values that come out."""
         each = self.content.values[0].nbytes
         return each * int(np.prod(self.request.shape, dtype=np.int64))

@@ -22,7 +22,7 @@ _GROUPS = 12  # of levels, for the feedback
 
 
 @dataclass(frozen=True)
-class Content:
+class PictureLevels:
     """The levels of one material.
 
     Attributes
@@ -63,7 +63,7 @@ class Content:
             return self.kind
         return "two phases" if len(self.values) == 2 else "phases"
 
-    def drawn(self, levels: np.ndarray, z: int, key: np.uint64) -> np.ndarray:
+    def draw_values(self, levels: np.ndarray, z: int, key: np.uint64) -> np.ndarray:
         """Levels (Y, X) of plane z as values: each voxel takes one of the pixels that its level
         stands for, at random.
         """
@@ -79,7 +79,7 @@ class Content:
         found = np.flatnonzero(self.values == self.empty)
         return int(found[0]) if len(found) else None
 
-    def levels_of(self, values: np.ndarray) -> np.ndarray:
+    def nearest_levels(self, values: np.ndarray) -> np.ndarray:
         """The nearest level (uint8) of values of the exemplars' kind."""
         if self.kind == "labels":
             return (
@@ -109,7 +109,9 @@ def draw_pixels(levels, starts, key, z, chosen):
             )
 
 
-def content_of(images: Sequence[Image], *, full: int, levels: int, colours: int) -> Content:
+def number_levels(
+    images: Sequence[Image], *, full: int, levels: int, colours: int
+) -> PictureLevels:
     """The levels of exemplars that agree in kind.
 
     Parameters
@@ -122,19 +124,19 @@ def content_of(images: Sequence[Image], *, full: int, levels: int, colours: int)
         Colours of the palette at most, 2 .. 256.
     """
     if images[0].kind == "labels":
-        return _labels(images)
+        return _label_levels(images)
     if images[0].kind == "grey":
-        return _grey(images, full, levels)
-    return _colour(images, full, colours)
+        return _grey_levels(images, full, levels)
+    return _colour_levels(images, full, colours)
 
 
-def _labels(images: Sequence[Image]) -> Content:
+def _label_levels(images: Sequence[Image]) -> PictureLevels:
     present = np.unique(np.concatenate([np.unique(image.values) for image in images]))
     pictures = [np.searchsorted(present, image.values).astype(np.uint8) for image in images]
     count = len(present)
     features = np.arange(2)[:, None] if count == 2 else np.eye(count)
     names = images[0].phases
-    return Content(
+    return PictureLevels(
         "labels",
         present.astype(np.uint8),
         features.astype(np.int16),
@@ -147,7 +149,7 @@ def _labels(images: Sequence[Image]) -> Content:
     )
 
 
-def _grey(images: Sequence[Image], full: int, levels: int) -> Content:
+def _grey_levels(images: Sequence[Image], full: int, levels: int) -> PictureLevels:
     pooled = np.concatenate([image.values.ravel() for image in images])
     present, counts = np.unique(pooled, return_counts=True)
     if len(present) > levels:
@@ -168,15 +170,18 @@ def _grey(images: Sequence[Image], full: int, levels: int) -> Content:
     pictures = [
         numbers[np.searchsorted(present, image.values)].astype(np.uint8) for image in images
     ]
-    groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
-    return Content(
+    groups, parts = (
+        _group_levels(pictures, len(table)),
+        _pool_by_level(pooled, pictures, len(table)),
+    )
+    return PictureLevels(
         "grey", table, features.astype(np.int16)[:, None], 1, groups, pictures, 0, *parts
     )
 
 
-def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
+def _colour_levels(images: Sequence[Image], full: int, colours: int) -> PictureLevels:
     pooled = np.concatenate([image.values.reshape(-1, 3) for image in images])
-    table, pixels = palette_of(pooled, colours)
+    table, pixels = median_cut_palette(pooled, colours)
     # by rising brightness
     order = np.argsort(table.astype(np.int64) @ np.array([299, 587, 114]), kind="stable")
     place = np.empty(len(order), np.uint8)
@@ -188,11 +193,14 @@ def _colour(images: Sequence[Image], full: int, colours: int) -> Content:
         for part, image in zip(np.split(pixels, ends), images, strict=True)
     ]
     features = np.rint((table.astype(np.float64) - 127.5) * (full / 127.5)).astype(np.int16)
-    groups, parts = _grouped(pictures, len(table)), _pooled(pooled, pictures, len(table))
-    return Content("colour", table, features, 3, groups, pictures, 0, *parts)
+    groups, parts = (
+        _group_levels(pictures, len(table)),
+        _pool_by_level(pooled, pictures, len(table)),
+    )
+    return PictureLevels("colour", table, features, 3, groups, pictures, 0, *parts)
 
 
-def _pooled(
+def _pool_by_level(
     pooled: np.ndarray, pictures: Sequence[np.ndarray], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pixels' values by level, and where each level's begin."""
@@ -201,14 +209,14 @@ def _pooled(
     return pooled[np.argsort(levels, kind="stable")], starts
 
 
-def _grouped(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:
+def _group_levels(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:
     """Levels in groups of about equal share, in their order."""
     counts = np.sum([np.bincount(picture.ravel(), minlength=count) for picture in pictures], axis=0)
     middle = np.cumsum(counts) - counts / 2
     return np.minimum(middle * _GROUPS // max(1, counts.sum()), _GROUPS - 1).astype(np.uint8)
 
 
-def palette_of(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+def median_cut_palette(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """At most so many colours that stand for all.
 
     Parameters
@@ -237,7 +245,7 @@ def palette_of(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     scatter = [_scatter(colours, counts, boxes[0])]
     while len(boxes) < min(most, len(present)):
         worst = int(np.argmax([part.sum() for part in scatter]))
-        lower, upper = _halves(colours, counts, boxes[worst], int(np.argmax(scatter[worst])))
+        lower, upper = _split_box(colours, counts, boxes[worst], int(np.argmax(scatter[worst])))
         boxes[worst] = lower
         boxes.append(upper)
         scatter[worst] = _scatter(colours, counts, lower)
@@ -261,7 +269,7 @@ def _scatter(colours: np.ndarray, counts: np.ndarray, box: np.ndarray) -> np.nda
     return np.asarray(second - first.astype(np.float64) ** 2 / size)
 
 
-def _halves(
+def _split_box(
     colours: np.ndarray, counts: np.ndarray, box: np.ndarray, channel: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """A box split at its mean along a channel: neither part is empty where the scatter is not 0."""

@@ -17,27 +17,27 @@ from trabecula.engine.checkpoint import Checkpoint, due, offer
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.mrf.config import MrfConfig
-from trabecula.synth.mrf.fraction_control import Shifts
+from trabecula.synth.mrf.fraction_control import FractionShifts
 from trabecula.synth.mrf.lattice import (
     ALL,
-    Lattice,
-    marks_of,
+    SiteLattice,
+    marks_or_all,
 )
-from trabecula.synth.mrf.picture_levels import Content
+from trabecula.synth.mrf.picture_levels import PictureLevels
 from trabecula.synth.mrf.site_update import (
     COLDEST,
-    Members,
-    Scored,
-    Step,
-    Tally,
+    ClassScores,
+    SiteClass,
+    SweepStep,
+    SweepTally,
+    choose_levels,
     coldness,
-    count_into,
-    levels_for,
-    parts_of,
-    scored,
+    count_local,
+    row_slices,
+    score_class,
 )
-from trabecula.synth.mrf.slice_planes import Face, Frame, gather_places, union_of
-from trabecula.synth.mrf.statistics_feedback import Couplings, Steering
+from trabecula.synth.mrf.slice_planes import SliceView, ViewSet, gather_places, union_offsets
+from trabecula.synth.mrf.statistics_feedback import BiasFeedback, PairCouplings
 
 T = TypeVar("T")
 
@@ -60,36 +60,42 @@ class Relaxation:
         Of equation 8, and where it is not to change; empty unless the relaxation is "icm".
     """
 
-    lattice: Lattice
-    frames: Sequence[Sequence[Face]]
-    content: Content
+    lattice: SiteLattice
+    view_sets: Sequence[Sequence[SliceView]]
+    content: PictureLevels
     config: MrfConfig
     seed: int
     scale: int
     wanted: np.ndarray
-    couplings: Couplings | None = None
+    couplings: PairCouplings | None = None
     temperature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), np.float32))
     held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), bool))
 
     def __post_init__(self) -> None:
         config = self.config
         self._feedback = config.feedback_of(self.content.sort)
-        self._frames = [
-            Frame(
-                faces,
+        self._view_sets = [
+            ViewSet(
+                slice_views,
                 self.lattice,
                 self.content,
                 width=config.neighbourhood,
                 correction=config.correction,
             )
-            for faces in self.frames
+            for slice_views in self.view_sets
         ]
-        self._union = union_of([face.plane for face in self.frames[0]], config.neighbourhood)
-        joints = {face.learner: face.source.joint for faces in self.frames for face in faces}
-        self.steering = Steering(
-            [joints[n] for n in sorted(joints)], len(self.frames[0]), rate=self._feedback
+        self._union = union_offsets(
+            [slice_view.plane for slice_view in self.view_sets[0]], config.neighbourhood
         )
-        self.shifts = Shifts(self.content.groups, self.wanted)
+        joints = {
+            slice_view.learner: slice_view.candidates.joint
+            for slice_views in self.view_sets
+            for slice_view in slice_views
+        }
+        self.bias_feedback = BiasFeedback(
+            [joints[n] for n in sorted(joints)], len(self.view_sets[0]), rate=self._feedback
+        )
+        self.shifts = FractionShifts(self.content.groups, self.wanted)
 
     def run(
         self, before: Sequence[dict[str, Any]] = (), state: Checkpoint | None = None
@@ -110,13 +116,13 @@ class Relaxation:
             self._restore(state.arrays)
         steps = self._steps()
         for number in track(range(begin, len(steps)), self.stage, total=len(steps) - begin):
-            if self.temperature.size and self._fallen() >= self.config.stop:
+            if self.temperature.size and self._temperature_fall() >= self.config.stop:
                 break
             told["changed"].append(self.sweep(steps[number]))
             if self.temperature.size:
-                told["fall"] = round(self._fallen(), 4)
+                told["fall"] = round(self._temperature_fall(), 4)
             if self.couplings is not None:
-                self.couplings.learn(self.lattice.levels, self.lattice.there)
+                self.couplings.learn(self.lattice.levels, self.lattice.domain)
                 told["misfit"] = round(self.couplings.misfit, 4)
             if due():
                 packed = np.frombuffer(json.dumps([*before, told]).encode(), np.uint8)
@@ -128,32 +134,34 @@ class Relaxation:
         """Its name among those of a run."""
         return f"scale {self.scale}"
 
-    def sweep(self, step: Step) -> int:
+    def sweep(self, step: SweepStep) -> int:
         """Visit every site that is to change, class after class; how many did change."""
-        frame = self._frames[step.frame]
-        names = frame.classes.names
+        view_set = self._view_sets[step.view_set]
+        names = view_set.classes.names
         order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
-        tally = Tally(0, self.steering.empty_tables())
+        tally = SweepTally(0, self.bias_feedback.empty_tables())
         part = -(-len(order) // _PARTS)
         held = self.held if self.config.resynthesis else ALL
         for number, place in enumerate(order):
             if self.couplings is not None and number and number % part == 0:
-                self.couplings.act(self.lattice.levels, self.lattice.there)
-            members = Members(frame.classes, names[place], self.temperature, held)
-            if members.count:
-                tally += self._visit(members, frame, step)
+                self.couplings.update_field(self.lattice.levels, self.lattice.domain)
+            site_class = SiteClass(view_set.classes, names[place], self.temperature, held)
+            if site_class.count:
+                tally += self._update_class(site_class, view_set, step)
         if self._feedback:
-            self.steering.learn(tally.tables)
+            self.bias_feedback.learn(tally.tables)
         return tally.changed
 
-    def _visit(self, members: Members, frame: Frame, step: Step) -> Tally:
+    def _update_class(
+        self, site_class: SiteClass, view_set: ViewSet, step: SweepStep
+    ) -> SweepTally:
         """New levels for the sites of a class."""
         config = self.config
-        found = scored(
-            members,
-            frame,
+        found = score_class(
+            site_class,
+            view_set,
             heuristic=config.heuristic,
-            bias=self.steering.bias() if self._feedback else [],
+            bias=self.bias_feedback.bias() if self._feedback else [],
             temperature=self.temperature,
             couplings=self.couplings,
             mirrored=step.mirrored,
@@ -162,77 +170,86 @@ class Relaxation:
         if config.shares and len(found.score):
             cold = step.rule == "icm" or step.heat == 0
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
-            shift = self.shifts.settle(
-                members,
+            shift = self.shifts.update(
+                site_class,
                 found.score,
                 COLDEST if cold else coldness(heat),
             )
-        return members.sum_over(
-            lambda first, last: self._changed(members, found, shift, frame, step, first, last)
+        return site_class.sum_on_planes(
+            lambda first, last: self._update_planes(
+                site_class, found, shift, view_set, step, first, last
+            )
         )
 
-    def _changed(
+    def _update_planes(
         self,
-        members: Members,
-        found: Scored,
+        site_class: SiteClass,
+        found: ClassScores,
         shift: np.ndarray,
-        frame: Frame,
-        step: Step,
+        view_set: ViewSet,
+        step: SweepStep,
         first: int,
         last: int,
-    ) -> Tally:
+    ) -> SweepTally:
         """New levels for those in the planes first .. last; nobody reads meanwhile what this
         writes.
         """
-        sites, start = members.sites(first, last), int(members.starts[0][first])
-        levels, tables, changed = self.lattice.levels.reshape(-1), self.steering.empty_tables(), 0
-        for part in parts_of(len(sites)):
+        sites, start = site_class.sites(first, last), int(site_class.starts[0][first])
+        levels, tables, changed = (
+            self.lattice.levels.reshape(-1),
+            self.bias_feedback.empty_tables(),
+            0,
+        )
+        for part in row_slices(len(sites)):
             asked, rows = sites[part], slice(start + part.start, start + part.stop)
             present = levels[asked]
             if len(found.chosen):
                 chosen = found.chosen[rows]
             else:
-                chosen = levels_for(
+                chosen = choose_levels(
                     found.score[rows] + shift, asked, present, step, self.config.proposals
                 )
             changed += int(np.count_nonzero(present != chosen))
             levels[asked] = chosen
             if self.temperature.size:
-                there = marks_of(self.lattice.there)
-                cool(asked, self._union, there, self.held, self.config.xi, self.temperature)
+                domain = marks_or_all(self.lattice.domain)
+                cool(asked, self._union, domain, self.held, self.config.xi, self.temperature)
             if self._feedback:
-                count_into(tables, found.cells[:, rows], frame, chosen)
-        return Tally(changed, tables)
+                count_local(tables, found.cells[:, rows], view_set, chosen)
+        return SweepTally(changed, tables)
 
-    def _steps(self) -> list[Step]:
+    def _steps(self) -> list[SweepStep]:
         """Every sweep of this scale."""
         config = self.config
-        count = _of_scale(config.sweeps, self.scale)
+        count = _at_scale(config.sweeps, self.scale)
         stage = key(self.seed, f"mrf/{self.scale}/{config.relaxation}")
         if config.relaxation == "icm":
-            return [Step("icm", 0.0, stage, n) for n in range(count)]
+            return [SweepStep("icm", 0.0, stage, n) for n in range(count)]
         if config.relaxation == "annealing":
             heats = [1 - n / count for n in range(count)]
         else:
             first, last = (
-                _of_scale(config.heat, self.scale),
-                _of_scale(config.final_heat, self.scale),
+                _at_scale(config.heat, self.scale),
+                _at_scale(config.final_heat, self.scale),
             )
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
         polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
         # A material that is alike in all directions is so for its mirror image.
-        ways = len(self._frames)
+        ways = len(self._view_sets)
         steps = [
-            Step(config.relaxation, heat, stage, n, n % ways, ways > 1 and n // ways % 2 > 0)
+            SweepStep(config.relaxation, heat, stage, n, n % ways, ways > 1 and n // ways % 2 > 0)
             for n, heat in enumerate(heats)
         ]
         # The last sweeps go by the planes along the axes, in which the result will be looked at.
         return [
             *steps,
-            *(Step("icm", 0.0, stage, count + n, 0, ways > 1 and n % 2 > 0) for n in range(polish)),
+            *(
+                SweepStep("icm", 0.0, stage, count + n, 0, ways > 1 and n % 2 > 0)
+                for n in range(polish)
+            ),
         ]
 
-    def _fallen(self) -> float:
+    def _temperature_fall(self) -> float:
         """By what share the global temperature has fallen since the scale began (section V.B)."""
         temperature, held = self.temperature, self.held
         sums = np.zeros(len(temperature))
@@ -256,38 +273,38 @@ class Relaxation:
         return {
             "levels": self.lattice.levels,
             "temperature": self.temperature,
-            "shift": self.shifts.of_groups,
-            "fine": self.shifts.fine,
-            **self.steering.state(),
+            "shift": self.shifts.by_group,
+            "fine": self.shifts.by_level,
+            **self.bias_feedback.state(),
             **learnt,
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:
         self.lattice.levels, self.temperature = arrays["levels"], arrays["temperature"]
-        self.shifts.of_groups, self.shifts.fine = arrays["shift"], arrays["fine"]
-        self.steering.restore(arrays)
+        self.shifts.by_group, self.shifts.by_level = arrays["shift"], arrays["fine"]
+        self.bias_feedback.restore(arrays)
         if self.couplings is not None:
             self.couplings.strength = arrays["strength"]
-            self.couplings.act(self.lattice.levels, self.lattice.there)
+            self.couplings.update_field(self.lattice.levels, self.lattice.domain)
 
 
-def _of_scale(schedule: Sequence[T], scale: int) -> T:
+def _at_scale(schedule: Sequence[T], scale: int) -> T:
     return schedule[min(scale, len(schedule) - 1)]
 
 
 @kernel
-def cool(sites, offsets, there, held, xi, temperature):
+def cool(sites, offsets, domain, held, xi, temperature):
     """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held`
     sites keep theirs.
 
-    What is not `there` is no neighbour; without entries all are.
+    What is not `domain` is no neighbour; without entries all are.
     """
     flat, kept = temperature.ravel(), held.ravel()
     places = np.empty((1, len(offsets)), np.int64)
     for s in range(len(sites)):
         if kept[sites[s]]:
             continue
-        gather_places(sites[s : s + 1], offsets, temperature.shape, there, places)
+        gather_places(sites[s : s + 1], offsets, temperature.shape, domain, places)
         total, number = np.float64(xi), 0
         for place in places[0]:
             if place >= 0:
@@ -296,17 +313,17 @@ def cool(sites, offsets, there, held, xi, temperature):
         flat[sites[s]] = max(0.0, total / max(number, 1))
 
 
-def started(
-    lattice: Lattice,
+def start_relaxation(
+    lattice: SiteLattice,
     coarse: np.ndarray | None,
-    frames: Sequence[Sequence[Face]],
-    content: Content,
+    view_sets: Sequence[Sequence[SliceView]],
+    content: PictureLevels,
     config: MrfConfig,
     *,
     seed: int,
     scale: int,
     wanted: np.ndarray,
-    couplings: Couplings | None,
+    couplings: PairCouplings | None,
 ) -> Relaxation:
     """The relaxation of a scale at its start: white noise with the picture's histogram, and what a
     coarser one hands on.
@@ -317,30 +334,32 @@ def started(
     first of its eight ("one", 1/8), or to all ("all", 8/8); either way only the first inherits its
     temperature of 0.
     """
-    marginal = np.sum([face.source.marginal for face in frames[0]], axis=0)
+    marginal = np.sum([slice_view.candidates.marginal for slice_view in view_sets[0]], axis=0)
     # else there is nothing that it would not overwrite
     if coarse is None or config.upsampling == "one":
         _fill_with_noise(lattice, marginal, seed, scale)
     if coarse is not None:
-        _hand_on(lattice, coarse, config.upsampling)
+        _inherit(lattice, coarse, config.upsampling)
     relaxation = Relaxation(
-        lattice, frames, content, config, seed, scale, _of_free(lattice, wanted), couplings
+        lattice, view_sets, content, config, seed, scale, _free_shares(lattice, wanted), couplings
     )
     if config.relaxation == "icm":
-        relaxation.temperature, relaxation.held = _warm(lattice, inherits=coarse is not None)
+        relaxation.temperature, relaxation.held = _initial_temperatures(
+            lattice, inherits=coarse is not None
+        )
     return relaxation
 
 
-def _of_free(lattice: Lattice, wanted: np.ndarray) -> np.ndarray:
+def _free_shares(lattice: SiteLattice, wanted: np.ndarray) -> np.ndarray:
     """The shares that voxels still to be made need, so that they and the known ones have the wanted
     shares together.
     """
-    left, held = lattice.known(len(wanted))
+    left, held = lattice.count_known(len(wanted))
     missing = np.maximum(wanted * (left + int(held.sum())) - held, 0)
     return missing / missing.sum() if left and missing.sum() > 0 else wanted
 
 
-def _fill_with_noise(lattice: Lattice, marginal: np.ndarray, seed: int, scale: int) -> None:
+def _fill_with_noise(lattice: SiteLattice, marginal: np.ndarray, seed: int, scale: int) -> None:
     """Free voxels drawn from a histogram, each plane with random numbers of its own."""
     ends = np.cumsum(marginal)
 
@@ -353,12 +372,12 @@ def _fill_with_noise(lattice: Lattice, marginal: np.ndarray, seed: int, scale: i
             drawn = (
                 np.searchsorted(ends, raw, side="right").astype(np.uint8).reshape(lattice.shape[1:])
             )
-            _put(lattice, slice(z, z + 1), drawn[None])
+            _set_free(lattice, slice(z, z + 1), drawn[None])
 
     for_slabs(work, lattice.shape[0])
 
 
-def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
+def _inherit(lattice: SiteLattice, coarse: np.ndarray, upsampling: str) -> None:
     """What a coarser scale found goes to the first of each eight voxels, or to all; what is not
     free stays.
     """
@@ -367,9 +386,11 @@ def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
         for z in range(first, last):
             if upsampling == "all":
                 found = coarse[z // 2].repeat(2, axis=0).repeat(2, axis=1)
-                _put(lattice, slice(z, z + 1), found[None, : lattice.shape[1], : lattice.shape[2]])
+                _set_free(
+                    lattice, slice(z, z + 1), found[None, : lattice.shape[1], : lattice.shape[2]]
+                )
             elif z % 2 == 0:
-                _put(
+                _set_free(
                     lattice,
                     (slice(z, z + 1), slice(None, None, 2), slice(None, None, 2)),
                     coarse[None, z // 2],
@@ -378,14 +399,14 @@ def _hand_on(lattice: Lattice, coarse: np.ndarray, upsampling: str) -> None:
     for_slabs(work, lattice.shape[0])
 
 
-def _put(lattice: Lattice, part: Any, found: np.ndarray) -> None:
+def _set_free(lattice: SiteLattice, part: Any, found: np.ndarray) -> None:
     """Levels for the free voxels of a part."""
     np.copyto(
         lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part]
     )
 
 
-def _warm(lattice: Lattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
+def _initial_temperatures(lattice: SiteLattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
     """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first
     of every eight.
     """

@@ -15,9 +15,9 @@ from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.engine.random import below, philox
 from trabecula.synth.mrf.density import POWERS, UNIT, power_of
-from trabecula.synth.mrf.lattice import Classes, Name
-from trabecula.synth.mrf.slice_planes import Frame, best_level, of_views
-from trabecula.synth.mrf.statistics_feedback import Couplings, Tables, count
+from trabecula.synth.mrf.lattice import ClassName, SiteClasses
+from trabecula.synth.mrf.slice_planes import ViewSet, best_level, level_of_views
+from trabecula.synth.mrf.statistics_feedback import BiasTables, PairCouplings, count_cells
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ _ENOUGH = 256
 
 
 @dataclass
-class Members:
+class SiteClass:
     """The sites of a class that are to be asked: found anew wherever they are needed, since their
     places would take more room than their levels do.
 
@@ -43,8 +43,8 @@ class Members:
     without entries where that is nobody's business.
     """
 
-    classes: Classes
-    name: Name
+    classes: SiteClasses
+    name: ClassName
     temperature: np.ndarray
     held: np.ndarray
 
@@ -76,7 +76,7 @@ class Members:
             z = sites // plane - first
             counts[0, first + 1 : last + 1] = np.bincount(z, minlength=last - first)
             counts[1, first + 1 : last + 1] = np.bincount(
-                z[lattice.asks_for(sites)], minlength=last - first
+                z[lattice.in_result(sites)], minlength=last - first
             )
 
         if lattice.levels.size > _MANY:
@@ -92,7 +92,7 @@ class Members:
         return int(self.starts[0][-1])
 
     @property
-    def asked(self) -> int:
+    def count_in_result(self) -> int:
         """How many of them lie in the result."""
         return int(self.starts[1][-1])
 
@@ -100,35 +100,35 @@ class Members:
     def _are_few(self) -> bool:
         return self.count < _FEW and self.classes.lattice.levels.size <= _MANY
 
-    def room(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
-        """An array of rows for sites, for `dear_over` to write; in memory where it is small: every
+    def allocate(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
+        """An array of rows for sites, for `run_expensive` to write; in memory where it is small: every
         visit has some.
         """
         small = self._are_few and math.prod(shape) * np.dtype(dtype).itemsize < _SMALL
         return np.empty(tuple(shape), dtype) if small else memmap.empty(shape, dtype, least=0)
 
-    def over(self, work: Callable[[int, int], object]) -> None:
+    def run_on_planes(self, work: Callable[[int, int], object]) -> None:
         """Light work on planes of them."""
         if self._are_few:
             work(0, self.depth)
         else:
-            for_slabs(work, self.depth, least=self._planes(_FEW))
+            for_slabs(work, self.depth, least=self._planes_with(_FEW))
 
-    def sum_over(self, work: Callable[[int, int], T]) -> T:
+    def sum_on_planes(self, work: Callable[[int, int], T]) -> T:
         """The sum of whole numbers over planes of them."""
         return (
             work(0, self.depth)
             if self._are_few
-            else sum_slabs(work, self.depth, least=self._planes(_FEW))
+            else sum_slabs(work, self.depth, least=self._planes_with(_FEW))
         )
 
-    def dear_over(self, work: Callable[[int, int], object]) -> None:
-        """Dear work on planes of them, which other processes may do; it writes slabs of what `room`
+    def run_expensive(self, work: Callable[[int, int], object]) -> None:
+        """Dear work on planes of them, which other processes may do; it writes slabs of what `allocate`
         gave.
         """
-        for_slabs(work, self.depth, least=self._planes(_ENOUGH), anywhere=not self._are_few)
+        for_slabs(work, self.depth, least=self._planes_with(_ENOUGH), anywhere=not self._are_few)
 
-    def _planes(self, sites: int) -> int:
+    def _planes_with(self, sites: int) -> int:
         """Planes that hold so many sites."""
         return max(1, self.depth * sites // max(1, self.count))
 
@@ -136,7 +136,7 @@ class Members:
 ROWS_AT_ONCE = 4096  # sites that get new levels at once
 
 
-def over_rows(work: Callable[[int, int], object], rows: int) -> None:
+def run_on_rows(work: Callable[[int, int], object], rows: int) -> None:
     """Light work on rows of numbers, one for each site."""
     if rows < _FEW:
         work(0, rows)
@@ -144,18 +144,18 @@ def over_rows(work: Callable[[int, int], object], rows: int) -> None:
         for_slabs(work, rows, least=_FEW)
 
 
-def sum_over_rows(work: Callable[[int, int], T], rows: int) -> T:
+def sum_on_rows(work: Callable[[int, int], T], rows: int) -> T:
     """The sum of whole numbers over rows."""
     return work(0, rows) if rows < _FEW else sum_slabs(work, rows, least=_FEW)
 
 
-def room_for_rows(rows: int) -> np.ndarray:
+def allocate_rows(rows: int) -> np.ndarray:
     """A whole number for every row (int64); in memory where that is little."""
     return np.empty(rows, np.int64) if rows < _FEW else memmap.empty(rows, np.int64)
 
 
 @dataclass(frozen=True)
-class Step:
+class SweepStep:
     """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for
     random words, which of the frames it goes by, and whether it sees the pictures from behind."""
 
@@ -163,12 +163,12 @@ class Step:
     heat: float
     key: np.uint64
     number: int
-    frame: int = 0
+    view_set: int = 0
     mirrored: bool = False
 
 
 @dataclass(frozen=True)
-class Scored:
+class ClassScores:
     """What is known of the sites of a class, one row for each.
 
     Attributes
@@ -187,29 +187,29 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Tally:
+class SweepTally:
     """How many sites changed, and what the feedback counted."""
 
     changed: int
-    tables: Tables
+    tables: BiasTables
 
-    def __add__(self, other: Tally) -> Tally:
-        return Tally(
+    def __add__(self, other: SweepTally) -> SweepTally:
+        return SweepTally(
             self.changed + other.changed,
             [a + b for a, b in zip(self.tables, other.tables, strict=True)],
         )
 
 
-def scored(
-    members: Members,
-    frame: Frame,
+def score_class(
+    site_class: SiteClass,
+    view_set: ViewSet,
     *,
     heuristic: str,
-    bias: Tables,
+    bias: BiasTables,
     temperature: np.ndarray,
-    couplings: Couplings | None,
+    couplings: PairCouplings | None,
     mirrored: bool,
-) -> Scored:
+) -> ClassScores:
     """The scores of a class.
 
     Parameters
@@ -227,62 +227,66 @@ def scored(
         Whether the pictures are seen from behind.
     """
     at_once = heuristic in ("h1a", "h1b")
-    features, starts = frame.content.features, members.starts[0]
-    score = members.room((0 if at_once else members.count, len(features)), np.int32)
-    chosen = members.room((members.count if at_once else 0,), np.uint8)
-    cells = members.room(
-        (len(frame.faces), members.count if bias else 0, features.shape[1]), np.uint8
+    features, starts = view_set.content.features, site_class.starts[0]
+    score = site_class.allocate((0 if at_once else site_class.count, len(features)), np.int32)
+    chosen = site_class.allocate((site_class.count if at_once else 0,), np.uint8)
+    cells = site_class.allocate(
+        (len(view_set.slice_views), site_class.count if bias else 0, features.shape[1]), np.uint8
     )
 
     def work(first: int, last: int) -> None:
-        sites, start = members.sites(first, last), int(starts[first])
-        room = frame.scratch(len(sites))
-        for begin in range(0, len(sites), frame.batch):
-            asked = sites[begin : begin + frame.batch]
+        sites, start = site_class.sites(first, last), int(starts[first])
+        room = view_set.product_buffer(len(sites))
+        for begin in range(0, len(sites), view_set.batch):
+            asked = sites[begin : begin + view_set.batch]
             rows = slice(start + begin, start + begin + len(asked))
             pulled = np.zeros((len(asked), len(features)), np.int64)
-            log = frame.densities(
+            log = view_set.log_densities(
                 asked, room, temperature, pulled, bias, cells[:, rows], mirrored=mirrored
             )
             if at_once:
-                of_views(log, features, heuristic == "h1b", chosen[rows])
+                level_of_views(log, features, heuristic == "h1b", chosen[rows])
                 continue
             if couplings is not None:
-                couplings.pull(asked, pulled)
-            frame.score(log, pulled, heuristic, score[rows])
+                couplings.add_to_scores(asked, pulled)
+            view_set.combine(log, pulled, heuristic, score[rows])
 
-    members.dear_over(work)
-    return Scored(score, chosen, cells)
+    site_class.run_expensive(work)
+    return ClassScores(score, chosen, cells)
 
 
-def levels_for(
-    score: np.ndarray, sites: np.ndarray, present: np.ndarray, step: Step, proposals: int
+def choose_levels(
+    score: np.ndarray, sites: np.ndarray, present: np.ndarray, step: SweepStep, proposals: int
 ) -> np.ndarray:
     """New levels (S,) uint8 by the rule of a step, from scores (S, L) int32 with all shifts and the
     `present` levels.
     """
     chosen = np.empty(len(sites), np.uint8)
     if step.rule == "icm" or (step.rule == "gibbs" and step.heat == 0):
-        greatest(score, chosen)
+        most_probable_levels(score, chosen)
     elif step.rule == "gibbs":
-        drawn(score, coldness(step.heat), POWERS, sites, step.key, step.number, chosen)
+        draw_levels(score, coldness(step.heat), POWERS, sites, step.key, step.number, chosen)
     else:
         heat = round(65536 * step.heat)
-        proposed(score, heat, POWERS, present, proposals, sites, step.key, step.number, chosen)
+        propose_levels(
+            score, heat, POWERS, present, proposals, sites, step.key, step.number, chosen
+        )
     return chosen
 
 
-def parts_of(count: int) -> list[slice]:
+def row_slices(count: int) -> list[slice]:
     """So many rows, a few at a time."""
     return [
         slice(first, min(first + ROWS_AT_ONCE, count)) for first in range(0, count, ROWS_AT_ONCE)
     ]
 
 
-def count_into(tables: Tables, cells: np.ndarray, frame: Frame, chosen: np.ndarray) -> None:
+def count_local(
+    tables: BiasTables, cells: np.ndarray, view_set: ViewSet, chosen: np.ndarray
+) -> None:
     """Count the levels chosen at some sites by cell (V, S, C)."""
-    for face, cell in zip(frame.faces, cells, strict=True):
-        count(cell, frame.content.groups, chosen, tables[face.learner])
+    for slice_view, cell in zip(view_set.slice_views, cells, strict=True):
+        count_cells(cell, view_set.content.groups, chosen, tables[slice_view.learner])
 
 
 COLD = 4096
@@ -300,14 +304,14 @@ def coldness(heat: float) -> int:
 
 
 @kernel
-def greatest(score, chosen):
+def most_probable_levels(score, chosen):
     """The level of the greatest score; of equals the first."""
     for s in range(len(score)):
         chosen[s] = best_level(score[s])
 
 
 @kernel
-def drawn(score, coldness, powers, sites, key, sweep, chosen):
+def draw_levels(score, coldness, powers, sites, key, sweep, chosen):
     """A level drawn with probability proportional to 2^(score coldness / 2^16 / 2^12); coldness
     4096 is temperature 1.
     """
@@ -328,7 +332,7 @@ def drawn(score, coldness, powers, sites, key, sweep, chosen):
 
 
 @kernel
-def proposed(score, temperature, powers, present, tries, sites, key, sweep, chosen):
+def propose_levels(score, temperature, powers, present, tries, sites, key, sweep, chosen):
     """The paper's figure 1: a level at random takes the place of the present one where p > 1 or p t
     > q, p the ratio of scores.
 

@@ -8,34 +8,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.mrf.candidates import Source, weigh
-from trabecula.synth.mrf.density import LOGS, STEPS, densities, log_units
-from trabecula.synth.mrf.lattice import Classes, Lattice, marks_of
-from trabecula.synth.mrf.picture_levels import Content
-from trabecula.synth.mrf.statistics_feedback import Tables, cells_of, pull
+from trabecula.synth.mrf.candidates import ParzenCandidates, weigh_candidates
+from trabecula.synth.mrf.density import LOGS, STEPS, log_units, parzen_densities
+from trabecula.synth.mrf.lattice import SiteClasses, SiteLattice, marks_or_all
+from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.statistics_feedback import BiasTables, add_bias, local_cells
 
-Step = tuple[int, int, int]
+Offset = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Plane:
+class SlicePlane:
     """A plane by what one step along a picture's rows' axis, and one along its columns' axis, is in
     voxels (z, y, x).
     """
 
-    rows: Step
-    columns: Step
+    rows: Offset
+    columns: Offset
 
     @property
-    def stretched(self) -> tuple[bool, bool]:
+    def diagonal(self) -> tuple[bool, bool]:
         """Whether the steps are diagonals."""
         return sum(map(abs, self.rows)) > 1, sum(map(abs, self.columns)) > 1
 
     @property
-    def mirrored(self) -> Plane:
+    def mirror_image(self) -> SlicePlane:
         """The same plane, its picture seen from behind."""
         z, y, x = self.columns
-        return Plane(self.rows, (-z, -y, -x))
+        return SlicePlane(self.rows, (-z, -y, -x))
 
     def offsets(self, width: int) -> np.ndarray:
         """Where the neighbours lie, (w^2 - 1, 3) int64, in the order of a picture's pixels."""
@@ -46,26 +46,29 @@ class Plane:
         return np.delete(grid.reshape(-1, 3), width**2 // 2, axis=0)
 
 
-def across(axis: int) -> Plane:
+def plane_across(axis: int) -> SlicePlane:
     """The plane along two axes that is seen across the third."""
     rows, columns = (other for other in range(3) if other != axis)
-    return Plane(_unit(rows), _unit(columns))
+    return SlicePlane(_unit_step(rows), _unit_step(columns))
 
 
-def turned(axis: int) -> tuple[Plane, Plane, Plane]:
+def oblique_planes(axis: int) -> tuple[SlicePlane, SlicePlane, SlicePlane]:
     """Three orthogonal planes, turned by 45 degrees about an axis."""
     first, second = (other for other in range(3) if other != axis)
-    up, down = np.add(_unit(first), _unit(second)), np.subtract(_unit(first), _unit(second))
-    rising, falling, along = tuple(up.tolist()), tuple(down.tolist()), _unit(axis)
-    return Plane(rising, falling), Plane(along, rising), Plane(along, falling)
+    up, down = (
+        np.add(_unit_step(first), _unit_step(second)),
+        np.subtract(_unit_step(first), _unit_step(second)),
+    )
+    rising, falling, along = tuple(up.tolist()), tuple(down.tolist()), _unit_step(axis)
+    return SlicePlane(rising, falling), SlicePlane(along, rising), SlicePlane(along, falling)
 
 
-def union_of(planes: Sequence[Plane], width: int) -> np.ndarray:
+def union_offsets(planes: Sequence[SlicePlane], width: int) -> np.ndarray:
     """All neighbours in three dimensions, each once (equation 11)."""
     return np.unique(np.concatenate([plane.offsets(width) for plane in planes]), axis=0)
 
 
-def _unit(axis: int) -> Step:
+def _unit_step(axis: int) -> Offset:
     steps = [0, 0, 0]
     steps[axis] = 1
     return steps[0], steps[1], steps[2]
@@ -78,15 +81,15 @@ _MOST = 1 << 30
 
 
 @dataclass(frozen=True)
-class Face:
+class SliceView:
     """A view at one scale: its plane and what it learns from; `learner` numbers its statistics."""
 
-    plane: Plane
-    source: Source
+    plane: SlicePlane
+    candidates: ParzenCandidates
     learner: int
 
 
-class Frame:
+class ViewSet:
     """The views that a sweep goes by.
 
     Parameters
@@ -102,42 +105,52 @@ class Frame:
 
     def __init__(
         self,
-        faces: Sequence[Face],
-        lattice: Lattice,
-        content: Content,
+        slice_views: Sequence[SliceView],
+        lattice: SiteLattice,
+        content: PictureLevels,
         *,
         width: int,
         correction: float,
     ) -> None:
-        self.faces = tuple(faces)
-        turned = any(any(face.plane.stretched) for face in faces)
-        planes = [face.plane for face in faces]
-        self.classes = Classes(lattice, width, turned=turned)
+        self.slice_views = tuple(slice_views)
+        oblique = any(any(slice_view.plane.diagonal) for slice_view in slice_views)
+        planes = [slice_view.plane for slice_view in slice_views]
+        self.classes = SiteClasses(lattice, width, oblique=oblique)
         self._lattice, self.content = lattice, content
-        self._offsets = [(plane.offsets(width), plane.mirrored.offsets(width)) for plane in planes]
-        self._blur = np.stack([face.source.blur for face in faces])
-        self._prior = prior_of([face.source.marginal for face in faces], correction)
+        self._offsets = [
+            (plane.offsets(width), plane.mirror_image.offsets(width)) for plane in planes
+        ]
+        self._blur = np.stack([slice_view.candidates.blur for slice_view in slice_views])
+        self._prior = log_prior(
+            [slice_view.candidates.marginal for slice_view in slice_views], correction
+        )
 
     @property
     def batch(self) -> int:
         """Sites that are done at a time."""
-        return BATCH_OF_BITS if self.faces[0].source.bits is not None else BATCH_OF_PRODUCTS
+        return (
+            BATCH_OF_BITS if self.slice_views[0].candidates.bits is not None else BATCH_OF_PRODUCTS
+        )
 
-    def scratch(self, count: int) -> np.ndarray:
+    def product_buffer(self, count: int) -> np.ndarray:
         """Room for the products of a batch of so many sites; fresh pages for each would cost as
         much as its products.
         """
-        bits = self.faces[0].source.bits is not None
-        widest = 0 if bits else max(len(face.source.centres) for face in self.faces)
+        bits = self.slice_views[0].candidates.bits is not None
+        widest = (
+            0
+            if bits
+            else max(len(slice_view.candidates.centres) for slice_view in self.slice_views)
+        )
         return np.empty((min(self.batch, count), widest), np.float32)
 
-    def densities(
+    def log_densities(
         self,
         sites: np.ndarray,
         scratch: np.ndarray,
         temperature: np.ndarray,
         pulled: np.ndarray,
-        bias: Tables,
+        bias: BiasTables,
         cells: np.ndarray,
         *,
         mirrored: bool = False,
@@ -158,47 +171,49 @@ class Frame:
             Whether the pictures are seen from behind.
         """
         features = self.content.features
-        bins = np.empty((len(sites), len(self.faces), len(features)), np.int64)
-        for v, face in enumerate(self.faces):
+        bins = np.empty((len(sites), len(self.slice_views), len(features)), np.int64)
+        for v, slice_view in enumerate(self.slice_views):
             offsets = self._offsets[v][int(mirrored)]
             places = np.empty((len(sites), len(offsets)), np.int64)
             found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
             gather_places(
-                sites, offsets, self._lattice.shape, marks_of(self._lattice.there), places
+                sites, offsets, self._lattice.shape, marks_or_all(self._lattice.domain), places
             )
             gather_levels(places, self._lattice.levels, found, weight)
             if bias:
                 sums = np.empty((len(sites), features.shape[1]), np.int32)
                 local_sums(found, weight, features, sums)
-                cells_of(sums, face.source.joint.edges, cells[v])
-                pull(cells[v], bias[face.learner], self.content.groups, pulled)
+                local_cells(sums, slice_view.candidates.joint.edges, cells[v])
+                add_bias(cells[v], bias[slice_view.learner], self.content.groups, pulled)
             if temperature.size:
                 gather_confidence(places, temperature, STEPS, weight)
-            weigh(
+            weigh_candidates(
                 found,
                 weight,
                 STEPS if temperature.size else 1,
-                face.source,
+                slice_view.candidates,
                 features,
                 v,
                 bins,
                 scratch,
             )
         share, log = np.empty(bins.shape, np.float64), np.empty(bins.shape, np.int64)
-        densities(bins, self._blur, LOGS, share, log)
+        parzen_densities(bins, self._blur, LOGS, share, log)
         return log
 
-    def score(self, log: np.ndarray, pulled: np.ndarray, heuristic: str, score: np.ndarray) -> None:
+    def combine(
+        self, log: np.ndarray, pulled: np.ndarray, heuristic: str, score: np.ndarray
+    ) -> None:
         """One score (S, L) int32 of the views' logarithms and what is added to them: h2a or h2b."""
         total = np.empty(pulled.shape, np.int64)
         if heuristic == "h2a":
-            least_of(log, pulled, total)
+            least_of_views(log, pulled, total)
         else:
-            combined(log, self._prior, pulled, total)
+            product_of_views(log, self._prior, pulled, total)
         score[:] = np.clip(total, -_MOST, _MOST)
 
 
-def prior_of(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
+def log_prior(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
     """(views - 1) times the logarithm of the views' mean marginal, times `power`, in units (L,).
 
     Given the centre, let what the views see besides it be independent: then by Bayes' rule the
@@ -212,7 +227,7 @@ def prior_of(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
 
 
 @kernel
-def combined(log, prior, bias, score):
+def product_of_views(log, prior, bias, score):
     """H2b with its corrections: the sum of the views' logarithms, less `prior` (L,), plus `bias`
     (S, L); all in units.
     """
@@ -225,7 +240,7 @@ def combined(log, prior, bias, score):
 
 
 @kernel
-def least_of(log, bias, score):
+def least_of_views(log, bias, score):
     """H2a: the least of the views' logarithms, plus `bias`."""
     for s in range(len(log)):
         for level in range(log.shape[2]):
@@ -245,7 +260,7 @@ def best_level(row):
 
 
 @kernel
-def of_views(log, features, mean, chosen):
+def level_of_views(log, features, mean, chosen):
     """H1a, or H1b where `mean`: from the most probable level of each view. `chosen` (S,) uint8."""
     V, L, C = log.shape[1], log.shape[2], features.shape[1]
     total = np.empty(C, np.int64)
@@ -272,11 +287,11 @@ def of_views(log, features, mean, chosen):
 
 
 @kernel
-def gather_places(sites, offsets, shape, there, places):
-    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `there`;
+def gather_places(sites, offsets, shape, domain, places):
+    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `domain`;
     without entries all are.
     """
-    marks = there.ravel()
+    marks = domain.ravel()
     every = len(marks) == 0
     Z, Y, X = shape
     reach = offsets.max()

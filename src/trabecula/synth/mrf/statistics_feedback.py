@@ -15,8 +15,8 @@ from trabecula.synth.mrf.density import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs, Planes
 
 if TYPE_CHECKING:
-    from trabecula.synth.mrf.candidates import Patches
-    from trabecula.synth.mrf.picture_levels import Content
+    from trabecula.synth.mrf.candidates import Neighbourhoods
+    from trabecula.synth.mrf.picture_levels import PictureLevels
 
 
 _ROWS = 4096  # neighbourhoods that are summed at once
@@ -25,7 +25,7 @@ _MOST = 12.0  # factors of two in a bias
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointHistogram:
     """How often (C, B, G) float64 a group of levels has a local sum in a cell; `edges` (C, B - 1)
     int32 part the cells.
     """
@@ -34,7 +34,9 @@ class Joint:
     share: np.ndarray
 
 
-def joint_of(patches: Patches, content: Content, bins: int) -> Joint:
+def joint_histogram(
+    neighbourhoods: Neighbourhoods, content: PictureLevels, bins: int
+) -> JointHistogram:
     """The joint statistic of a picture's neighbourhoods, with cells of about equal share."""
     features = content.features
     groups = int(content.groups.max()) + 1
@@ -42,18 +44,18 @@ def joint_of(patches: Patches, content: Content, bins: int) -> Joint:
     share = np.zeros((features.shape[1], bins, groups))
     for c in range(features.shape[1]):
         column = features[:, c].astype(np.int32)
-        parts = np.array_split(patches.around, 1 + len(patches.around) // _ROWS)
+        parts = np.array_split(neighbourhoods.around, 1 + len(neighbourhoods.around) // _ROWS)
         sums = np.concatenate([column[part].sum(1, dtype=np.int32) for part in parts])
         edges[c] = np.sort(sums)[np.arange(1, bins) * len(sums) // bins]
         np.add.at(
             share[c],
-            (np.searchsorted(edges[c], sums, side="left"), content.groups[patches.centres]),
+            (np.searchsorted(edges[c], sums, side="left"), content.groups[neighbourhoods.centres]),
             1,
         )
-    return Joint(edges, share / len(patches.centres))
+    return JointHistogram(edges, share / len(neighbourhoods.centres))
 
 
-def local_change(joint: Joint, counted: np.ndarray) -> np.ndarray:
+def bias_change(joint: JointHistogram, counted: np.ndarray) -> np.ndarray:
     """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G),
     at most 1 factor of two.
 
@@ -71,13 +73,13 @@ def local_change(joint: Joint, counted: np.ndarray) -> np.ndarray:
     return given
 
 
-def in_units(bias: np.ndarray) -> np.ndarray:
+def to_units(bias: np.ndarray) -> np.ndarray:
     """Factors of two in whole units (int64)."""
     return np.rint(np.clip(bias, -_MOST, _MOST) * UNIT).astype(np.int64)
 
 
 @kernel
-def cells_of(sums, edges, cells):
+def local_cells(sums, edges, cells):
     """The cell (S, C) uint8 of every local sum (S, C) int32: as many as there are edges below it."""
     for s in range(len(sums)):
         for c in range(len(edges)):
@@ -88,7 +90,7 @@ def cells_of(sums, edges, cells):
 
 
 @kernel
-def pull(cells, bias, groups, out):
+def add_bias(cells, bias, groups, out):
     """Adds the bias (C, B, G) of the cells to every level: `out` (S, L) int64."""
     for s in range(len(cells)):
         for c in range(len(bias)):
@@ -98,18 +100,18 @@ def pull(cells, bias, groups, out):
 
 
 @kernel
-def count(cells, groups, chosen, table):
+def count_cells(cells, groups, chosen, table):
     """Counts the levels chosen (S,) by cell and group: `table` (C, B, G) int64."""
     for s in range(len(cells)):
         for c in range(len(table)):
             table[c, cells[s, c], groups[chosen[s]]] += 1
 
 
-Tables = list[np.ndarray]
+BiasTables = list[np.ndarray]
 """By cell and group (C, B, G) int64, for each learner: counts, or a bias in units."""
 
 
-class Steering:
+class BiasFeedback:
     """A bias by cell of the local sum and group of levels, one for each learner.
 
     Parameters
@@ -126,26 +128,26 @@ class Steering:
     by_cell : list of (C, B, G) float64
     """
 
-    def __init__(self, joints: Sequence[Joint], views: int, *, rate: float) -> None:
+    def __init__(self, joints: Sequence[JointHistogram], views: int, *, rate: float) -> None:
         self._joints = list(joints)
         # Every view and every channel pulls with its own table: together they move as far as the
         # rate says.
         self._rate = rate / (views * len(joints[0].share))
         self.by_cell = [np.zeros(joint.share.shape) for joint in joints]
 
-    def bias(self) -> Tables:
+    def bias(self) -> BiasTables:
         """The bias of every group by cell, in units."""
-        return [in_units(part) for part in self.by_cell]
+        return [to_units(part) for part in self.by_cell]
 
-    def empty_tables(self) -> Tables:
+    def empty_tables(self) -> BiasTables:
         """What a sweep counts into."""
         return [np.zeros(part.shape, np.int64) for part in self.by_cell]
 
-    def learn(self, counted: Tables) -> None:
+    def learn(self, counted: BiasTables) -> None:
         """The counts of a whole sweep; learners that it did not ask have none."""
         for n, (joint, table) in enumerate(zip(self._joints, counted, strict=True)):
             if table.any():
-                self.by_cell[n] = self.by_cell[n] + self._rate * local_change(joint, table)
+                self.by_cell[n] = self.by_cell[n] + self._rate * bias_change(joint, table)
 
     def state(self) -> dict[str, np.ndarray]:
         """What the next sweep starts from."""
@@ -170,7 +172,7 @@ _GRAIN = 1 << 10  # steps of a field in a factor of two: the last bits of a tran
 Pictures = Sequence[tuple[int, np.ndarray]]
 
 
-class Couplings:
+class PairCouplings:
     """The couplings of one scale, on a torus.
 
     Parameters
@@ -208,7 +210,7 @@ class Couplings:
     ) -> None:
         shortest = min(min(picture.shape) for _, picture in pictures)
         far = max(1, min(max(reach, _LEAST), shortest // 2 - 1, min(shape) // 2 - 1))
-        self._values = _standardised(pictures, features)
+        self._values = _standardise(pictures, features)
         self._rate, self._edges = rate, tuple(edges)
         self._pairs = Pairs(tuple(shape), far, (True, True, True), self._edges, cones=CONES)
         self._wanted, held = self._targets(pictures)
@@ -234,7 +236,7 @@ class Couplings:
         return sums / np.maximum(fits, 1), fits > 0
 
     def start(
-        self, coarse: Couplings | None, levels: np.ndarray, there: np.ndarray | None = None
+        self, coarse: PairCouplings | None, levels: np.ndarray, domain: np.ndarray | None = None
     ) -> None:
         """Take over the strengths of a coarser scale, whose voxels are twice as long, before the
         first sweep.
@@ -248,16 +250,16 @@ class Couplings:
                 for channel in known
             ]
             self.strength = np.where(self._held, np.reshape(finer, (count, -1)), 0.0)
-        self.act(levels, there)
+        self.update_field(levels, domain)
 
-    def learn(self, levels: np.ndarray, there: np.ndarray | None = None) -> None:
-        """Move the strengths after a sweep that left `levels` (Z, Y, X); `there` says which of them
+    def learn(self, levels: np.ndarray, domain: np.ndarray | None = None) -> None:
+        """Move the strengths after a sweep that left `levels` (Z, Y, X); `domain` says which of them
         count (None: all).
         """
         apart = np.zeros_like(self.strength)
-        both = self._both(there)
+        both = self._pair_shares(domain)
         for c in range(len(apart)):
-            spectrum = self._pairs.forward(self._planes(levels, there, c))
+            spectrum = self._pairs.forward(self._channel_planes(levels, domain, c))
             now = self._pairs.curve(spectrum, spectrum) / both
             apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now[0]), 1e-6), 0.0)
             if len(apart) > 1:
@@ -267,16 +269,16 @@ class Couplings:
         )
         self.strength = self.strength + self._rate * apart
         if len(apart) == 1:
-            self._act(0, spectrum)
+            self._update_channel(0, spectrum)
         else:
-            self.act(levels, there)
+            self.update_field(levels, domain)
 
-    def act(self, levels: np.ndarray, there: np.ndarray | None = None) -> None:
+    def update_field(self, levels: np.ndarray, domain: np.ndarray | None = None) -> None:
         """What the strengths say of every site, given all others."""
         for c in range(len(self.strength)):
-            self._act(c, self._pairs.forward(self._planes(levels, there, c)))
+            self._update_channel(c, self._pairs.forward(self._channel_planes(levels, domain, c)))
 
-    def _act(self, channel: int, spectrum: np.ndarray) -> None:
+    def _update_channel(self, channel: int, spectrum: np.ndarray) -> None:
         """The field of a channel, from the transform of its values."""
         # The strength of a bin is that of the mean over its offsets.
         into = self._field[channel]
@@ -290,31 +292,33 @@ class Couplings:
 
         for_slabs(work, len(into))
 
-    def pull(self, sites: np.ndarray, out: np.ndarray) -> None:
+    def add_to_scores(self, sites: np.ndarray, out: np.ndarray) -> None:
         """Add what pairs say of every level at the sites to `out` (S, L) int64, in units."""
         own = np.rint(self._values.astype(np.float64) * _GRAIN).astype(np.int64)
         for c in range(own.shape[1]):
             field = self._field[c].reshape(-1)[sites, None].astype(np.int64)
             out += field * own[:, c] // (_GRAIN * _GRAIN // UNIT)
 
-    def _both(self, there: np.ndarray | None) -> np.ndarray | float:
+    def _pair_shares(self, domain: np.ndarray | None) -> np.ndarray | float:
         """The share of each bin's pairs of which both count."""
-        if there is None:
+        if domain is None:
             return 1.0
-        marks = there
+        marks = domain
         spectrum = self._pairs.forward(lambda z: marks[z].astype(np.float32))
-        return np.maximum(self._pairs.curve(spectrum, spectrum), 1 / there.size)
+        return np.maximum(self._pairs.curve(spectrum, spectrum), 1 / domain.size)
 
-    def _planes(self, levels: np.ndarray, there: np.ndarray | None, channel: int) -> Planes:
+    def _channel_planes(
+        self, levels: np.ndarray, domain: np.ndarray | None, channel: int
+    ) -> Planes:
         """The values of a channel, plane by plane."""
         values = np.ascontiguousarray(self._values[:, channel])
-        if there is None:
+        if domain is None:
             return lambda z: values[levels[z]]
-        marks = there
+        marks = domain
         return lambda z: np.where(marks[z], values[levels[z]], np.float32(0))
 
 
-def _standardised(pictures: Pictures, features: np.ndarray) -> np.ndarray:
+def _standardise(pictures: Pictures, features: np.ndarray) -> np.ndarray:
     """Features (L, C) float32 with the pictures' mean 0 and variance 1."""
     counts = np.sum(
         [np.bincount(picture.ravel(), minlength=len(features)) for _, picture in pictures], axis=0
