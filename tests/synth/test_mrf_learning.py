@@ -18,7 +18,7 @@ from trabecula.synth.mrf.density import LOGS, POWERS, UNIT
 from trabecula.synth.mrf.fraction_control import (
     SITE,
     add_expected_levels,
-    expected_sites,
+    count_expected,
     group_scores,
     level_shifts,
     score_leads,
@@ -205,7 +205,7 @@ def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
         assert lead / UNIT == pytest.approx(above, abs=near)
         added = int(shift[0])
         odds = np.exp2(-np.clip((lead + added) / UNIT * beta, -900, 900))
-        assert expected_sites(lead, added, cold, POWERS) / SITE == pytest.approx(
+        assert count_expected(lead, added, cold, POWERS) / SITE == pytest.approx(
             np.sum(1 / (1 + odds)), abs=0.01
         )
 
@@ -471,7 +471,7 @@ def test_neighbours_and_the_pictures_pixels_are_equally_far(plane, width):
     assert np.all(np.sign(np.rint(along)) == np.sign(pixels))
 
 
-@pytest.mark.parametrize("stretched", list(itertools.product([False, True], repeat=2)))
+@pytest.mark.parametrize("diagonal", list(itertools.product([False, True], repeat=2)))
 @pytest.mark.parametrize("scale", [0, 1])
 def test_neighbourhoods_take_the_pixels_of_their_plane(diagonal, scale):
     """Every pixel of the picture is another value, so that each neighbour tells where it was taken."""

@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.seams import ALL, LEAST, MOST, seamed
+from trabecula.synth.quilt.seams import ALL, LEAST, MOST, cut_in
 
 MARGIN = 1
 HUGE = 10**6
@@ -95,11 +95,11 @@ def cost_of(found, made, window, piece, margin):
 )
 def test_the_cut_is_as_cheap_as_a_reference_solvers(seed, shape, labels):
     window, margin, piece = scene(seed, shape, labels=labels)
-    made, cost = seamed(window, margin, piece)
+    made, cost = cut_in(window, margin, piece)
     found = edges(window, margin, piece)
     assert cost == best_cut(found)
     assert cost_of(found, made, window, piece, margin) <= cost
-    assert seamed(window, margin, piece, keep=MOST)[1] == cost
+    assert cut_in(window, margin, piece, keep=MOST)[1] == cost
 
 
 @given(st.integers(0, 10**6))
@@ -107,7 +107,7 @@ def test_given_voxels_stay_and_what_is_not_made_is_the_pieces(seed):
     window, margin, piece = scene(seed, (5, 5, 6), held=0.3)
     box = tuple(slice(MARGIN, -MARGIN) for _ in range(3))
     for keep in (LEAST, MOST, ALL):
-        made, _ = seamed(window, margin, piece, keep=keep)
+        made, _ = cut_in(window, margin, piece, keep=keep)
         held = (window >= FIXED) & (window < OUT)
         assert np.array_equal(made[held], window[held])
         empty = window[box] == EMPTY
@@ -127,7 +127,7 @@ def test_of_two_equal_cuts_the_least_or_the_most_is_kept():
     piece = np.zeros((1, 3, 6), np.uint8)
     counts = {}
     for keep in (LEAST, MOST, ALL):
-        made, cost = seamed(window, (0, 0, 1), piece, keep=keep)
+        made, cost = cut_in(window, (0, 0, 1), piece, keep=keep)
         counts[keep] = int((made[:, :, 1:7] == 1).sum())
         assert cost == (6 if keep != ALL else -1)
     assert counts == {LEAST: 0, MOST: 9, ALL: 9}
@@ -136,6 +136,6 @@ def test_of_two_equal_cuts_the_least_or_the_most_is_kept():
 def test_a_seam_goes_where_old_and_new_agree():
     window = np.full((1, 5, 9), EMPTY, np.uint8)
     window[:, :, :5] = [1, 1, 1, 0, 0]
-    made, cost = seamed(window, (0, 0, 1), np.zeros((1, 5, 7), np.uint8))
+    made, cost = cut_in(window, (0, 0, 1), np.zeros((1, 5, 7), np.uint8))
     assert cost == 0
     assert made[0, 2].tolist() == [1, 1, 1, 0, 0, 0, 0, 0, EMPTY]

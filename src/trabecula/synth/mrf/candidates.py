@@ -16,8 +16,8 @@ from trabecula.synth.mrf.density import (
     gaussian_table,
     optimal_bandwidth,
     plain_rows,
+    rows_with_weights,
     table_shift,
-    weighted_rows,
     weights_from_bits,
     weights_from_products,
 )
@@ -371,7 +371,7 @@ def _weigh_by_products(
     if plain:
         plain_rows(found, features, rows)
     else:
-        weighted_rows(found, weight, features, rows)
+        rows_with_weights(found, weight, features, rows)
     products = scratch[: len(rows), : columns.shape[1]]
     np.matmul(rows, columns, out=products)
     table, shift = (

@@ -268,7 +268,7 @@ def plain_rows(found, features, rows):
 
 
 @kernel
-def weighted_rows(found, weight, features, rows):
+def rows_with_weights(found, weight, features, rows):
     """Rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel, then the
     weights.
     """

@@ -98,20 +98,20 @@ def _solve_shift(lead: np.ndarray, wanted: float, coldness: int, near: int) -> i
     around the last one.
     """
 
-    def taken(shift: int) -> int:
+    def expect(shift: int) -> int:
         return int(
-            sum_on_rows(lambda a, b: expected_sites(lead[a:b], shift, coldness, POWERS), len(lead))
+            sum_on_rows(lambda a, b: count_expected(lead[a:b], shift, coldness, POWERS), len(lead))
         )
 
     aim, room = wanted * len(lead) * SITE, int(_NARROW)
     low, high = near - room, near + room
-    while low > -_WIDE and taken(low) > aim:
+    while low > -_WIDE and expect(low) > aim:
         low, high, room = low - 4 * room, low, 4 * room
-    while high < _WIDE and taken(high) < aim:
+    while high < _WIDE and expect(high) < aim:
         low, high, room = high, high + 4 * room, 4 * room
     while high - low > _FINE:
         middle = (low + high) // 2
-        if taken(middle) < aim:
+        if expect(middle) < aim:
             low = middle
         else:
             high = middle
@@ -169,7 +169,7 @@ def score_leads(energy, shift, group, coldness, logs, powers, lead):
 
 
 @kernel
-def expected_sites(lead, shift, coldness, powers):
+def count_expected(lead, shift, coldness, powers):
     """How many of the sites a group that leads by `lead` + `shift` is expected to take, in steps of
     1 / `SITE`: whole numbers, so that they may be summed in any order."""
     total = np.int64(0)
@@ -238,7 +238,7 @@ class FractionShifts:
         shift = self.by_group[self.groups] + self.by_level
         if len(self._wanted_groups) < len(self.wanted):
             self.by_level = level_shifts(
-                self._expected_levels(site_class, score, shift, coldness),
+                self._count_by_level(site_class, score, shift, coldness),
                 self.groups,
                 self.wanted,
                 count=site_class.count_in_result,
@@ -271,7 +271,7 @@ class FractionShifts:
         site_class.run_on_planes(work)
         return energy
 
-    def _expected_levels(
+    def _count_by_level(
         self, site_class: SiteClass, score: np.ndarray, shift: np.ndarray, coldness: int
     ) -> np.ndarray:
         """How many of these sites every level is expected to take, (L,) float64."""

@@ -10,8 +10,8 @@ import numpy as np
 from trabecula.core.seeds import key
 from trabecula.engine.compile import kernel
 from trabecula.engine.random import philox
-from trabecula.synth.quilt.patch_library import Learnt, Query, Words, mismatches
-from trabecula.synth.quilt.period import in_phase
+from trabecula.synth.quilt.patch_library import OverlapQuery, PackedLabels, PatchLibrary, mismatches
+from trabecula.synth.quilt.period import positions_in_phase
 
 SCALE = 65535
 """What a descriptor's whole range in the exemplars is, as a number."""
@@ -28,7 +28,7 @@ _FAR = 8  # ranges beyond the exemplars' at which a target is taken as that far
 
 
 @dataclass(frozen=True)
-class Descriptors:
+class CandidateDescriptors:
     """What every candidate's descriptors are, in whole numbers.
 
     values : (k, n) uint16, 0 .. SCALE over what the candidates hold; the most important first.
@@ -41,15 +41,17 @@ class Descriptors:
     values: np.ndarray
 
     @classmethod
-    def of(cls, learnt: Learnt, names: Sequence[str], weights: Mapping[str, float]) -> Descriptors:
+    def measure(
+        cls, library: PatchLibrary, names: Sequence[str], weights: Mapping[str, float]
+    ) -> CandidateDescriptors:
         """Of all candidates of the exemplars, one exemplar after the other in raster order."""
         order = sorted(names, key=lambda name: -weights.get(name, 1.0))
-        count = sum(int(np.prod(counts)) for counts in learnt.counts)
+        count = sum(int(np.prod(counts)) for counts in library.counts)
         values = np.empty((len(order), count), np.uint16)
         low, high = np.zeros(len(order)), np.ones(len(order))
         for row, name in enumerate(order):
             found = np.concatenate(
-                [learnt.described(image, name).ravel() for image in learnt.images]
+                [library.describe_patches(image, name).ravel() for image in library.images]
             )
             low[row], high[row] = float(found.min()), float(found.max())
             values[row] = np.rint((found - low[row]) * (SCALE / max(high[row] - low[row], 1e-12)))
@@ -62,7 +64,7 @@ class Descriptors:
         off = np.abs(self.values[:, number].astype(np.int64) - target[:, None])
         return (self.weights[:, None] * off).sum(axis=0)
 
-    def scaled(self, targets: Mapping[str, float]) -> np.ndarray:
+    def scale_targets(self, targets: Mapping[str, float]) -> np.ndarray:
         """(k,) int64: a place's targets on the candidates' scale; what they do not hold lies
         outside 0 .. SCALE.
         """
@@ -73,7 +75,7 @@ class Descriptors:
 
 
 @dataclass(frozen=True)
-class Pool:
+class CandidatePool:
     """Candidates of one phase: where each begins in the stack, and its descriptors, by the first
     descriptor rising.
     """
@@ -94,23 +96,23 @@ class Pool:
         return self.at[chosen], differences
 
 
-class Pools:
+class CandidatePools:
     """The pools of a run, one for every phase that its places have."""
 
-    def __init__(self, learnt: Learnt, descriptors: Descriptors, seed: int) -> None:
-        self.counts = learnt.counts
-        self.strides, self.descriptors = learnt.strides, descriptors
-        self.periods, self.shifts = learnt.periods, learnt.shifts
-        self.shape = learnt.stack.shape
+    def __init__(self, library: PatchLibrary, descriptors: CandidateDescriptors, seed: int) -> None:
+        self.counts = library.counts
+        self.strides, self.descriptors = library.strides, descriptors
+        self.periods, self.shifts = library.periods, library.shifts
+        self.shape = library.stack.shape
         self.limits = np.array(self.counts)
         self.before = np.concatenate(
             [[0], np.cumsum([int(np.prod(counts)) for counts in self.counts])]
         )
         self.stage = key(seed, "quilt/order")
-        self.moves = _moves(learnt)
-        self._made: dict[tuple[int, ...], Pool] = {}
+        self.nearby = _nearby_offsets(library)
+        self._made: dict[tuple[int, ...], CandidatePool] = {}
 
-    def beside(self, at: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def offset_candidates(self, at: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Candidates that lie `away` (n, 3) from the patches that begin `at` (n,), those without
         room left out: where they begin in the stack (int32), and their numbers (int64).
         """
@@ -122,34 +124,34 @@ class Pools:
         numbers = self.before[source] + (z * counts[1] + y) * counts[2] + x
         return first[fits].astype(np.int32), numbers[fits]
 
-    def around(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Candidates a few voxels from these, as `beside` gives them; along an axis with a period
+    def nearby_candidates(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Candidates a few voxels from these, as `offset_candidates` gives them; along an axis with a period
         there are none.
         """
-        where, numbers = self.beside(
-            np.repeat(at, len(self.moves)), np.tile(self.moves, (len(at), 1))
+        where, numbers = self.offset_candidates(
+            np.repeat(at, len(self.nearby)), np.tile(self.nearby, (len(at), 1))
         )
         where, first = np.unique(where, return_index=True)
         return where, numbers[first]
 
-    def forget(self) -> None:
+    def drop_large_pools(self) -> None:
         """Let go of the pools where together they hold many times all candidates, as those of a
         lattice do whose period is no whole number; they are made again when they are asked for.
         """
         if sum(len(pool.at) for pool in self._made.values()) > HELD * self.before[-1]:
             self._made.clear()
 
-    def of(self, phase: tuple[int, ...]) -> Pool:
+    def pool(self, phase: tuple[int, ...]) -> CandidatePool:
         """The pool of a phase."""
         if phase not in self._made:
-            self._made[phase] = self._pool(phase)
+            self._made[phase] = self._build_pool(phase)
         return self._made[phase]
 
-    def _pool(self, phase: tuple[int, ...]) -> Pool:
+    def _build_pool(self, phase: tuple[int, ...]) -> CandidatePool:
         at, rows = [], []
         for source, counts in enumerate(self.counts):
             axes = [
-                in_phase(count, part, shift, period)
+                positions_in_phase(count, part, shift, period)
                 for count, part, shift, period in zip(
                     counts, phase, self.shifts[source], self.periods, strict=True
                 )
@@ -164,14 +166,14 @@ class Pools:
         mixed = _hashes(np.uint64(self.stage), where)
         values = self.descriptors.values[:, np.concatenate(rows)]
         order = np.lexsort((mixed, values[0]))
-        return Pool(where[order], np.ascontiguousarray(values[:, order]))
+        return CandidatePool(where[order], np.ascontiguousarray(values[:, order]))
 
 
-def _moves(learnt: Learnt) -> np.ndarray:
+def _nearby_offsets(library: PatchLibrary) -> np.ndarray:
     """(n, 3) ways to the candidates around one; none along an axis with a period."""
     reach = [
         0 if period or size == 1 else _AROUND
-        for period, size in zip(learnt.periods, learnt.box, strict=True)
+        for period, size in zip(library.periods, library.box, strict=True)
     ]
     axes = np.meshgrid(*(np.arange(-by, by + 1) for by in reach), indexing="ij")
     moves = np.stack([axis.ravel() for axis in axes], axis=1)
@@ -254,7 +256,7 @@ _REFUSED = np.iinfo(np.int64).max
 
 
 @dataclass
-class Ranked:
+class RankedCandidates:
     """Candidates with their distances.
 
     Attributes
@@ -277,11 +279,11 @@ class Ranked:
     score: np.ndarray
     complete: bool
 
-    def least(self) -> int:
+    def least_mismatch(self) -> int:
         """The least mismatch among all, in voxels."""
         return int(self.mismatch.min()) if len(self.mismatch) else 0
 
-    def taken_off(self, count: int) -> np.ndarray:
+    def take_nearest(self, count: int) -> np.ndarray:
         """The nearest `count` candidates that are left (of equals the first), which are left out
         from now on.
         """
@@ -293,29 +295,29 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Ranker:
+class CandidateRanker:
     """What the candidates of every place are ranked by."""
 
-    words: Words
-    pools: Pools
-    descriptors: Descriptors
+    words: PackedLabels
+    pools: CandidatePools
+    descriptors: CandidateDescriptors
     alpha: float
     variety: float
     sieve: int
     stage: np.uint64
     strict: bool
 
-    def ranked(
+    def rank(
         self,
-        query: Query,
-        pool: Pool,
+        query: OverlapQuery,
+        pool: CandidatePool,
         asked: np.ndarray,
         *,
         place: int,
         count: int,
         before: tuple[np.ndarray, np.ndarray],
         without: Collection[int],
-    ) -> Ranked:
+    ) -> RankedCandidates:
         """The `count` candidates of a pool that are nearest in descriptors (of many, those that
         pass the sieve), those that go on with pieces laid `before` (first voxels and offsets), and
         what lies around the best of all these; where fields are asked for, only those that differ
@@ -325,38 +327,42 @@ class Ranker:
         complete = len(at) == len(pool.at)
         limit = int(difference.max()) if self.strict else _REFUSED
         if self.sieve > 1 and len(at) > _FEW and query.voxels:
-            at, difference = self._sifted(query, at, difference)
-        more, more_off = self._within(*self.pools.beside(*before), asked, limit)
+            at, difference = self._sieve_candidates(query, at, difference)
+        more, more_off = self._limit_difference(
+            *self.pools.offset_candidates(*before), asked, limit
+        )
         at, difference = np.concatenate([more, at]), np.concatenate([more_off, difference])
         mismatch = mismatches(self.words, query, at)
-        score = self._scored(query, mismatch, difference)
-        if query.voxels and len(self.pools.moves):
+        score = self._distances_of(query, mismatch, difference)
+        if query.voxels and len(self.pools.nearby):
             best = at[_smallest(score, min(_GOOD, len(score)))]
-            more, more_off = self._within(*self.pools.around(best), asked, limit)
+            more, more_off = self._limit_difference(
+                *self.pools.nearby_candidates(best), asked, limit
+            )
             more_apart = mismatches(self.words, query, more)
             at, mismatch = np.concatenate([at, more]), np.concatenate([mismatch, more_apart])
             difference = np.concatenate([difference, more_off])
-            score = np.concatenate([score, self._scored(query, more_apart, more_off)])
+            score = np.concatenate([score, self._distances_of(query, more_apart, more_off)])
         if self.variety:
             _vary(score, at, self.stage, place, round(self.variety * _VARIED))
         if without:
             score[np.isin(at, np.fromiter(without, np.int64))] = _REFUSED
-        return Ranked(at, mismatch, difference, score, complete)
+        return RankedCandidates(at, mismatch, difference, score, complete)
 
-    def _sifted(
-        self, query: Query, at: np.ndarray, difference: np.ndarray
+    def _sieve_candidates(
+        self, query: OverlapQuery, at: np.ndarray, difference: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Those candidates, and their differences, that are nearest by a part of the overlap."""
         # so that words of one candidate are near those of the next in memory
         order = np.argsort(at)
         at, difference = at[order], difference[order]
-        part = query.every(self.sieve)
-        score = self._scored(part, mismatches(self.words, part, at), difference)
+        part = query.every_nth(self.sieve)
+        score = self._distances_of(part, mismatches(self.words, part, at), difference)
         kept = max(_FEW, len(at) // _KEPT)
         near = score <= np.partition(score, kept - 1)[kept - 1]
         return at[near], difference[near]
 
-    def _within(
+    def _limit_difference(
         self, at: np.ndarray, numbers: np.ndarray, asked: np.ndarray, limit: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Those of some candidates whose difference is at most `limit`, and their differences."""
@@ -364,7 +370,9 @@ class Ranker:
         near = off <= limit
         return at[near], off[near]
 
-    def _scored(self, query: Query, mismatch: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    def _distances_of(
+        self, query: OverlapQuery, mismatch: np.ndarray, difference: np.ndarray
+    ) -> np.ndarray:
         """Equation (4), int64."""
         by_mismatch = round(self.alpha * _PARTS / max(query.voxels, 1))
         by_difference = round((1 - self.alpha) * _PARTS / (SCALE * WEIGHT))

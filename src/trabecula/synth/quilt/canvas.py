@@ -14,7 +14,7 @@ from trabecula.core.target import OF_A_PHASE, Target
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.quilt.patch_library import MOST_LABELS, Learnt, void_of
+from trabecula.synth.quilt.patch_library import MOST_LABELS, PatchLibrary, void_label
 
 EMPTY = 255
 """Not made yet."""
@@ -30,7 +30,7 @@ _MARGIN = 4
 
 
 @dataclass(frozen=True)
-class Frame:
+class PatchGrid:
     """Where boxes lie in an output of `shape`: `patch` voxels a side, every `step`, the first at
     `start` (0 or before).
     """
@@ -75,19 +75,19 @@ class Frame:
             axes.append(at % side if wrap else at[(at >= 0) & (at < side)])
         return tuple(axes)
 
-    def cut_out(
+    def read_window(
         self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray, beyond: int
     ) -> None:
         """Copy a box with its margin into `window`; `beyond` is what lies outside the volume."""
         first = tuple(at - margin for at, margin in zip(corner, self.margin, strict=True))
-        _cut_out(canvas, first, self.wraps, window, beyond)
+        _read_window(canvas, first, self.wraps, window, beyond)
 
-    def put_back(self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray) -> None:
+    def write_box(self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray) -> None:
         """Write the box of a window."""
-        _put_back(canvas, corner, self.wraps, self.margin, window)
+        _write_box(canvas, corner, self.wraps, self.margin, window)
 
 
-def anchored(
+def grid_start(
     shape: tuple[int, ...], to_make: Sequence[np.ndarray], step: tuple[int, ...], lead: int
 ) -> tuple[int, ...]:
     """Starts (0 or before) of boxes that begin `lead` voxels before the first layer with voxels
@@ -101,7 +101,7 @@ def anchored(
     return tuple(starts)
 
 
-def box_of(window: np.ndarray, margin: tuple[int, ...]) -> np.ndarray:
+def inner_box(window: np.ndarray, margin: tuple[int, ...]) -> np.ndarray:
     """The box in a window, as a view."""
     return window[tuple(slice(m, side - m) for m, side in zip(margin, window.shape, strict=True))]
 
@@ -119,7 +119,7 @@ def near_empty(box: np.ndarray, reach: int) -> np.ndarray:
 
 
 @kernel
-def _cut_out(canvas, first, wraps, window, beyond):
+def _read_window(canvas, first, wraps, window, beyond):
     """Coordinates beyond a side wrap around where the axis does."""
     depth, height, width = canvas.shape
     for k in range(window.shape[0]):
@@ -136,7 +136,7 @@ def _cut_out(canvas, first, wraps, window, beyond):
 
 
 @kernel
-def _put_back(canvas, corner, wraps, margin, window):
+def _write_box(canvas, corner, wraps, margin, window):
     depth, height, width = canvas.shape
     for k in range(window.shape[0] - 2 * margin[0]):
         z = corner[0] + k
@@ -155,26 +155,26 @@ def _put_back(canvas, corner, wraps, margin, window):
                     canvas[z, y, x] = window[k + margin[0], j + margin[1], i + margin[2]]
 
 
-def frame_for(learnt: Learnt, request: Request) -> Frame:
+def patch_grid(library: PatchLibrary, request: Request) -> PatchGrid:
     """Where boxes lie: from the first voxel; where only a part is made, from that part on, its
     surroundings overlapped.
     """
-    shape = deep_shape(request)
+    shape = shape_3d(request)
     wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
     start: tuple[int, ...] = (0, 0, 0)
     if request.fixed is not None or request.mask is not None:
-        lead = learnt.overlap if request.fixed is not None else 0
-        start = anchored(shape, _to_make(shape, request), learnt.step, lead)
-    return Frame(shape, wraps, learnt.box, learnt.step, start)
+        lead = library.overlap if request.fixed is not None else 0
+        start = grid_start(shape, _layers_to_fill(shape, request), library.step, lead)
+    return PatchGrid(shape, wraps, library.box, library.step, start)
 
 
-def deep_shape(request: Request) -> tuple[int, int, int]:
+def shape_3d(request: Request) -> tuple[int, int, int]:
     """The request's shape with one layer along z for a picture."""
     shape = (1,) * (3 - len(request.shape)) + tuple(request.shape)
     return (shape[0], shape[1], shape[2])
 
 
-def canvas_for(shape: tuple[int, ...], request: Request) -> np.ndarray:
+def initial_canvas(shape: tuple[int, ...], request: Request) -> np.ndarray:
     """What there is from the start: measured voxels, and nothing outside the form."""
     canvas = memmap.empty(shape, np.uint8)
     mask, known = (
@@ -194,7 +194,7 @@ def canvas_for(shape: tuple[int, ...], request: Request) -> np.ndarray:
     return canvas
 
 
-def _to_make(shape: tuple[int, ...], request: Request) -> list[np.ndarray]:
+def _layers_to_fill(shape: tuple[int, ...], request: Request) -> list[np.ndarray]:
     """Along every axis, (side,) bool: which layers have a voxel to make."""
     mask, known = (
         None if part is None else part.reshape(shape) for part in (request.mask, request.known)
@@ -252,13 +252,13 @@ def unmark(canvas: np.ndarray, void: int) -> None:
 
 
 @kernel
-def _paint_over(canvas, of, islands, classes, void, solid):
+def _paint_over(canvas, numbers, islands, classes, void, solid):
     painted = 0
     for z in range(canvas.shape[0]):
         for y in range(canvas.shape[1]):
             for x in range(canvas.shape[2]):
                 value = canvas[z, y, x]
-                if value < FIXED and classes[value] > 0 and islands[of[z, y, x]]:
+                if value < FIXED and classes[value] > 0 and islands[numbers[z, y, x]]:
                     canvas[z, y, x] = solid if value == void else void
                     painted += 1
     return painted
@@ -278,20 +278,20 @@ _UNIT = 1 << 20
 
 def targets_at(
     target: Mapping[str, Target],
-    frame: Frame,
+    grid: PatchGrid,
     corner: tuple[int, ...],
     middle: int,
     mask: np.ndarray | None,
 ) -> dict[str, float]:
-    """Every target in the middle of a box, the voxel `middle` further than its first along every
+    """Every target in the middle of a box, the voxel `descriptor_centre` further than its first along every
     axis; where that lies outside the volume or the form, the mean over what lies inside.
     """
     centre = tuple(
-        at + (middle if side > 1 else 0) for at, side in zip(corner, frame.patch, strict=True)
+        at + (middle if side > 1 else 0) for at, side in zip(corner, grid.patch, strict=True)
     )
     inside = np.ones((1, 1, 1), np.bool_) if mask is None else mask
     return {
-        name: _in_the_middle(value, inside, centre, corner, frame.patch, frame.wraps)
+        name: _centre_mean(value, inside, centre, corner, grid.patch, grid.wraps)
         if isinstance(value, np.ndarray)
         else float(value)
         for name, value in target.items()
@@ -299,7 +299,7 @@ def targets_at(
 
 
 @dataclass(frozen=True)
-class Own:
+class ExemplarShares:
     """Where nothing is asked for: the first exemplar's own shares of phases, neighbourhood by
     neighbourhood.
 
@@ -312,12 +312,12 @@ class Own:
     offset: tuple[int, ...]
 
     @classmethod
-    def of(cls, learnt: Learnt, seed: int) -> Own:
+    def build(cls, library: PatchLibrary, seed: int) -> ExemplarShares:
         """The fields, begun at a place that the seed chooses."""
-        image = learnt.images[0]
-        void = void_of(image.phases)
+        image = library.images[0]
+        void = void_label(image.phases)
         names = [OF_A_PHASE + phase for label, phase in enumerate(image.phases) if label != void]
-        found = {name: learnt.described(image, name) for name in names}
+        found = {name: library.describe_patches(image, name) for name in names}
         deep = {
             name: field.reshape((1,) * (3 - field.ndim) + field.shape)
             for name, field in found.items()
@@ -329,28 +329,28 @@ class Own:
     def at(self, corner: tuple[int, ...]) -> dict[str, float]:
         """The shares that a box is to have."""
         place = []
-        for first, offset, side in zip(corner, self.offset, _shape(self.fields), strict=True):
+        for first, offset, side in zip(corner, self.offset, _field_shape(self.fields), strict=True):
             at = (offset - first) % max(1, 2 * side - 2)
             place.append(min(at, 2 * side - 2 - at) if side > 1 else 0)
         return {name: float(field[tuple(place)]) for name, field in self.fields.items()}
 
 
-def _shape(fields: Mapping[str, np.ndarray]) -> tuple[int, ...]:
+def _field_shape(fields: Mapping[str, np.ndarray]) -> tuple[int, ...]:
     """The shape that all fields have."""
     return next(iter(fields.values())).shape
 
 
 @kernel
-def _in_the_middle(field, inside, centre, corner, sides, wraps):
+def _centre_mean(field, inside, centre, corner, sides, wraps):
     """A mask of one voxel stands for none."""
-    total, count = _summed(field, inside, centre, (1, 1, 1), wraps)
+    total, count = _sum_box(field, inside, centre, (1, 1, 1), wraps)
     if count == 0:
-        total, count = _summed(field, inside, corner, sides, wraps)
+        total, count = _sum_box(field, inside, corner, sides, wraps)
     return total / (np.float64(_UNIT) * max(count, 1))
 
 
 @inline
-def _summed(field, inside, corner, sides, wraps):
+def _sum_box(field, inside, corner, sides, wraps):
     depth, height, width = field.shape
     masked = inside.size > 1
     total, count = np.int64(0), 0

@@ -14,10 +14,16 @@ from trabecula.core.request import Request
 from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.synth.quilt.candidates import SCALE, WEIGHT, Descriptors, Pool, Pools
-from trabecula.synth.quilt.canvas import Frame, targets_at
+from trabecula.synth.quilt.candidates import (
+    SCALE,
+    WEIGHT,
+    CandidateDescriptors,
+    CandidatePool,
+    CandidatePools,
+)
+from trabecula.synth.quilt.canvas import PatchGrid, targets_at
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.patch_library import Learnt, mismatches, query_of
+from trabecula.synth.quilt.patch_library import PatchLibrary, mismatches, overlap_query
 from trabecula.synth.quilt.period import phase_key
 
 _BINS, _SAMPLES = 16, 6
@@ -29,7 +35,7 @@ _SLACK = 1e-6  # fields are float32
 
 
 @dataclass(frozen=True)
-class Forecast:
+class CompatibilityForecast:
     """How near the exemplars can come to a target.
 
     Attributes
@@ -59,23 +65,23 @@ class Forecast:
 
     def to_json(self) -> dict[str, Any]:
         """Ranges, means and maxima as plain JSON."""
-        told: dict[str, Any] = {
+        summary: dict[str, Any] = {
             "asked": dict(self.asked),
             "held": dict(self.held),
             "outside": self.outside,
         }
         for name, values in (("descriptors", self.difference), ("mismatch", self.mismatch)):
-            told[name] = {"mean": float(np.nanmean(values)), "max": float(np.nanmax(values))}
-        return {**told, "advice": self.advice}
+            summary[name] = {"mean": float(np.nanmean(values)), "max": float(np.nanmax(values))}
+        return {**summary, "advice": self.advice}
 
 
-def held_by(learnt: Learnt, name: str) -> tuple[float, float]:
+def descriptor_range(library: PatchLibrary, name: str) -> tuple[float, float]:
     """Least and greatest value of a descriptor over all neighbourhoods."""
-    fields = [learnt.described(image, name) for image in learnt.images]
+    fields = [library.describe_patches(image, name) for image in library.images]
     return min(float(field.min()) for field in fields), max(float(field.max()) for field in fields)
 
 
-def asked_by(request: Request, name: str) -> tuple[float, float]:
+def target_range(request: Request, name: str) -> tuple[float, float]:
     """Least and greatest value of a target, inside the mask."""
     values = np.asarray(request.target[name])
     if request.mask is None or not values.ndim:
@@ -91,7 +97,9 @@ def asked_by(request: Request, name: str) -> tuple[float, float]:
     return low, high
 
 
-def check_held(learnt: Learnt, request: Request, held: dict[str, tuple[float, float]]) -> None:
+def check_targets(
+    library: PatchLibrary, request: Request, held: dict[str, tuple[float, float]]
+) -> None:
     """Raise where no part of a target is within what neighbourhoods hold; `held` keeps what was
     measured.
 
@@ -102,54 +110,58 @@ def check_held(learnt: Learnt, request: Request, held: dict[str, tuple[float, fl
         the other dimension.
     """
     for name in request.target:
-        check_named(learnt, name)
+        check_descriptor(library, name)
         if name not in held:
-            held[name] = held_by(learnt, name)
-        (least, most), (low, high) = asked_by(request, name), held[name]
+            held[name] = descriptor_range(library, name)
+        (least, most), (low, high) = target_range(request, name), held[name]
         if most < low - _SLACK or least > high + _SLACK:
             raise RequestError(
-                f"the target {name} asks for {_range(least, most)}, neighbourhoods of {learnt.measured} voxels of the exemplar "
+                f"the target {name} asks for {_range(least, most)}, neighbourhoods of {library.descriptor_size} voxels of the exemplar "
                 f"hold {_range(low, high)}: {_advice(name)}"
             )
 
 
-def check_named(learnt: Learnt, name: str) -> None:
+def check_descriptor(library: PatchLibrary, name: str) -> None:
     """Raise where the exemplars cannot have a descriptor."""
-    phases = learnt.images[0].phases
+    phases = library.images[0].phases
     if name.startswith(OF_A_PHASE) and name[len(OF_A_PHASE) :] not in phases:
         raise RequestError(
             f"the target {name} is of a phase that the exemplar lacks: it has {', '.join(phases)}"
         )
-    if name in (("surface", "mean_curvature") if learnt.flat else ("perimeter",)):
-        other = "perimeter" if learnt.flat else "surface"
+    if name in (("surface", "mean_curvature") if library.flat else ("perimeter",)):
+        other = "perimeter" if library.flat else "surface"
         raise RequestError(
-            f"the target {name} is not one of {2 if learnt.flat else 3}-D images: ask for {other}"
+            f"the target {name} is not one of {2 if library.flat else 3}-D images: ask for {other}"
         )
 
 
-def forecast_of(learnt: Learnt, config: QuiltConfig, frame: Frame, request: Request) -> Forecast:
-    """The forecast of a request; see `Forecast`."""
+def forecast_compatibility(
+    library: PatchLibrary, config: QuiltConfig, grid: PatchGrid, request: Request
+) -> CompatibilityForecast:
+    """The forecast of a request; see `CompatibilityForecast`."""
     if not request.target:
         raise RequestError(
             "a forecast needs a target to compare the exemplar with: give one, such as volume_fraction"
         )
-    described = Descriptors.of(learnt, list(request.target), config.weights)
-    pools = Pools(learnt, described, request.seed)
+    describe_patches = CandidateDescriptors.measure(library, list(request.target), config.weights)
+    pools = CandidatePools(library, describe_patches, request.seed)
     target = {
-        name: np.reshape(t, frame.shape) if np.ndim(t) else t for name, t in request.target.items()
+        name: np.reshape(t, grid.shape) if np.ndim(t) else t for name, t in request.target.items()
     }
-    mask = None if request.mask is None else request.mask.reshape(frame.shape)
-    difference = np.full(frame.counts, np.nan)
-    mismatch = np.full(frame.counts, np.nan)
-    partners = _partners(learnt, config, pools.of((0, 0, 0)), described)
+    mask = None if request.mask is None else request.mask.reshape(grid.shape)
+    difference = np.full(grid.counts, np.nan)
+    mismatch = np.full(grid.counts, np.nan)
+    partners = _partner_mismatch(library, config, pools.pool((0, 0, 0)), describe_patches)
     outside = total = 0
     for number in range(difference.size):
-        corner = frame.corner(number)
-        if mask is not None and not mask[np.ix_(*frame.indices(corner))].any():
+        corner = grid.corner(number)
+        if mask is not None and not mask[np.ix_(*grid.indices(corner))].any():
             continue
-        asked = described.scaled(targets_at(target, frame, corner, learnt.middle, mask))
-        pool = pools.of(phase_key(corner, learnt.periods))
-        difference.flat[number] = least_difference(pool.values, described.weights, asked) / (
+        asked = describe_patches.scale_targets(
+            targets_at(target, grid, corner, library.descriptor_centre, mask)
+        )
+        pool = pools.pool(phase_key(corner, library.periods))
+        difference.flat[number] = least_difference(pool.values, describe_patches.weights, asked) / (
             SCALE * WEIGHT
         )
         mismatch.flat[number] = partners[
@@ -157,51 +169,58 @@ def forecast_of(learnt: Learnt, config: QuiltConfig, frame: Frame, request: Requ
         ]
         outside += bool(((asked < 0) | (asked > SCALE)).any())
         total += 1
-    asked_for = {name: asked_by(request, name) for name in request.target}
+    asked_for = {name: target_range(request, name) for name in request.target}
     held = {
-        name: (float(described.low[k]), float(described.high[k]))
-        for k, name in enumerate(described.names)
+        name: (float(describe_patches.low[k]), float(describe_patches.high[k]))
+        for k, name in enumerate(describe_patches.names)
     }
     share = outside / max(total, 1)
-    return Forecast(asked_for, held, difference, mismatch, share, _told(asked_for, held))
+    return CompatibilityForecast(
+        asked_for, held, difference, mismatch, share, _advise(asked_for, held)
+    )
 
 
-def _partners(
-    learnt: Learnt, config: QuiltConfig, pool: Pool, described: Descriptors
+def _partner_mismatch(
+    library: PatchLibrary,
+    config: QuiltConfig,
+    pool: CandidatePool,
+    describe_patches: CandidateDescriptors,
 ) -> np.ndarray:
     """(_BINS,) the mismatch with the best partner elsewhere, by the most important descriptor."""
     found = np.full(_BINS, np.nan)
-    near = np.zeros(learnt.box, np.bool_)
-    for axis, side in enumerate(learnt.box):
+    near = np.zeros(library.box, np.bool_)
+    for axis, side in enumerate(library.box):
         if side > 1:
-            near[(slice(None),) * axis + (slice(learnt.overlap),)] = True
+            near[(slice(None),) * axis + (slice(library.overlap),)] = True
     for part in range(_BINS):
         low, high = np.searchsorted(
             pool.values[0], [part * (SCALE + 1) // _BINS, (part + 1) * (SCALE + 1) // _BINS]
         )
         shares = []
         for n in np.linspace(low, high - 1, min(_SAMPLES, high - low)).astype(int):
-            query = query_of(learnt.words, learnt.piece(int(pool.at[n])), near, learnt.strides[1:])
+            query = overlap_query(
+                library.words, library.patch_at(int(pool.at[n])), near, library.strides[1:]
+            )
             at, _ = pool.nearest(
                 pool.values[:, n].astype(np.int64),
-                described.weights,
+                describe_patches.weights,
                 config.candidates or len(pool.at),
             )
-            own = _apart(learnt, at, int(pool.at[n]))
+            own = _disjoint(library, at, int(pool.at[n]))
             if own.any():
-                shares.append(int(mismatches(learnt.words, query, at[own]).min()) / query.voxels)
+                shares.append(int(mismatches(library.words, query, at[own]).min()) / query.voxels)
         if shares:
             found[part] = np.mean(shares)
     known = np.flatnonzero(~np.isnan(found))
     return np.interp(np.arange(_BINS), known, found[known]) if len(known) else found
 
 
-def _apart(learnt: Learnt, at: np.ndarray, own: int) -> np.ndarray:
+def _disjoint(library: PatchLibrary, at: np.ndarray, own: int) -> np.ndarray:
     """Which patches share no voxel with one."""
-    places = np.array(np.unravel_index(at, learnt.stack.shape))
-    here = np.array(np.unravel_index(own, learnt.stack.shape))[:, None]
+    places = np.array(np.unravel_index(at, library.stack.shape))
+    here = np.array(np.unravel_index(own, library.stack.shape))[:, None]
     away = np.abs(places - here)
-    return (away[0] > 0) | (away[1:] >= learnt.patch).any(axis=0)
+    return (away[0] > 0) | (away[1:] >= library.patch).any(axis=0)
 
 
 @kernel
@@ -216,7 +235,9 @@ def least_difference(values, weights, target):
     return least
 
 
-def _told(asked: Mapping[str, tuple[float, float]], held: Mapping[str, tuple[float, float]]) -> str:
+def _advise(
+    asked: Mapping[str, tuple[float, float]], held: Mapping[str, tuple[float, float]]
+) -> str:
     beyond = [
         f"{name} asks for {_range(*asked[name])}, the exemplar holds {_range(*held[name])}: {_advice(name)}"
         for name in asked
@@ -246,7 +267,7 @@ REASONS = ("", "connectivity", "feature size")
 """What no piece could keep; `Trace.gave_way` has the position."""
 
 
-class Trace:
+class PlacementTrace:
     """What happened at every place.
 
     Attributes
@@ -271,13 +292,13 @@ class Trace:
         Voxels of islands that were painted over in the end.
     """
 
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.mismatch = memmap.empty(frame.counts, np.float64)
-        self.difference = memmap.empty(frame.counts, np.float64)
-        self.tried = memmap.zeros(frame.counts, np.int32)
-        self.strut = memmap.zeros(frame.counts, np.int32)
-        self.gave_way = memmap.zeros(frame.counts, np.uint8)
+    def __init__(self, grid: PatchGrid) -> None:
+        self.grid = grid
+        self.mismatch = memmap.empty(grid.counts, np.float64)
+        self.difference = memmap.empty(grid.counts, np.float64)
+        self.tried = memmap.zeros(grid.counts, np.int32)
+        self.strut = memmap.zeros(grid.counts, np.int32)
+        self.gave_way = memmap.zeros(grid.counts, np.uint8)
         for values in (self.mismatch, self.difference):
             for layer in _layers(values):
                 layer[...] = np.nan
@@ -287,7 +308,7 @@ class Trace:
         self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str
     ) -> None:
         """What happened at a place."""
-        at = np.unravel_index(number, self.frame.counts)
+        at = np.unravel_index(number, self.grid.counts)
         self.mismatch[at], self.difference[at] = mismatch, difference
         self.tried[at], self.strut[at], self.gave_way[at] = tried, strut, REASONS.index(gave_way)
 
@@ -296,31 +317,34 @@ class Trace:
         self.add(number, math.nan, math.nan, 0, 0, "")
         self.taken_back += 1
 
-    def told(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Means and maxima, and where it had to give way, as plain JSON."""
-        told: dict[str, Any] = {
-            "places": _count(self.tried),
+        summary: dict[str, Any] = {
+            "places": _count_nonzero(self.tried),
             "taken_back": self.taken_back,
             "painted": self.painted,
-            **{name: summed for name, summed in self._distances() if summed},
-            "struts": _count(self.strut),
+            **{name: summed for name, summed in self._distance_summaries() if summed},
+            "struts": _count_nonzero(self.strut),
             "strut_voxels": sum(int(layer.sum(dtype=np.int64)) for layer in _layers(self.strut)),
-            "gave_way": _count(self.gave_way),
+            "gave_way": _count_nonzero(self.gave_way),
         }
-        if told["gave_way"]:
-            told["gave_way_at"] = list(self._first_given())
-        return told
+        if summary["gave_way"]:
+            summary["gave_way_at"] = list(self._first_gave_way())
+        return summary
 
-    def _distances(self) -> tuple[tuple[str, dict[str, float]], ...]:
-        return (("mismatch", _summed(self.mismatch)), ("descriptors", _summed(self.difference)))
+    def _distance_summaries(self) -> tuple[tuple[str, dict[str, float]], ...]:
+        return (
+            ("mismatch", _mean_and_max(self.mismatch)),
+            ("descriptors", _mean_and_max(self.difference)),
+        )
 
-    def _first_given(self) -> Iterator[dict[str, Any]]:
+    def _first_gave_way(self) -> Iterator[dict[str, Any]]:
         """The first places that gave way."""
         left = _WORST
         for z, layer in enumerate(_layers(self.gave_way)):
             for at in np.argwhere(layer)[:left]:
-                number = int(np.ravel_multi_index((z, *at), self.frame.counts))
-                yield {"voxel": list(self.frame.corner(number)), "in": REASONS[layer[tuple(at)]]}
+                number = int(np.ravel_multi_index((z, *at), self.grid.counts))
+                yield {"voxel": list(self.grid.corner(number)), "in": REASONS[layer[tuple(at)]]}
                 left -= 1
             if not left:
                 return
@@ -333,7 +357,7 @@ class Trace:
         }
         return {**held, "taken_back": np.array(self.taken_back)}
 
-    def take_over(self, arrays: Mapping[str, np.ndarray]) -> None:
+    def load_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take what `arrays` gave."""
         for name in ("mismatch", "difference", "tried", "strut", "gave_way"):
             setattr(self, name, arrays[name])
@@ -347,12 +371,12 @@ def _layers(values: np.ndarray) -> Iterator[np.ndarray]:
         memmap.release_pages()
 
 
-def _count(values: np.ndarray) -> int:
+def _count_nonzero(values: np.ndarray) -> int:
     """Entries that are not 0."""
     return sum(int(np.count_nonzero(layer)) for layer in _layers(values))
 
 
-def _summed(values: np.ndarray) -> dict[str, float]:
+def _mean_and_max(values: np.ndarray) -> dict[str, float]:
     """Mean and maximum of what is known; empty where nothing is."""
     sums, most, count = [], -math.inf, 0
     for layer in _layers(values):
@@ -360,8 +384,8 @@ def _summed(values: np.ndarray) -> dict[str, float]:
         sums.append(float(known.sum()))
         most = max(most, float(known.max(initial=-math.inf)))
         count += len(known)
-    return {"mean": _short(math.fsum(sums) / count), "max": _short(most)} if count else {}
+    return {"mean": _round6(math.fsum(sums) / count), "max": _round6(most)} if count else {}
 
 
-def _short(value: float) -> float:
+def _round6(value: float) -> float:
     return round(float(value), 6)

@@ -17,16 +17,16 @@ from trabecula.synth.quilt.connectivity_kernels import (
     LINK,
     SHUT_NOW,
     WHOLE,
-    Book,
-    Sight,
-    entered,
-    first_ends,
-    flooded,
-    islands,
-    judged,
-    largest,
-    led,
-    renumbered,
+    ComponentTable,
+    WindowComponents,
+    enter_window,
+    initial_ends,
+    judge_window,
+    label_leaders,
+    label_window,
+    largest_component,
+    mark_islands,
+    renumber,
 )
 
 FINE, TORN, CLOSED = 0, 1, 2
@@ -39,7 +39,7 @@ _ALWAYS = 1 << 40  # ends of what is out
 _MORE = 4096  # bodies by which the book grows
 
 
-def classes_for(connected: str, void: int, labels: int) -> np.ndarray:
+def voxel_classes(connected: str, void: int, labels: int) -> np.ndarray:
     """(256,) uint8: class of every value of a voxel; 0 where it does not matter what hangs
     together.
     """
@@ -53,7 +53,7 @@ def classes_for(connected: str, void: int, labels: int) -> np.ndarray:
     return table
 
 
-class Bodies:
+class ComponentTracker:
     """The bodies of an output: the number of every voxel's, and a book of which are one, with their
     ends.
 
@@ -68,7 +68,7 @@ class Bodies:
 
     def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
         self.classes = classes
-        self.of = memmap.zeros(canvas.shape, np.int32)
+        self.numbers = memmap.zeros(canvas.shape, np.int32)
         self.parent = memmap.zeros(_MORE, np.int32)
         self.ends = memmap.zeros(_MORE, np.int64)
         self.sizes = memmap.zeros(_MORE, np.int64)
@@ -77,35 +77,35 @@ class Bodies:
         self.count = 1
         self.alive = np.zeros((2, 3), np.int64)
         self.alive[0, VOID] = int(classes[OUT] == VOID)
-        if any(canvas[first:last].min() < OUT for first, last in slabs_of(canvas.shape)):
-            self._begin(canvas, wraps)
+        if any(canvas[first:last].min() < OUT for first, last in slabs(canvas.shape)):
+            self._label_initial(canvas, wraps)
 
-    def _begin(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
+    def _label_initial(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
         """Bodies of what is there from the start; those without an end are nobody's business."""
         for kind in (SOLID, VOID):
             member = self.classes == kind
-            part, sizes = parts_of(canvas, member, wraps, into=self.of)
-            self.make_room(len(sizes))
+            part, sizes = label_slabwise(canvas, member, wraps, into=self.numbers)
+            self.reserve(len(sizes))
             used = slice(self.count, self.count + len(sizes))
             ends, out = np.zeros(len(sizes), np.int64), np.zeros(len(sizes), np.bool_)
-            for first, last in slabs_of(canvas.shape):
-                first_ends(canvas, member, self.of, part, wraps, first, last, ends, out)
+            for first, last in slabs(canvas.shape):
+                initial_ends(canvas, member, self.numbers, part, wraps, first, last, ends, out)
             numbers = np.arange(used.start, used.stop, dtype=np.int32)
             if kind == VOID:
                 numbers[out] = 0
             self.parent[used], self.sizes[used], self.ends[used] = numbers, sizes, ends
             self.alive[0, kind] += np.count_nonzero((ends > 0) & (numbers > 0))
-            body = np.concatenate([np.zeros(1, np.int32), numbers])[part]
-            for first, last in slabs_of(canvas.shape):
-                renumbered(canvas[first:last], member, body, self.of[first:last])
+            component = np.concatenate([np.zeros(1, np.int32), numbers])[part]
+            for first, last in slabs(canvas.shape):
+                renumber(canvas[first:last], member, component, self.numbers[first:last])
             self.count += len(sizes)
 
     @property
-    def book(self) -> Book:
+    def table(self) -> ComponentTable:
         """What the kernels take of it."""
-        return Book(self.parent, self.ends, self.sizes, self.mark, self.alive)
+        return ComponentTable(self.parent, self.ends, self.sizes, self.mark, self.alive)
 
-    def page(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
+    def snapshot(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """What the book says of these bodies, and how many there are."""
         kept = numbers.copy()
         return (
@@ -117,9 +117,9 @@ class Bodies:
             np.array(self.count),
         )
 
-    def restore(self, page: tuple[np.ndarray, ...]) -> None:
+    def restore(self, snapshot: tuple[np.ndarray, ...]) -> None:
         """Let the book say again what it said."""
-        numbers, parents, ends, sizes, alive, count = page
+        numbers, parents, ends, sizes, alive, count = snapshot
         self.parent[numbers], self.ends[numbers], self.sizes[numbers] = parents, ends, sizes
         self.alive[:], self.count = alive, int(count)
 
@@ -127,17 +127,17 @@ class Bodies:
         """All of it, for a checkpoint."""
         used = slice(self.count)
         return {
-            "of": self.of,
+            "of": self.numbers,
             "parent": self.parent[used],
             "ends": self.ends[used],
             "sizes": self.sizes[used],
             "alive": self.alive,
         }
 
-    def take_over(self, arrays: dict[str, np.ndarray]) -> None:
+    def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
         """Take what `arrays` gave."""
-        self.of, self.alive[:], self.count = arrays["of"], arrays["alive"], 0
-        self.make_room(len(arrays["parent"]))
+        self.numbers, self.alive[:], self.count = arrays["of"], arrays["alive"], 0
+        self.reserve(len(arrays["parent"]))
         self.count = len(arrays["parent"])
         for name in ("parent", "ends", "sizes"):
             _copy(arrays[name], getattr(self, name))
@@ -150,13 +150,13 @@ class Bodies:
         kept = 0
         # Of void all is out; of solid the largest is what the others should have joined.
         if (self.classes == SOLID).any():
-            for first, last in slabs_of(parent.shape):
-                kept = int(largest(parent, self.sizes, first, last, kept))
-        for first, last in slabs_of(parent.shape):
-            islands(parent, self.sizes, most, kept, first, last, found)
+            for first, last in slabs(parent.shape):
+                kept = int(largest_component(parent, self.sizes, first, last, kept))
+        for first, last in slabs(parent.shape):
+            mark_islands(parent, self.sizes, most, kept, first, last, found)
         return found
 
-    def make_room(self, more: int) -> None:
+    def reserve(self, more: int) -> None:
         """Let the book hold so many more bodies."""
         while self.count + more > len(self.parent):
             for name in ("parent", "ends", "sizes", "mark"):  # marks are 0 between judgements
@@ -175,13 +175,13 @@ def _copy(table: np.ndarray, into: np.ndarray) -> None:
     for_slabs(copy, len(table))
 
 
-class Judge:
+class ConnectivityCheck:
     """What one size of window needs for judging, held for all windows of a run."""
 
     def __init__(self, window: tuple[int, ...], margin: tuple[int, ...], *, island: int) -> None:
         self.margin, self.island = margin, island
         count = int(np.prod(window))
-        self.sight = Sight(
+        self.local = WindowComponents(
             before=np.empty(window, np.int32),
             after=np.empty(window, np.int32),
             parts=np.empty((8, count + 1), np.int64),
@@ -198,50 +198,68 @@ class Judge:
         """Bodies that the window judged last adds to those that may still grow; one that it ends
         counts as two.
         """
-        tally = self.sight.tally
+        tally = self.local.tally
         return int((tally[1] - tally[0] + 2 * tally[2]).sum())
 
-    def verdict(self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray) -> int:
-        """Whether `new` may stand in place of the window `old`, whose bodies are `of` (uint8, and
+    def verdict(
+        self, components: ComponentTracker, old: np.ndarray, new: np.ndarray, numbers: np.ndarray
+    ) -> int:
+        """Whether `new` may stand in place of the window `old`, whose bodies are `numbers` (uint8, and
         int32, of one shape).
         """
-        sight = self.sight
+        local = self.local
         if old is not self.old_seen:
-            flooded(old, bodies.classes, sight.before, sight.stack)
+            label_window(old, components.classes, local.before, local.stack)
             self.old_seen = old
-        self.count = count = int(flooded(new, bodies.classes, sight.after, sight.stack))
-        sight.parts[:, : count + 1] = 0
+        self.count = count = int(label_window(new, components.classes, local.after, local.stack))
+        local.parts[:, : count + 1] = 0
         self.new_seen = new
         return int(
-            judged(
-                old, new, of, self.margin, bodies.classes, bodies.book, sight, count, self.island
+            judge_window(
+                old,
+                new,
+                numbers,
+                self.margin,
+                components.classes,
+                components.table,
+                local,
+                count,
+                self.island,
             )
         )
 
     def enter(
-        self, bodies: Bodies, old: np.ndarray, new: np.ndarray, of: np.ndarray
+        self, components: ComponentTracker, old: np.ndarray, new: np.ndarray, numbers: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Write a window into the book whatever the verdict, and its bodies into `of`; returns what
+        """Write a window into the book whatever the verdict, and its bodies into `numbers`; returns what
         `Bodies.restore` takes.
         """
         if new is not self.new_seen or old is not self.old_seen:
-            self.verdict(bodies, old, new, of)
-        bodies.make_room(self.count)
-        seen = self.sight.seen
-        before = bodies.page(seen[1 : 1 + seen[0]])
-        bodies.count = int(
-            entered(new, of, self.margin, bodies.classes, bodies.book, self.sight, bodies.count)
+            self.verdict(components, old, new, numbers)
+        components.reserve(self.count)
+        seen = self.local.seen
+        before = components.snapshot(seen[1 : 1 + seen[0]])
+        components.count = int(
+            enter_window(
+                new,
+                numbers,
+                self.margin,
+                components.classes,
+                components.table,
+                self.local,
+                components.count,
+            )
         )
         return before
 
-    def shut(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def closing_components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the window judged last: the leader of every voxel's part (int32), the leaders that
         would be shut, the smallest body first, and by number (bool) which leaders are more than
         islands.
         """
-        parts = self.sight.parts[:, : self.count + 1]
-        leaders = np.empty(self.sight.after.shape, np.int32)
-        led(self.sight.after, self.sight.parts, leaders)
+        parts = self.local.parts[:, : self.count + 1]
+        leaders = np.empty(self.local.after.shape, np.int32)
+        label_leaders(self.local.after, self.local.parts, leaders)
         first = np.flatnonzero((parts[SHUT_NOW] > 0) & (parts[LINK] == 0))
         kept = (parts[ENDS] > 0) | (parts[WHOLE] > self.island)
         return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept
@@ -255,7 +273,7 @@ use or not.
 _FACES = 6  # neighbours of a voxel
 
 
-def slabs_of(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
+def slabs(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
     """First and last plane (which is not among them) of slabs that are worked on one after the
     other.
     """
@@ -266,7 +284,7 @@ def slabs_of(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
         memmap.release_pages()
 
 
-def parts_of(
+def label_slabwise(
     values: np.ndarray, member: np.ndarray, wraps: Sequence[bool], *, into: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the parts of the voxels whose value is a member.
@@ -290,12 +308,12 @@ def parts_of(
     """
     sizes, pairs, count = [], [np.empty((0, 2), np.int64)], 0
     first = last = np.zeros(values.shape[1:], np.int64)
-    for a, b in slabs_of(values.shape):
+    for a, b in slabs(values.shape):
         runs = runs_of(np.ascontiguousarray(values[a:b]), member, _FACES)
-        top, bottom = _layer(runs, 0, 0, count), _layer(runs, 0, -1, count)
-        pairs.append(_touching(last, top))  # before the first slab there is nothing
+        top, bottom = _end_layer(runs, 0, 0, count), _end_layer(runs, 0, -1, count)
+        pairs.append(_touching_pairs(last, top))  # before the first slab there is nothing
         pairs += [
-            _touching(_layer(runs, n, -1, count), _layer(runs, n, 0, count))
+            _touching_pairs(_end_layer(runs, n, -1, count), _end_layer(runs, n, 0, count))
             for n in (1, 2)
             if wraps[n]
         ]
@@ -306,12 +324,12 @@ def parts_of(
         sizes.append(runs.sizes)
         count += len(runs.sizes)
     if wraps[0]:
-        pairs.append(_touching(last, first))
+        pairs.append(_touching_pairs(last, first))
     part, merged = merged_pieces(np.concatenate(sizes), np.concatenate(pairs))
     return np.concatenate([[0], part]), merged
 
 
-def _layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
+def _end_layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
     """The numbers at one end of a slab, int64; `before` of them are those of slabs before."""
     box = [(0, side) for side in runs.shape]
     box[axis] = (runs.shape[axis] - 1, runs.shape[axis]) if end else (0, 1)
@@ -319,7 +337,7 @@ def _layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
     return np.where(labels > 0, labels + before, 0)
 
 
-def _touching(far: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _touching_pairs(far: np.ndarray, near: np.ndarray) -> np.ndarray:
     """(n, 2) numbers that are neighbours from a layer to the one behind it."""
     return meeting(far, near, _FACES, (False, False))
 

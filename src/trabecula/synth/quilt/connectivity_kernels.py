@@ -39,7 +39,7 @@ def _ends_at(window, z, y, x):
     return count
 
 
-class Book(NamedTuple):
+class ComponentTable(NamedTuple):
     """What is known of every body, by its number; arrays as in `bodies.Bodies`."""
 
     parent: np.ndarray
@@ -49,7 +49,7 @@ class Book(NamedTuple):
     alive: np.ndarray
 
 
-class Sight(NamedTuple):
+class WindowComponents(NamedTuple):
     """What is seen in one window.
 
     before, after : (z, y, x) int32
@@ -74,9 +74,9 @@ class Sight(NamedTuple):
     tally: np.ndarray
 
 
-# Rows of `parts`. BODY is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies
+# Rows of `parts`. COMPONENT is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies
 # that had no end already.
-LINK, BODY, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
+LINK, COMPONENT, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
 
 _ALIVE, _COMING, _SHUT, _WAS_SHUT = 0, 1, 2, 3
 
@@ -95,41 +95,41 @@ def _leader(parts, k):
 
 
 @inline
-def _joined(parts, a, b):
+def _join(parts, a, b):
     a, b = _leader(parts, a), _leader(parts, b)
     if a != b:
         parts[LINK, max(a, b)] = min(a, b)
 
 
 @kernel
-def judged(old, new, of, margin, classes, book, sight, count, island):
+def judge_window(old, new, numbers, margin, classes, table, local, count, island):
     """Whether `new` may stand in place of `old`: 0, or 1 where it tears what hangs together, or 2
-    where it closes a body beside others. `of`: bodies of the old window; `count`: parts of the new
+    where it closes a body beside others. `numbers`: bodies of the old window; `count`: parts of the new
     one; `island`: voxels that may be closed. `book.mark` is 0 before and after.
     """
-    sight.tally[:] = 0
-    known, torn = _matched(old, new, of, margin, classes, book, sight)
-    known = _weighed(old, new, of, margin, classes, book, sight, known)
-    sight.seen[0] = known
-    _carried_over(book, sight)
-    _counted(sight, count, island)
+    local.tally[:] = 0
+    known, torn = _match_components(old, new, numbers, margin, classes, table, local)
+    known = _weigh_components(old, new, numbers, margin, classes, table, local, known)
+    local.seen[0] = known
+    _carry_over(table, local)
+    _count_leaders(local, count, island)
     for n in range(1, known + 1):
-        book.mark[sight.seen[n]] = 0
+        table.mark[local.seen[n]] = 0
     if torn:
         return 1
-    return 2 if _closes_beside_others(book.alive, sight.tally) else 0
+    return 2 if _closes_beside_others(table.alive, local.tally) else 0
 
 
 @inline
-def _matched(old, new, of, margin, classes, book, sight):
+def _match_components(old, new, numbers, margin, classes, table, local):
     """Which bodies every new part goes on; returns how many there are, and whether one is torn."""
-    shape, parts, sent = new.shape, sight.parts, sight.stack
+    shape, parts, sent = new.shape, local.parts, local.stack
     torn, known = False, 0
     sent[: old.size] = 0
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                mine, was = sight.after[z, y, x], sight.before[z, y, x]
+                mine, was = local.after[z, y, x], local.before[z, y, x]
                 inside = _in_box(z, y, x, shape, margin)
                 if mine > 0:
                     parts[SIZE, mine] += inside
@@ -141,76 +141,78 @@ def _matched(old, new, of, margin, classes, book, sight):
                     sent[was - 1] = mine
                 elif sent[was - 1] != mine:
                     torn = True
-                body = root_of(book.parent, of[z, y, x])
-                if book.mark[body] == 0:
-                    book.mark[body] = mine
+                component = root_of(table.parent, numbers[z, y, x])
+                if table.mark[component] == 0:
+                    table.mark[component] = mine
                     known += 1
-                    sight.seen[known] = body
-                elif book.mark[body] != mine:
-                    _joined(parts, book.mark[body], mine)
+                    local.seen[known] = component
+                elif table.mark[component] != mine:
+                    _join(parts, table.mark[component], mine)
     return known, torn
 
 
 @inline
-def _weighed(old, new, of, margin, classes, book, sight, known):
+def _weigh_components(old, new, numbers, margin, classes, table, local, known):
     """Voxels and ends that every leader gains or loses in the window; returns how many bodies there
     are with those that go.
     """
-    shape, parts = new.shape, sight.parts
+    shape, parts = new.shape, local.parts
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
                 inside = _in_box(z, y, x, shape, margin)
-                if sight.after[z, y, x] > 0:
-                    k = _leader(parts, sight.after[z, y, x])
+                if local.after[z, y, x] > 0:
+                    k = _leader(parts, local.after[z, y, x])
                     parts[ENDS, k] += _ends_at(new, z, y, x)
                     parts[WHOLE, k] += inside
-                if sight.before[z, y, x] == 0:
+                if local.before[z, y, x] == 0:
                     continue
-                body = root_of(book.parent, of[z, y, x])
-                if book.mark[body] == 0:
-                    book.mark[body] = _GONE
+                component = root_of(table.parent, numbers[z, y, x])
+                if table.mark[component] == 0:
+                    table.mark[component] = _GONE
                     known += 1
-                    sight.seen[known] = body
-                    sight.tally[_ALIVE, classes[old[z, y, x]]] += book.ends[body] > 0
-                    sight.tally[_WAS_SHUT, classes[old[z, y, x]]] += book.ends[body] == _CLOSED
-                elif book.mark[body] > 0:
-                    k = _leader(parts, book.mark[body])
+                    local.seen[known] = component
+                    local.tally[_ALIVE, classes[old[z, y, x]]] += table.ends[component] > 0
+                    local.tally[_WAS_SHUT, classes[old[z, y, x]]] += (
+                        table.ends[component] == _CLOSED
+                    )
+                elif table.mark[component] > 0:
+                    k = _leader(parts, table.mark[component])
                     parts[ENDS, k] -= _ends_at(old, z, y, x)
                     parts[WHOLE, k] -= inside
     return known
 
 
 @inline
-def _carried_over(book, sight):
+def _carry_over(table, local):
     """What leaders take over from the bodies that they go on."""
-    parts, tally = sight.parts, sight.tally
-    for n in range(1, sight.seen[0] + 1):
-        body = sight.seen[n]
-        if book.mark[body] == _GONE:
+    parts, tally = local.parts, local.tally
+    for n in range(1, local.seen[0] + 1):
+        component = local.seen[n]
+        if table.mark[component] == _GONE:
             continue
-        k = _leader(parts, book.mark[body])
-        parts[ENDS, k] += max(book.ends[body], 0)
-        parts[WHOLE, k] += book.sizes[body]
-        tally[_ALIVE, parts[KIND, k]] += book.ends[body] > 0
-        tally[_WAS_SHUT, parts[KIND, k]] += book.ends[body] == _CLOSED
-        if book.ends[body] == 0:  # it was shut before, which is nobody's fault now
-            parts[SHUT_BEFORE, k] += book.sizes[body]
-        if parts[BODY, k] == 0 or body + 1 < parts[BODY, k]:
-            parts[BODY, k] = body + 1
+        k = _leader(parts, table.mark[component])
+        parts[ENDS, k] += max(table.ends[component], 0)
+        parts[WHOLE, k] += table.sizes[component]
+        tally[_ALIVE, parts[KIND, k]] += table.ends[component] > 0
+        tally[_WAS_SHUT, parts[KIND, k]] += table.ends[component] == _CLOSED
+        if table.ends[component] == 0:  # it was shut before, which is nobody's fault now
+            parts[SHUT_BEFORE, k] += table.sizes[component]
+        if parts[COMPONENT, k] == 0 or component + 1 < parts[COMPONENT, k]:
+            parts[COMPONENT, k] = component + 1
 
 
 @inline
-def _counted(sight, count, island):
+def _count_leaders(local, count, island):
     """How many leaders may go on growing, and how many would be shut."""
-    parts = sight.parts
+    parts = local.parts
     for k in range(1, count + 1):
         if parts[LINK, k] > 0:
             continue
         if parts[ENDS, k] > 0:
-            sight.tally[_COMING, parts[KIND, k]] += 1
+            local.tally[_COMING, parts[KIND, k]] += 1
         elif parts[WHOLE, k] > max(island, parts[SHUT_BEFORE, k]):
-            sight.tally[_SHUT, parts[KIND, k]] += 1
+            local.tally[_SHUT, parts[KIND, k]] += 1
             parts[SHUT_NOW, k] = 1
 
 
@@ -224,7 +226,7 @@ def _closes_beside_others(alive, tally):
 
 
 @kernel
-def led(after, parts, found):
+def label_leaders(after, parts, found):
     """The leader of every voxel's part."""
     for z in range(after.shape[0]):
         for y in range(after.shape[1]):
@@ -234,72 +236,72 @@ def led(after, parts, found):
 
 
 @kernel
-def entered(new, of, margin, classes, book, sight, count):
+def enter_window(new, numbers, margin, classes, table, local, count):
     """The parts as bodies; `count` numbers are in use before, and what it returns after."""
-    shape, parts, tally = new.shape, sight.parts, sight.tally
-    for n in range(1, sight.seen[0] + 1):
-        if sight.seen[n] > 0:
-            book.ends[sight.seen[n]] = 0  # what goes on gets its ends below
-            book.sizes[sight.seen[n]] = 0
+    shape, parts, tally = new.shape, local.parts, local.tally
+    for n in range(1, local.seen[0] + 1):
+        if local.seen[n] > 0:
+            table.ends[local.seen[n]] = 0  # what goes on gets its ends below
+            table.sizes[local.seen[n]] = 0
     given_up = np.zeros(3, np.bool_)
     for kind in range(1, 3):
-        book.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
-        book.alive[1, kind] -= tally[_WAS_SHUT, kind]
-        given_up[kind] = book.alive[0, kind] + book.alive[1, kind] + tally[_SHUT, kind] > 1
+        table.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
+        table.alive[1, kind] -= tally[_WAS_SHUT, kind]
+        given_up[kind] = table.alive[0, kind] + table.alive[1, kind] + tally[_SHUT, kind] > 1
         if not given_up[kind]:
-            book.alive[1, kind] += tally[_SHUT, kind]
+            table.alive[1, kind] += tally[_SHUT, kind]
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                if sight.after[z, y, x] == 0:
+                if local.after[z, y, x] == 0:
                     continue
-                k = _leader(parts, sight.after[z, y, x])
-                if parts[BODY, k] == 0:
-                    book.parent[count] = count
+                k = _leader(parts, local.after[z, y, x])
+                if parts[COMPONENT, k] == 0:
+                    table.parent[count] = count
                     count += 1
-                    parts[BODY, k] = count
-                body = parts[BODY, k] - 1
-                if body > 0:
-                    book.ends[body] = max(parts[ENDS, k], 0)
+                    parts[COMPONENT, k] = count
+                component = parts[COMPONENT, k] - 1
+                if component > 0:
+                    table.ends[component] = max(parts[ENDS, k], 0)
                     if parts[SHUT_NOW, k] > 0 and not given_up[parts[KIND, k]]:
-                        book.ends[body] = _CLOSED
-                    book.sizes[body] = parts[WHOLE, k]
+                        table.ends[component] = _CLOSED
+                    table.sizes[component] = parts[WHOLE, k]
                 if _in_box(z, y, x, shape, margin):
-                    of[z, y, x] = body
+                    numbers[z, y, x] = component
                 else:
-                    root = root_of(book.parent, of[z, y, x])
-                    if root != body:
-                        book.parent[root] = body
+                    root = root_of(table.parent, numbers[z, y, x])
+                    if root != component:
+                        table.parent[root] = component
     return count
 
 
 @inline
-def root_of(parent, body):
+def root_of(parent, component):
     """The number that stands for all of a body."""
-    while parent[body] != body:
-        body = parent[body]
-    return body
+    while parent[component] != component:
+        component = parent[component]
+    return component
 
 
 @kernel
-def largest(parent, sizes, first, last, found):
+def largest_component(parent, sizes, first, last, found):
     """The largest of the bodies first .. last - 1 and of `found`; of equals the first."""
-    for body in range(first, last):
-        if parent[body] == body and sizes[body] > sizes[found]:
-            found = body
+    for component in range(first, last):
+        if parent[component] == component and sizes[component] > sizes[found]:
+            found = component
     return found
 
 
 @kernel
-def islands(parent, sizes, most, kept, first, last, found):
+def mark_islands(parent, sizes, most, kept, first, last, found):
     """Mark the bodies first .. last - 1 that are of up to `most` voxels, but `kept`; 0 is none."""
-    for body in range(first, last):
-        root = root_of(parent, body)
-        found[body] = root > 0 and root != kept and sizes[root] <= most
+    for component in range(first, last):
+        root = root_of(parent, component)
+        found[component] = root > 0 and root != kept and sizes[root] <= most
 
 
 @kernel
-def first_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
+def initial_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
     """Of the layers first .. last - 1, faces of every part towards voxels to make, and whether it
     touches a face of the volume or what is outside. `part`: what numbers stand for, from 1."""
     shape = canvas.shape
@@ -324,17 +326,17 @@ def first_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
 
 
 @kernel
-def renumbered(canvas, member, body, numbers):
+def renumber(canvas, member, component, numbers):
     """Bodies instead of the numbers that stand for them."""
     for z in range(canvas.shape[0]):
         for y in range(canvas.shape[1]):
             for x in range(canvas.shape[2]):
                 if member[canvas[z, y, x]]:
-                    numbers[z, y, x] = body[numbers[z, y, x]]
+                    numbers[z, y, x] = component[numbers[z, y, x]]
 
 
 @inline
-def _united(parent, a, b):
+def _unite(parent, a, b):
     """The root of two numbers that turn out to be one part, the smaller of their roots; 0 is none."""
     if a == 0 or b == 0:
         return a + b
@@ -347,7 +349,7 @@ def _united(parent, a, b):
 
 
 @kernel
-def flooded(window, classes, labels, parent):
+def label_window(window, classes, labels, parent):
     """Number the connected parts of every class, from 1 in raster order; returns how many there
     are.
     """
@@ -366,13 +368,13 @@ def flooded(window, classes, labels, parent):
                         and labels[z, y - 1, x] != mine
                         and classes[window[z, y - 1, x]] == kind
                     ):
-                        mine = _united(parent, mine, labels[z, y - 1, x])
+                        mine = _unite(parent, mine, labels[z, y - 1, x])
                     if (
                         z > 0
                         and labels[z - 1, y, x] != mine
                         and classes[window[z - 1, y, x]] == kind
                     ):
-                        mine = _united(parent, mine, labels[z - 1, y, x])
+                        mine = _unite(parent, mine, labels[z - 1, y, x])
                     if mine == 0:
                         count += 1
                         mine = count

@@ -17,13 +17,18 @@ from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES
 from trabecula.synth.quilt.candidates import HELD
-from trabecula.synth.quilt.canvas import Frame, deep_shape, frame_for
-from trabecula.synth.quilt.compatibility import Forecast, Trace, check_held, forecast_of
+from trabecula.synth.quilt.canvas import PatchGrid, patch_grid, shape_3d
+from trabecula.synth.quilt.compatibility import (
+    CompatibilityForecast,
+    PlacementTrace,
+    check_targets,
+    forecast_compatibility,
+)
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.connectivity import parts_of
-from trabecula.synth.quilt.patch_library import Learnt, planes_for
-from trabecula.synth.quilt.period import in_phase, phase_key
-from trabecula.synth.quilt.run import Run
+from trabecula.synth.quilt.connectivity import label_slabwise
+from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits
+from trabecula.synth.quilt.period import phase_key, positions_in_phase
+from trabecula.synth.quilt.run import QuiltRun
 from trabecula.synth.shared.orient import symmetries
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -46,7 +51,7 @@ class Quilt(Method):
                 self.config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing
             )
         )
-        planes = planes_for(len(exemplars[0].phases))
+        planes = label_bits(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
         return Plan(
             {
@@ -66,38 +71,40 @@ class QuiltModel(Model):
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
-        self.learnt = Learnt.of(exemplars, config)
+        self.library = PatchLibrary.build(exemplars, config)
         self._held: dict[str, tuple[float, float]] = {}
 
     @property
     def patch(self) -> int:
         """Side of a neighbourhood, voxels."""
-        return self.learnt.patch
+        return self.library.patch
 
     @property
     def overlap(self) -> int:
         """Voxels by which neighbourhoods overlap."""
-        return self.learnt.overlap
+        return self.library.overlap
 
     @property
     def periods(self) -> tuple[float | None, ...]:
         """The exemplar's period along every axis, voxels; None where it has none."""
-        return self.learnt.periods[-self.facts[0].ndim :]
+        return self.library.periods[-self.facts[0].ndim :]
 
-    def forecast(self, request: Request) -> Forecast:
+    def forecast(self, request: Request) -> CompatibilityForecast:
         """What the exemplars can give of a request's target, place by place, before anything is
         made (section 3.4).
         """
         self._check_request(request)
-        return forecast_of(self.learnt, self.config, frame_for(self.learnt, request), request)
+        return forecast_compatibility(
+            self.library, self.config, patch_grid(self.library, request), request
+        )
 
-    def traced(self, request: Request) -> tuple[np.ndarray, Trace]:
+    def make_with_trace(self, request: Request) -> tuple[np.ndarray, PlacementTrace]:
         """The voxels of a request, and what happened at every place (the recipe of `generate` has
         its sums).
         """
         self._check_request(request)
-        run = Run(self.learnt, self.config, request)
-        values = run.made()
+        run = QuiltRun(self.library, self.config, request)
+        values = run.run()
         return values.reshape(request.shape), run.trace
 
     def _check_request(self, request: Request) -> None:
@@ -112,32 +119,32 @@ class QuiltModel(Model):
             _check_one_form(request.mask, request.periodic)
 
     def _check_target(self, request: Request) -> None:
-        check_held(self.learnt, request, self._held)
+        check_targets(self.library, request, self._held)
 
     def _plan(self, request: Request) -> Plan:
-        kept = needs_of(self.learnt, self.config, request)
+        kept = run_bytes(self.library, self.config, request)
         return Plan(
             {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels
         )
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
-        kept = needs_of(self.learnt, self.config, request)
+        kept = run_bytes(self.library, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
-        values, trace = self.traced(request)
-        told = trace.told()
-        if told["gave_way"]:
-            at = told["gave_way_at"][0]
+        values, trace = self.make_with_trace(request)
+        summary = trace.summary()
+        if summary["gave_way"]:
+            at = summary["gave_way_at"][0]
             notify(
-                f"{told['gave_way']} of {told['places']} places gave way in {at['in']}, the first at voxel {at['voxel']}: "
+                f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, the first at voxel {at['voxel']}: "
                 "look at more candidates, or finish the part (finish.connect)"
             )
         return values, {
             "patch": self.patch,
             "overlap": self.overlap,
             "periods": list(self.periods),
-            **told,
+            **summary,
         }
 
 
@@ -145,7 +152,7 @@ def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:
     """Raise where the form is in pieces: what fills them cannot hang together."""
     deep = mask.reshape((1,) * (3 - mask.ndim) + mask.shape)
     wraps = (False,) * (3 - mask.ndim) + tuple(periodic)
-    _, sizes = parts_of(deep.view(np.uint8), INSIDE, wraps)
+    _, sizes = label_slabwise(deep.view(np.uint8), INSIDE, wraps)
     if len(sizes) > 1:
         raise RequestError(
             f"the mask is {len(sizes)} separate pieces, which no solid can connect: fill them one by one, or ask for "
@@ -163,7 +170,7 @@ _AT_ONCE = 32
 
 
 @dataclass(frozen=True)
-class Needs:
+class QuiltBytes:
     """Bytes, by what they are for.
 
     Attributes
@@ -185,58 +192,62 @@ class Needs:
     voxels: int
 
 
-def needs_of(learnt: Learnt, config: QuiltConfig, request: Request) -> Needs:
+def run_bytes(library: PatchLibrary, config: QuiltConfig, request: Request) -> QuiltBytes:
     """The needs of a request."""
-    shape = deep_shape(request)
+    shape = shape_3d(request)
     wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
-    frame = Frame(shape, wraps, learnt.box, learnt.step, (0, 0, 0))
+    grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
     plane, row = shape[1] * shape[2], shape[2]
-    voxels, places = shape[0] * plane, int(np.prod(frame.counts, dtype=np.int64))
-    planes = planes_for(len(learnt.images[0].phases))
+    voxels, places = shape[0] * plane, int(np.prod(grid.counts, dtype=np.int64))
+    planes = label_bits(len(library.images[0].phases))
     window = int(
-        np.prod([side + 2 * margin for side, margin in zip(frame.patch, frame.margin, strict=True)])
+        np.prod([side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)])
     )
     each = 1 + (4 if config.connected != "none" else 0)
-    given = _given(request)
-    return Needs(
+    given = _bytes_of_given(request)
+    return QuiltBytes(
         {
-            "exemplar": sum(image.values.size for image in learnt.images) * (2 + 16 * planes),
-            "candidates": _candidates(learnt, frame, len(request.target)),
+            "exemplar": sum(image.values.size for image in library.images) * (2 + 16 * planes),
+            "candidates": _candidate_bytes(library, grid, len(request.target)),
             "windows": 160 * window,
         },
         {"result": voxels * (each + given) + places * _A_PLACE},
         plane * (each + (_AT_ONCE if given else 0))
-        + window // (learnt.box[2] + 2 * frame.margin[2]) * row * each,
+        + window // (library.box[2] + 2 * grid.margin[2]) * row * each,
         voxels,
     )
 
 
-def _given(request: Request) -> int:
+def _bytes_of_given(request: Request) -> int:
     """Bytes a voxel while what is given is entered, where all is in memory."""
     if request.fixed is not None:
         return 16
     return 1 if request.mask is not None else 0
 
 
-def _candidates(learnt: Learnt, frame: Frame, named: int) -> int:
+def _candidate_bytes(library: PatchLibrary, grid: PatchGrid, named: int) -> int:
     """Of candidates: their descriptors, what ranking them takes, and the pools of all phases that
     places have.
     """
-    count = sum(int(np.prod(counts)) for counts in learnt.counts)
-    pooled = sum(_pooled(learnt, frame, source) for source in range(len(learnt.counts)))
+    count = sum(int(np.prod(counts)) for counts in library.counts)
+    pooled = sum(_count_pooled(library, grid, source) for source in range(len(library.counts)))
     return count * (40 + 8 * named) + max(0, min(pooled, (HELD + 1) * count) - count) * (
         4 + 2 * max(named, 1)
     )
 
 
-def _pooled(learnt: Learnt, frame: Frame, source: int) -> int:
+def _count_pooled(library: PatchLibrary, grid: PatchGrid, source: int) -> int:
     """Candidates of an exemplar in all pools together."""
     total = 1
-    for axis, period in enumerate(learnt.periods):
-        firsts = range(0, frame.counts[axis] * frame.step[axis], frame.step[axis])
+    for axis, period in enumerate(library.periods):
+        firsts = range(0, grid.counts[axis] * grid.step[axis], grid.step[axis])
         keys = {phase_key((first,), (period,))[0] for first in firsts}
         total *= sum(
-            len(in_phase(learnt.counts[source][axis], k, learnt.shifts[source][axis], period))
+            len(
+                positions_in_phase(
+                    library.counts[source][axis], k, library.shifts[source][axis], period
+                )
+            )
             for k in keys
         )
     return total

@@ -13,7 +13,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.fields.local import windowed
 from trabecula.measure.labelling import label_components
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.period import agreement, periods_of, shifts_of
+from trabecula.synth.quilt.period import agreement, cell_shifts, common_periods
 from trabecula.synth.shared.orient import Symmetry, oriented, symmetries
 
 MOST_LABELS = 16
@@ -27,7 +27,7 @@ _PER_DIP = 2.5  # such a patch over the distance at which agreement is least
 
 
 @dataclass(frozen=True)
-class Learnt:
+class PatchLibrary:
     """The exemplars as one stack, with all that does not depend on a request.
 
     Attributes
@@ -49,29 +49,30 @@ class Learnt:
     overlap: int
     periods: tuple[float | None, ...]
     shifts: np.ndarray
-    words: Words
+    words: PackedLabels
 
     @classmethod
-    def of(cls, exemplars: Sequence[Image], config: QuiltConfig) -> Learnt:
+    def build(cls, exemplars: Sequence[Image], config: QuiltConfig) -> PatchLibrary:
         """Learn from exemplars of labels of one material, all 2-D or all 3-D."""
         own = [
-            _deep(labels) for labels in (cleaned(image, config.connected) for image in exemplars)
+            _as_3d(labels)
+            for labels in (remove_unconnected(image, config.connected) for image in exemplars)
         ]
-        periods = periods_of(own) if config.period == "auto" else (None, None, None)
-        patch, overlap = sizes_for(own, config, periods)
+        periods = common_periods(own) if config.period == "auto" else (None, None, None)
+        patch, overlap = choose_sizes(own, config, periods)
         check_fits(exemplars, patch)
         turns = symmetries(
             config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing
         )
-        turned = [_turned(labels, turn, exemplars[0].ndim) for labels in own for turn in turns]
-        stack = _stacked(turned)
-        planes = planes_for(max(int(labels.max()) for labels in own) + 1)
-        words = Words.of(stack, patch=patch, overlap=overlap, planes=planes)
+        turned = [_orient(labels, turn, exemplars[0].ndim) for labels in own for turn in turns]
+        stack = _stack_labels(turned)
+        planes = label_bits(max(int(labels.max()) for labels in own) + 1)
+        words = PackedLabels.pack(stack, patch=patch, overlap=overlap, planes=planes)
         flat = exemplars[0].ndim == 2
         images = tuple(
             replace(exemplars[0], values=labels[0] if flat else labels) for labels in turned
         )
-        return cls(images, stack, patch, overlap, periods, shifts_of(turned, periods), words)
+        return cls(images, stack, patch, overlap, periods, cell_shifts(turned, periods), words)
 
     @property
     def flat(self) -> bool:
@@ -79,7 +80,7 @@ class Learnt:
         return self.images[0].ndim == 2
 
     @property
-    def measured(self) -> int:
+    def descriptor_size(self) -> int:
         """Side of what a patch's descriptors are measured in, about its middle: the patch, or of a
         lattice as many whole periods as it holds. Part of a period more would count its struts, or
         its hollows, twice.
@@ -91,16 +92,16 @@ class Learnt:
         return self.patch // round(period) * round(period)
 
     @property
-    def middle(self) -> int:
+    def descriptor_centre(self) -> int:
         """How far from a patch's first voxel what it is measured in has its middle, as
         `fields.measure` has it.
         """
-        return (self.patch - self.measured) // 2 + (self.measured - 1) // 2
+        return (self.patch - self.descriptor_size) // 2 + (self.descriptor_size - 1) // 2
 
-    def described(self, image: Image, name: str) -> np.ndarray:
+    def describe_patches(self, image: Image, name: str) -> np.ndarray:
         """A descriptor of every patch of an image, float32, one value a position."""
-        off = (self.patch - self.measured) // 2
-        field = windowed(image, size=self.measured, names=[name])[name]
+        off = (self.patch - self.descriptor_size) // 2
+        field = windowed(image, size=self.descriptor_size, names=[name])[name]
         return field[tuple(slice(off, off + side - self.patch + 1) for side in image.shape)]
 
     @property
@@ -128,7 +129,7 @@ class Learnt:
             tuple(side - p + 1 for side, p in zip(shape, self.box, strict=True)) for shape in shapes
         ]
 
-    def piece(self, at: int) -> np.ndarray:
+    def patch_at(self, at: int) -> np.ndarray:
         """The patch that begins at a voxel of the stack."""
         by_source, by_layer, by_row = self.strides
         (source, at), (depth, height, width) = divmod(at, by_source), self.box
@@ -139,26 +140,26 @@ class Learnt:
         )
 
 
-def void_of(phases: Sequence[str]) -> int:
+def void_label(phases: Sequence[str]) -> int:
     """The label that is void: the phase of that name, or 0."""
     return list(phases).index("void") if "void" in phases else 0
 
 
-def cleaned(image: Image, connected: str) -> np.ndarray:
+def remove_unconnected(image: Image, connected: str) -> np.ndarray:
     """The labels without what could hang together with nothing: solid that floats inside the
     exemplar, where the solid is to be connected, and void that is closed in, where the void is.
     """
-    labels, void = image.values, void_of(image.phases)
+    labels, void = image.values, void_label(image.phases)
     if connected in ("solid", "both"):
-        labels = np.where(_lost(labels != void), np.uint8(void), labels)
+        labels = np.where(_mark_unconnected(labels != void), np.uint8(void), labels)
     if connected in ("void", "both"):
-        lost = _lost(labels == void)
+        lost = _mark_unconnected(labels == void)
         solid = np.bincount(labels[labels != void], minlength=1)
         labels = np.where(lost, np.uint8(solid.argmax()), labels) if solid.any() else labels
     return labels
 
 
-def _lost(inside: np.ndarray) -> np.ndarray:
+def _mark_unconnected(inside: np.ndarray) -> np.ndarray:
     """Bodies that touch no face of the image, but the largest."""
     numbers, sizes = label_components(inside)
     lost = np.ones(len(sizes) + 1, np.bool_)
@@ -171,7 +172,7 @@ def _lost(inside: np.ndarray) -> np.ndarray:
     return lost[numbers]
 
 
-def sizes_for(
+def choose_sizes(
     own: Sequence[np.ndarray], config: QuiltConfig, periods: Sequence[float | None]
 ) -> tuple[int, int]:
     """Patch and overlap: what the settings say, or what suits the exemplars."""
@@ -185,7 +186,7 @@ def sizes_for(
         overlap = config.overlap or max(3, round(_OVER * max(found)))
         patch = round(max(found)) + overlap
     else:
-        dips = [_dip(labels, axis) for labels in own for axis in axes]
+        dips = [_first_dip(labels, axis) for labels in own for axis in axes]
         patch = round(_PER_DIP * sum(dips) / len(dips))
         overlap = 0
     patch = min(
@@ -196,7 +197,7 @@ def sizes_for(
     return patch, min(config.overlap or overlap or max(3, round(_OVER * patch)), patch - 1)
 
 
-def _dip(labels: np.ndarray, axis: int) -> int:
+def _first_dip(labels: np.ndarray, axis: int) -> int:
     """The distance at which two voxels agree least, before they agree more again: about half of a
     structure and its gap.
     """
@@ -215,16 +216,16 @@ def check_fits(exemplars: Sequence[Image], patch: int) -> None:
             )
 
 
-def _deep(labels: np.ndarray) -> np.ndarray:
+def _as_3d(labels: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(labels if labels.ndim == 3 else labels[None])
 
 
-def _turned(labels: np.ndarray, turn: Symmetry, ndim: int) -> np.ndarray:
+def _orient(labels: np.ndarray, turn: Symmetry, ndim: int) -> np.ndarray:
     own = labels if ndim == 3 else labels[0]
-    return _deep(oriented(own[None], turn)[0])
+    return _as_3d(oriented(own[None], turn)[0])
 
 
-def _stacked(turned: Sequence[np.ndarray]) -> np.ndarray:
+def _stack_labels(turned: Sequence[np.ndarray]) -> np.ndarray:
     shape = np.max([labels.shape for labels in turned], axis=0)
     stack = np.zeros((len(turned), *shape), np.uint8)
     for own, labels in zip(stack, turned, strict=True):
@@ -237,13 +238,13 @@ MOST_COLUMNS = 64
 _AT_A_TIME = 256  # candidates
 
 
-def planes_for(labels: int) -> int:
+def label_bits(labels: int) -> int:
     """Bits of a label, of so many labels."""
     return max(1, int(labels - 1).bit_length())
 
 
 @dataclass(frozen=True)
-class Words:
+class PackedLabels:
     """The exemplars' words. `wide` and `narrow` are (planes, voxels) uint64; rows and columns are
     those of a word.
     """
@@ -254,7 +255,7 @@ class Words:
     columns: tuple[int, int]
 
     @classmethod
-    def of(cls, stack: np.ndarray, *, patch: int, overlap: int, planes: int) -> Words:
+    def pack(cls, stack: np.ndarray, *, patch: int, overlap: int, planes: int) -> PackedLabels:
         """Of a stack of exemplars (S, Z, Y, X) uint8."""
         columns = (patch, overlap)
         rows = tuple(min(patch, MOST_COLUMNS // width) for width in columns)
@@ -262,12 +263,12 @@ class Words:
         layers = stack.reshape(-1, *stack.shape[-2:])
         for table, high, width in zip(made, rows, columns, strict=True):
             for plane in range(planes):
-                _pack(layers, plane, high, width, table[plane].reshape(layers.shape))
+                _pack_words(layers, plane, high, width, table[plane].reshape(layers.shape))
         return cls(made[0], made[1], (rows[0], rows[1]), columns)
 
 
 @dataclass(frozen=True)
-class Query:
+class OverlapQuery:
     """The words of one overlap: where each begins beside a candidate's first voxel, what it should
     hold and what counts.
     """
@@ -278,7 +279,7 @@ class Query:
     masks: np.ndarray  # uint64
     voxels: int
 
-    def every(self, nth: int) -> Query:
+    def every_nth(self, nth: int) -> OverlapQuery:
         """Every nth of its words; they run through the box row by row, so that each is of another
         part of the overlap.
         """
@@ -286,7 +287,7 @@ class Query:
             np.ascontiguousarray(words[..., ::nth])
             for words in (self.offsets, self.narrow, self.bits, self.masks)
         )
-        return Query(
+        return OverlapQuery(
             offsets,
             narrow,
             bits,
@@ -295,7 +296,9 @@ class Query:
         )
 
 
-def query_of(words: Words, box: np.ndarray, near: np.ndarray, strides: tuple[int, int]) -> Query:
+def overlap_query(
+    words: PackedLabels, box: np.ndarray, near: np.ndarray, strides: tuple[int, int]
+) -> OverlapQuery:
     """The words that hold `near` (bool) of a box of labels."""
     planes, most = len(words.wide), box.shape[0] * box.shape[1]
     offsets, narrow = np.empty(most, np.int64), np.empty(most, np.bool_)
@@ -303,7 +306,7 @@ def query_of(words: Words, box: np.ndarray, near: np.ndarray, strides: tuple[int
     count, voxels = _cover(
         box, near, *strides, words.rows, words.columns, offsets, narrow, bits, masks
     )
-    return Query(
+    return OverlapQuery(
         offsets[:count],
         narrow[:count],
         np.ascontiguousarray(bits[:, :count]),
@@ -312,19 +315,19 @@ def query_of(words: Words, box: np.ndarray, near: np.ndarray, strides: tuple[int
     )
 
 
-def mismatches(words: Words, query: Query, at: np.ndarray) -> np.ndarray:
+def mismatches(words: PackedLabels, query: OverlapQuery, at: np.ndarray) -> np.ndarray:
     """How many voxels of the overlap differ, for candidates with their first voxels `at` (int64):
     equation (5). int32.
     """
     found = np.zeros(len(at), np.int32)
-    _count_bits(
+    _count_mismatches(
         words.wide, words.narrow, query.offsets, query.narrow, query.bits, query.masks, at, found
     )
     return found
 
 
 @kernel
-def _pack(layers, plane, rows, columns, words):
+def _pack_words(layers, plane, rows, columns, words):
     """Bit j * columns + i of a word is voxel (y + j, x + i); what lies beyond the layer is 0."""
     depth, height, width = layers.shape
     kept = ~np.uint64(0) >> np.uint64(64 - columns)
@@ -345,7 +348,7 @@ def _pack(layers, plane, rows, columns, words):
 
 
 @inline
-def ones(word):
+def bit_count(word):
     """How many bits are set; compilers know this form and put one instruction in its place."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
@@ -356,7 +359,7 @@ def ones(word):
 
 
 @kernel
-def _count_bits(wide, narrow, offsets, is_narrow, bits, masks, at, found):
+def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
     """Word by word for some candidates at a time, so that a word is one simple loop over counts
     that stay in the cache.
     """
@@ -368,13 +371,13 @@ def _count_bits(wide, narrow, offsets, is_narrow, bits, masks, at, found):
             table = narrow if is_narrow[w] else wide
             if planes == 1:
                 for n in range(begin, end):
-                    found[n] += np.int32(ones((table[0, at[n] + offset] ^ first) & mask))
+                    found[n] += np.int32(bit_count((table[0, at[n] + offset] ^ first) & mask))
             else:
                 for n in range(begin, end):
                     other = table[0, at[n] + offset] ^ first
                     for plane in range(1, planes):
                         other |= table[plane, at[n] + offset] ^ bits[plane, w]
-                    found[n] += np.int32(ones(other & mask))
+                    found[n] += np.int32(bit_count(other & mask))
 
 
 @kernel

@@ -78,7 +78,7 @@ def period_along(labels: np.ndarray, axis: int) -> float | None:
     return found
 
 
-def periods_of(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
+def common_periods(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
     """The periods that all exemplars share, along every axis."""
     found = []
     for axis in range(3):
@@ -91,11 +91,11 @@ def periods_of(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> np.ndarray:
+def cell_shifts(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> np.ndarray:
     """(S, 3) voxels by which each exemplar's cells lie further along every axis than the first
     one's.
     """
-    cells = [_cell(labels, periods) for labels in stack]
+    cells = [_cell_counts(labels, periods) for labels in stack]
     first = np.conj(np.fft.rfftn(cells[0]))
     shifts = np.zeros((len(stack), 3), np.int64)
     for n, cell in enumerate(cells[1:], start=1):
@@ -105,7 +105,7 @@ def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> n
     return shifts
 
 
-def _cell(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
+def _cell_counts(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
     """How many voxels of label 0 fall on every voxel of a cell; one voxel along axes without a
     period.
     """
@@ -131,7 +131,7 @@ def phase_key(corner: Sequence[int], periods: Sequence[float | None]) -> tuple[i
     )
 
 
-def in_phase(count: int, key: int, shift: int, period: float | None) -> np.ndarray:
+def positions_in_phase(count: int, key: int, shift: int, period: float | None) -> np.ndarray:
     """Positions 0 .. count - 1 along an axis that have a phase, of an exemplar that lies `shift`
     further.
     """

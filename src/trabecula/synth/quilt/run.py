@@ -14,42 +14,62 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
-from trabecula.synth.quilt.candidates import SCALE, WEIGHT, Descriptors, Pool, Pools, Ranked, Ranker
+from trabecula.synth.quilt.candidates import (
+    SCALE,
+    WEIGHT,
+    CandidateDescriptors,
+    CandidatePool,
+    CandidatePools,
+    CandidateRanker,
+    RankedCandidates,
+)
 from trabecula.synth.quilt.canvas import (
     EMPTY,
     OUT,
-    Own,
-    box_of,
-    canvas_for,
-    frame_for,
+    ExemplarShares,
+    initial_canvas,
+    inner_box,
     near_empty,
     paint_islands,
+    patch_grid,
     targets_at,
     unmark,
 )
-from trabecula.synth.quilt.compatibility import Trace
+from trabecula.synth.quilt.compatibility import PlacementTrace
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.connectivity import FINE, SOLID, Bodies, Judge, classes_for, thin_voxels
-from trabecula.synth.quilt.patch_library import Learnt, Query, query_of, void_of
+from trabecula.synth.quilt.connectivity import (
+    FINE,
+    SOLID,
+    ComponentTracker,
+    ConnectivityCheck,
+    thin_voxels,
+    voxel_classes,
+)
+from trabecula.synth.quilt.patch_library import (
+    OverlapQuery,
+    PatchLibrary,
+    overlap_query,
+    void_label,
+)
 from trabecula.synth.quilt.period import phase_key
-from trabecula.synth.quilt.seams import ALL, LEAST, MOST, Struts, seamed
+from trabecula.synth.quilt.seams import ALL, LEAST, MOST, StrutBuilder, cut_in
 
 _STAGE = "quilt laid"
 
 
 @dataclass
-class _Step:
+class _PlacedPatch:
     """What it takes to take a piece back."""
 
     place: int
     at: int
     corner: tuple[int, ...]
     old: np.ndarray
-    of: np.ndarray
-    book: tuple[np.ndarray, ...]
+    numbers: np.ndarray
+    table: tuple[np.ndarray, ...]
 
 
-class Run:
+class QuiltRun:
     """The state of one run.
 
     Attributes
@@ -61,26 +81,28 @@ class Run:
     trace : Trace
     """
 
-    def __init__(self, learnt: Learnt, config: QuiltConfig, request: Request) -> None:
-        self.learnt, self.config, self.request = learnt, config, request
-        self.frame = frame_for(learnt, request)
-        self.canvas = canvas_for(self.frame.shape, request)
-        phases = learnt.images[0].phases
-        self.void = void_of(phases)
-        followed = classes_for(config.connected, self.void, len(phases))
-        self.bodies = Bodies(self.canvas, self.frame.wraps, followed) if followed.any() else None
+    def __init__(self, library: PatchLibrary, config: QuiltConfig, request: Request) -> None:
+        self.library, self.config, self.request = library, config, request
+        self.grid = patch_grid(library, request)
+        self.canvas = initial_canvas(self.grid.shape, request)
+        phases = library.images[0].phases
+        self.void = void_label(phases)
+        followed = voxel_classes(config.connected, self.void, len(phases))
+        self.components = (
+            ComponentTracker(self.canvas, self.grid.wraps, followed) if followed.any() else None
+        )
         self.target = {
-            name: np.reshape(t, self.frame.shape) if np.ndim(t) else t
+            name: np.reshape(t, self.grid.shape) if np.ndim(t) else t
             for name, t in request.target.items()
         }
-        self.mask = None if request.mask is None else request.mask.reshape(self.frame.shape)
-        self.own = None if self.target else Own.of(learnt, request.seed)
+        self.mask = None if request.mask is None else request.mask.reshape(self.grid.shape)
+        self.own = None if self.target else ExemplarShares.build(library, request.seed)
         names = list(request.target) if self.own is None else list(self.own.fields)
-        self.descriptors = Descriptors.of(learnt, names, config.weights)
-        self.pools = Pools(learnt, self.descriptors, request.seed)
+        self.descriptors = CandidateDescriptors.measure(library, names, config.weights)
+        self.pools = CandidatePools(library, self.descriptors, request.seed)
         stage = key(request.seed, "quilt/choice")
-        ranker = Ranker(
-            learnt.words,
+        ranker = CandidateRanker(
+            library.words,
             self.pools,
             self.descriptors,
             config.alpha,
@@ -89,17 +111,17 @@ class Run:
             stage,
             bool(self.target),
         )
-        self.chooser = Chooser(learnt, config, ranker, self.bodies, self.frame.margin)
-        self.trace = Trace(self.frame)
-        self.placed = memmap.zeros(int(np.prod(self.frame.counts)), np.int32)
-        self.log: deque[_Step] = deque(maxlen=max(1, config.backtrack))
+        self.chooser = PatchChooser(library, config, ranker, self.components, self.grid.margin)
+        self.trace = PlacementTrace(self.grid)
+        self.placed = memmap.zeros(int(np.prod(self.grid.counts)), np.int32)
+        self.log: deque[_PlacedPatch] = deque(maxlen=max(1, config.backtrack))
         self.refused: dict[int, set[int]] = {}
         self.backs: dict[int, int] = {}
 
-    def made(self) -> np.ndarray:
+    def run(self) -> np.ndarray:
         """Lay all pieces; returns the labels, uint8 (Z, Y, X)."""
-        counts = self.frame.counts
-        for done in track(range(self._resumed(), counts[0]), "laying pieces"):
+        counts = self.grid.counts
+        for done in track(range(self._resume(), counts[0]), "laying pieces"):
             self._lay_layer(done)
             if checkpoint.due():
                 checkpoint.offer(
@@ -107,128 +129,130 @@ class Run:
                     done + 1,
                     canvas=self.canvas,
                     placed=self.placed,
-                    **self._book(),
+                    **self._component_arrays(),
                     **self.trace.arrays(),
                 )
-        if self.bodies is not None:
+        if self.components is not None:
             self.trace.painted = paint_islands(
                 self.canvas,
-                self.bodies.of,
-                self.bodies.islands(self.chooser.judge.island),
-                self.bodies.classes,
-                void=self.chooser.struts.void,
-                solid=self.chooser.struts.solid,
+                self.components.numbers,
+                self.components.islands(self.chooser.check.island),
+                self.components.classes,
+                void=self.chooser.strut_builder.void,
+                solid=self.chooser.strut_builder.solid,
             )
         unmark(self.canvas, self.void)
         return self.canvas
 
     def _lay_layer(self, layer: int) -> None:
         """Lay the pieces of one layer of places; none is taken back later."""
-        _, rows, places = self.frame.counts
+        _, rows, places = self.grid.counts
         number, end = layer * rows * places, (layer + 1) * rows * places
         while number < end:
-            number = self._step(number)
+            number = self._lay_or_undo(number)
             if number % places == 0:
                 memmap.release_pages()
-                self.pools.forget()
+                self.pools.drop_large_pools()
         for memory in (self.log, self.refused, self.backs):
             memory.clear()
 
-    def _step(self, number: int) -> int:
+    def _lay_or_undo(self, number: int) -> int:
         """Lay the piece of a place, or take one back; returns the place to go on with."""
-        corner = self.frame.corner(number)
-        place = self._place(number, corner)
+        corner = self.grid.corner(number)
+        place = self._site_at(number, corner)
         if place is None:
             return number + 1
         may_go_back = bool(self.log) and self.backs.get(number, 0) < self.config.backtrack
-        piece, tried = self.chooser.chosen(place, last_way=not may_go_back)
-        if piece.why and may_go_back:
+        patch, tried = self.chooser.choose(place, last_way=not may_go_back)
+        if patch.why and may_go_back:
             self.backs[number] = self.backs.get(number, 0) + 1
-            return self._taken_back()
+            return self._undo_last()
         if place.refused == ():
             self.refused.pop(number, None)
-        self._lay(place, corner, piece)
-        share = piece.mismatch / place.query.voxels if place.query.voxels else float("nan")
-        off = piece.difference / (SCALE * WEIGHT) if self.target else float("nan")
-        self.trace.add(number, share, off, tried, piece.strut, piece.why)
+        self._lay_patch(place, corner, patch)
+        share = patch.mismatch / place.query.voxels if place.query.voxels else float("nan")
+        off = patch.difference / (SCALE * WEIGHT) if self.target else float("nan")
+        self.trace.add(number, share, off, tried, patch.strut, patch.why)
         return number + 1
 
-    def _place(self, number: int, corner: tuple[int, ...]) -> Place | None:
+    def _site_at(self, number: int, corner: tuple[int, ...]) -> PatchSite | None:
         """What there is to know of a place; None where nothing is to be made."""
-        learnt, frame = self.learnt, self.frame
+        library, grid = self.library, self.grid
         old = np.empty(self.chooser.window, np.uint8)
-        frame.cut_out(self.canvas, corner, old, OUT)
-        box = np.ascontiguousarray(box_of(old, frame.margin))
+        grid.read_window(self.canvas, corner, old, OUT)
+        box = np.ascontiguousarray(inner_box(old, grid.margin))
         if not (box == EMPTY).any():
             return None
-        of = np.zeros(old.shape, np.int32)
-        if self.bodies is not None:
-            frame.cut_out(self.bodies.of, corner, of, 0)
-        near = near_empty(box, learnt.overlap) if self.request.fixed is not None else box < OUT
+        numbers = np.zeros(old.shape, np.int32)
+        if self.components is not None:
+            grid.read_window(self.components.numbers, corner, numbers, 0)
+        near = near_empty(box, library.overlap) if self.request.fixed is not None else box < OUT
         targets = (
             self.own.at(corner)
             if self.own
-            else targets_at(self.target, frame, corner, learnt.middle, self.mask)
+            else targets_at(self.target, grid, corner, library.descriptor_centre, self.mask)
         )
-        return Place(
+        return PatchSite(
             number,
             old,
-            of,
-            query_of(learnt.words, box, near, learnt.strides[1:]),
-            self.descriptors.scaled(targets),
-            self.pools.of(phase_key(corner, learnt.periods)),
-            self._pieces_before(number),
+            numbers,
+            overlap_query(library.words, box, near, library.strides[1:]),
+            self.descriptors.scale_targets(targets),
+            self.pools.pool(phase_key(corner, library.periods)),
+            self._patches_before(number),
             self.refused.get(number, ()),
         )
 
-    def _pieces_before(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+    def _patches_before(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the pieces before a place along z, y and x begin in the stack, and how far the
         place lies from them.
         """
         at, away = [], []
-        place = np.unravel_index(number, self.frame.counts)
-        by = int(np.prod(self.frame.counts))
-        for axis, count in enumerate(self.frame.counts):
+        place = np.unravel_index(number, self.grid.counts)
+        by = int(np.prod(self.grid.counts))
+        for axis, count in enumerate(self.grid.counts):
             by //= count
             if place[axis] > 0 and self.placed[number - by] > 0:
                 at.append(self.placed[number - by] - 1)
-                away.append([self.frame.step[axis] if other == axis else 0 for other in range(3)])
+                away.append([self.grid.step[axis] if other == axis else 0 for other in range(3)])
         return np.array(at, np.int64), np.array(away, np.int64).reshape(-1, 3)
 
-    def _lay(self, place: Place, corner: tuple[int, ...], piece: Piece) -> None:
+    def _lay_patch(self, place: PatchSite, corner: tuple[int, ...], patch: CutPatch) -> None:
         """Write a piece into the output, and its bodies into the book."""
-        book: tuple[np.ndarray, ...] = ()
-        of = place.of
-        if self.bodies is not None:
-            of = place.of.copy()
-            book = self.chooser.judge.enter(self.bodies, place.old, piece.window, place.of)
-            self.frame.put_back(self.bodies.of, corner, place.of)
-        self.frame.put_back(self.canvas, corner, piece.window)
-        self.placed[place.number] = piece.at + 1
-        self.log.append(_Step(place.number, piece.at, corner, place.old, of, book))
+        table: tuple[np.ndarray, ...] = ()
+        numbers = place.numbers
+        if self.components is not None:
+            numbers = place.numbers.copy()
+            table = self.chooser.check.enter(
+                self.components, place.old, patch.window, place.numbers
+            )
+            self.grid.write_box(self.components.numbers, corner, place.numbers)
+        self.grid.write_box(self.canvas, corner, patch.window)
+        self.placed[place.number] = patch.at + 1
+        self.log.append(_PlacedPatch(place.number, patch.at, corner, place.old, numbers, table))
 
-    def _taken_back(self) -> int:
+    def _undo_last(self) -> int:
         """Undo the last piece; its place has to do without it."""
         step = self.log.pop()
-        self.frame.put_back(self.canvas, step.corner, step.old)
-        if self.bodies is not None:
-            self.frame.put_back(self.bodies.of, step.corner, step.of)
-            self.bodies.restore(step.book)
+        self.grid.write_box(self.canvas, step.corner, step.old)
+        if self.components is not None:
+            self.grid.write_box(self.components.numbers, step.corner, step.numbers)
+            self.components.restore(step.table)
         self.refused.setdefault(step.place, set()).add(step.at)
         self.trace.drop(step.place)
         return step.place
 
-    def _book(self) -> dict[str, np.ndarray]:
-        return {} if self.bodies is None else self.bodies.arrays()
+    def _component_arrays(self) -> dict[str, np.ndarray]:
+        return {} if self.components is None else self.components.arrays()
 
-    def _resumed(self) -> int:
+    def _resume(self) -> int:
         state = checkpoint.resumed(_STAGE)
         if state is None:
             return 0
         self.canvas, self.placed = state.arrays["canvas"], state.arrays["placed"]
-        self.trace.take_over(state.arrays)
-        if self.bodies is not None:
-            self.bodies.take_over(state.arrays)
+        self.trace.load_arrays(state.arrays)
+        if self.components is not None:
+            self.components.load_arrays(state.arrays)
         return state.number
 
 
@@ -243,7 +267,7 @@ _PATIENCE = 4  # candidates judged in the hope of one that begins no new body
 _ISLAND = 0.02  # share of a box that a body may have and be painted over
 
 
-class Piece(NamedTuple):
+class CutPatch(NamedTuple):
     """A candidate as it would come to lie."""
 
     at: int
@@ -256,7 +280,7 @@ class Piece(NamedTuple):
 
 
 @dataclass
-class Place:
+class PatchSite:
     """A place in hand.
 
     Attributes
@@ -277,26 +301,26 @@ class Place:
 
     number: int
     old: np.ndarray
-    of: np.ndarray
-    query: Query
+    numbers: np.ndarray
+    query: OverlapQuery
     asked: np.ndarray
-    pool: Pool
+    pool: CandidatePool
     before: tuple[np.ndarray, np.ndarray]
     refused: Collection[int]
 
 
 @dataclass
-class _Tried:
+class _TriedCandidates:
     """How many candidates of a place were judged, the best of those with something against them,
     and how many had solid where.
     """
 
     solid: np.ndarray
     count: int = 0
-    fallback: Piece | None = None
+    fallback: CutPatch | None = None
 
 
-class Chooser:
+class PatchChooser:
     """What the candidates of all places are judged by.
 
     Attributes
@@ -310,39 +334,41 @@ class Chooser:
 
     def __init__(
         self,
-        learnt: Learnt,
+        library: PatchLibrary,
         config: QuiltConfig,
-        ranker: Ranker,
-        bodies: Bodies | None,
+        ranker: CandidateRanker,
+        components: ComponentTracker | None,
         margin: tuple[int, ...],
     ) -> None:
-        self.learnt, self.config, self.ranker, self.bodies, self.margin = (
-            learnt,
+        self.library, self.config, self.ranker, self.components, self.margin = (
+            library,
             config,
             ranker,
-            bodies,
+            components,
             margin,
         )
-        self.seams = config.seams or (_OF_A_LATTICE if any(learnt.periods) else _OF_OTHERS)
-        phases = learnt.images[0].phases
-        self.solid = classes_for("solid", void_of(phases), len(phases)) == SOLID
-        self.window = tuple(side + 2 * m for side, m in zip(learnt.box, margin, strict=True))
-        self.judge = Judge(self.window, margin, island=round(_ISLAND * np.prod(learnt.box)))
+        self.seams = config.seams or (_OF_A_LATTICE if any(library.periods) else _OF_OTHERS)
+        phases = library.images[0].phases
+        self.solid = voxel_classes("solid", void_label(phases), len(phases)) == SOLID
+        self.window = tuple(side + 2 * m for side, m in zip(library.box, margin, strict=True))
+        self.check = ConnectivityCheck(
+            self.window, margin, island=round(_ISLAND * np.prod(library.box))
+        )
 
     @cached_property
-    def struts(self) -> Struts:
+    def strut_builder(self) -> StrutBuilder:
         """What struts are like."""
-        return Struts.of(self.learnt, self.config.feature)
+        return StrutBuilder.build(self.library, self.config.feature)
 
-    def chosen(self, place: Place, *, last_way: bool) -> tuple[Piece, int]:
+    def choose(self, place: PatchSite, *, last_way: bool) -> tuple[CutPatch, int]:
         """The best candidate that may stay, or else the best with what speaks against it; and how
         many were judged. `last_way`: with struts, rather than against what is to hang together.
         """
         config = self.config
         count = min(config.candidates, max(_FEWEST, round(config.share * len(place.pool.at))))
-        failed, tried = set(place.refused), _Tried(np.zeros(self.learnt.box, np.int32))
+        failed, tried = set(place.refused), _TriedCandidates(np.zeros(self.library.box, np.int32))
         for wider in range(_WIDEST + 1):
-            found = self.ranker.ranked(
+            found = self.ranker.rank(
                 place.query,
                 place.pool,
                 place.asked,
@@ -352,76 +378,84 @@ class Chooser:
                 without=failed,
             )
             last = found.complete or wider == _WIDEST
-            if wider == 0 and not last and found.least() > config.mismatch * place.query.voxels:
+            if (
+                wider == 0
+                and not last
+                and found.least_mismatch() > config.mismatch * place.query.voxels
+            ):
                 continue
-            piece = self._first_that_may_stay(place, found, tried, failed)
-            if piece is not None:
-                return piece, tried.count
+            patch = self._first_acceptable(place, found, tried, failed)
+            if patch is not None:
+                return patch, tried.count
             if last:
                 break
         if tried.fallback is None:  # all that there are were taken back before
             place.refused = ()
-            return self.chosen(place, last_way=last_way)
+            return self.choose(place, last_way=last_way)
         return (
             self._with_struts(place, tried) if last_way else None
         ) or tried.fallback, tried.count
 
-    def _first_that_may_stay(
-        self, place: Place, found: Ranked, tried: _Tried, failed: set[int]
-    ) -> Piece | None:
+    def _first_acceptable(
+        self, place: PatchSite, found: RankedCandidates, tried: _TriedCandidates, failed: set[int]
+    ) -> CutPatch | None:
         """A candidate with nothing against it; if there is one soon, one that begins no new body."""
-        good: Piece | None = None
+        good: CutPatch | None = None
         for n, cut in self._by_seam(place, found):
             if good is not None and tried.count >= _PATIENCE:
                 break
             tried.count += 1
             for keep in (LEAST, MOST, ALL):  # what is laid only where nothing was tears nothing
-                window = cut if keep == LEAST else self._cut_in(place, int(found.at[n]), keep)[0]
-                piece = self._judged(place, found, n, window)
-                if not piece.why and piece.growth <= 0:
-                    return piece
-                if not piece.why:
-                    good = good or piece
+                window = cut if keep == LEAST else self._cut_in_at(place, int(found.at[n]), keep)[0]
+                patch = self._judge(place, found, n, window)
+                if not patch.why and patch.growth <= 0:
+                    return patch
+                if not patch.why:
+                    good = good or patch
                     break
-                tried.fallback = tried.fallback or piece
-            tried.solid += self.solid[self.learnt.piece(int(found.at[n]))]
+                tried.fallback = tried.fallback or patch
+            tried.solid += self.solid[self.library.patch_at(int(found.at[n]))]
             failed.add(int(found.at[n]))
         return good
 
-    def _by_seam(self, place: Place, found: Ranked) -> Iterator[tuple[int, np.ndarray]]:
+    def _by_seam(
+        self, place: PatchSite, found: RankedCandidates
+    ) -> Iterator[tuple[int, np.ndarray]]:
         """The nearest candidates, so many at a time, of these the one with the least seam first;
         and the windows they make.
         """
         left = self.config.tries
         while left > 0:
-            batch = found.taken_off(min(left, self.seams))
+            batch = found.take_nearest(min(left, self.seams))
             if not len(batch):
                 return
             left -= len(batch)
             windows, costs = zip(
-                *(self._cut_in(place, int(found.at[n]), LEAST) for n in batch), strict=True
+                *(self._cut_in_at(place, int(found.at[n]), LEAST) for n in batch), strict=True
             )
             for k in np.argsort(costs, kind="stable"):
                 yield int(batch[k]), windows[k]
 
-    def _cut_in(self, place: Place, at: int, keep: int) -> tuple[np.ndarray, int]:
+    def _cut_in_at(self, place: PatchSite, at: int, keep: int) -> tuple[np.ndarray, int]:
         """A candidate cut in along its seam, and what the cut costs."""
-        return seamed(place.old, self.margin, self.learnt.piece(at), keep=keep)
+        return cut_in(place.old, self.margin, self.library.patch_at(at), keep=keep)
 
-    def _judged(self, place: Place, found: Ranked, n: int, window: np.ndarray) -> Piece:
+    def _judge(
+        self, place: PatchSite, found: RankedCandidates, n: int, window: np.ndarray
+    ) -> CutPatch:
         """A candidate with what speaks against it."""
         why, growth = "", 0
-        if self.bodies is not None:
-            if self.judge.verdict(self.bodies, place.old, window, place.of) != FINE:
+        if self.components is not None:
+            if self.check.verdict(self.components, place.old, window, place.numbers) != FINE:
                 why = "connectivity"
-            growth = self.judge.growth
+            growth = self.check.growth
         if not why and self._thins(place, window):
             why = "feature size"
-        return Piece(
+        return CutPatch(
             int(found.at[n]), int(found.mismatch[n]), int(found.difference[n]), window, why, growth
         )
 
-    def _thins(self, place: Place, window: np.ndarray) -> bool:
+    def _thins(self, place: PatchSite, window: np.ndarray) -> bool:
         """Whether a window has more that is too thin than it had."""
         size = self.config.feature
         if size == 1:
@@ -431,17 +465,19 @@ class Chooser:
             place.old, rim, size, self.solid
         )
 
-    def _with_struts(self, place: Place, tried: _Tried) -> Piece | None:
+    def _with_struts(self, place: PatchSite, tried: _TriedCandidates) -> CutPatch | None:
         """The best candidate with struts, so that it may stay; cut in as it is best, or else laid
         only where nothing was.
         """
         best = tried.fallback
-        if self.bodies is None or best is None or best.why != "connectivity":
+        if self.components is None or best is None or best.why != "connectivity":
             return None
         share = (tried.solid / np.float32(max(tried.count, 1))).astype(np.float32)
         for keep in (LEAST, ALL):
-            plain, _ = self._cut_in(place, best.at, keep)
-            window = self.struts.laid(self.bodies, self.judge, place.old, plain, place.of, share)
+            plain, _ = self._cut_in_at(place, best.at, keep)
+            window = self.strut_builder.lay(
+                self.components, self.check, place.old, plain, place.numbers, share
+            )
             if window is not None and not self._thins(place, window):
                 laid = int(np.count_nonzero(window != plain))
                 return best._replace(window=window, why="", strut=laid)

@@ -7,9 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, box_of
-from trabecula.synth.quilt.connectivity import CLOSED, FINE, SOLID, VOID, Bodies, Judge
-from trabecula.synth.quilt.patch_library import Learnt, void_of
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, inner_box
+from trabecula.synth.quilt.connectivity import (
+    CLOSED,
+    FINE,
+    SOLID,
+    VOID,
+    ComponentTracker,
+    ConnectivityCheck,
+)
+from trabecula.synth.quilt.patch_library import PatchLibrary, void_label
 
 _HELD = 1 << 28  # more than any cut
 
@@ -19,8 +26,8 @@ without a cut.
 """
 
 
-def seamed(
-    window: np.ndarray, margin: tuple[int, ...], piece: np.ndarray, *, keep: int = LEAST
+def cut_in(
+    window: np.ndarray, margin: tuple[int, ...], patch: np.ndarray, *, keep: int = LEAST
 ) -> tuple[np.ndarray, int]:
     """A window with a piece laid into its box, cut out along the cheapest seam.
 
@@ -43,17 +50,17 @@ def seamed(
     made = window.copy()
     if keep == ALL:
         box = made[tuple(slice(m, side - m) for m, side in zip(margin, made.shape, strict=True))]
-        np.copyto(box, piece, where=box == EMPTY)
+        np.copyto(box, patch, where=box == EMPTY)
         return made, -1
-    count = piece.size
+    count = patch.size
     to_sink = np.zeros(count, np.int32)
     from_source = np.zeros(count, np.int32)
     ways = np.zeros((count, 6), np.int32)
-    cost = _network(window, margin, piece, ways, from_source, to_sink)
-    cost += max_flow(ways, from_source, to_sink, piece.shape)
+    cost = _build_network(window, margin, patch, ways, from_source, to_sink)
+    cost += max_flow(ways, from_source, to_sink, patch.shape)
     if keep == MOST:
-        _keep_most(ways, to_sink, from_source, piece.shape)
-    _lay(window, margin, piece, from_source, made)
+        _keep_most(ways, to_sink, from_source, patch.shape)
+    _lay_patch(window, margin, patch, from_source, made)
     return made, int(cost)
 
 
@@ -63,10 +70,10 @@ def _differs(old, new):
 
 
 @kernel
-def _network(window, margin, piece, ways, from_source, to_sink):
+def _build_network(window, margin, patch, ways, from_source, to_sink):
     """Capacities to the neighbours after and before along z, y, x, and to the terminals; returns
     what flows from one terminal to the other through one node alone, which is taken off at once."""
-    depth, height, width = piece.shape
+    depth, height, width = patch.shape
     steps = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     flow = 0
     for z in range(depth):
@@ -77,7 +84,7 @@ def _network(window, margin, piece, ways, from_source, to_sink):
                 old = window[wz, wy, wx]
                 if old >= OUT:
                     continue
-                mine = _differs(old, piece[z, y, x])
+                mine = _differs(old, patch[z, y, x])
                 source = _HELD if old >= FIXED else 0
                 sink = 0
                 for axis in range(3):
@@ -98,7 +105,7 @@ def _network(window, margin, piece, ways, from_source, to_sink):
                                 sink += 2 * mine
                             elif other < OUT:
                                 ways[node, 2 * axis + side] = mine + _differs(
-                                    other, piece[nz, ny, nx]
+                                    other, patch[nz, ny, nx]
                                 )
                         elif other < OUT:
                             source += 2 * mine
@@ -134,10 +141,10 @@ def max_flow(ways, from_source, to_sink, shape):
                 break
             while from_source[root] > 0:
                 path[0] = root
-                length = _shortest(ways, to_sink, jumps, level, reached, tried, path)
+                length = _shortest_path(ways, to_sink, jumps, level, reached, tried, path)
                 if length == 0:
                     break
-                total += _pushed(ways, from_source, to_sink, jumps, tried, path, length)
+                total += _push_flow(ways, from_source, to_sink, jumps, tried, path, length)
     for p in range(count):
         if level[p] >= 0:
             from_source[p] = -1
@@ -173,7 +180,7 @@ def _levels(ways, from_source, to_sink, jumps, level, queue):
 
 
 @inline
-def _shortest(ways, to_sink, jumps, level, reached, tried, path):
+def _shortest_path(ways, to_sink, jumps, level, reached, tried, path):
     """The nodes of a shortest way from path[0] to the sink, written into `path`: how many, or 0 for
     no way. What was tried without success is not tried again."""
     length = 1
@@ -198,7 +205,7 @@ def _shortest(ways, to_sink, jumps, level, reached, tried, path):
 
 
 @inline
-def _pushed(ways, from_source, to_sink, jumps, tried, path, length):
+def _push_flow(ways, from_source, to_sink, jumps, tried, path, length):
     """Send along a way what it has room for, and say how much."""
     root, end = path[0], path[length - 1]
     push = min(from_source[root], to_sink[end])
@@ -237,9 +244,9 @@ def _keep_most(ways, to_sink, from_source, shape):
 
 
 @kernel
-def _lay(window, margin, piece, from_source, made):
+def _lay_patch(window, margin, patch, from_source, made):
     """The piece where it is new, and on its side of the cut."""
-    depth, height, width = piece.shape
+    depth, height, width = patch.shape
     for z in range(depth):
         for y in range(height):
             for x in range(width):
@@ -249,7 +256,7 @@ def _lay(window, margin, piece, from_source, made):
                     and (old >= FIXED or from_source[(z * height + y) * width + x] == -1)
                 ):
                     continue
-                made[z + margin[0], y + margin[1], x + margin[2]] = piece[z, y, x]
+                made[z + margin[0], y + margin[1], x + margin[2]] = patch[z, y, x]
 
 
 _MOST_STRUTS = 16  # struts of a place
@@ -268,7 +275,7 @@ _NEVER = 1 << 30
 
 
 @dataclass(frozen=True)
-class Struts:
+class StrutBuilder:
     """What struts of a run are like.
 
     Attributes
@@ -284,26 +291,26 @@ class Struts:
     radius: int
 
     @classmethod
-    def of(cls, learnt: Learnt, feature: int) -> Struts:
+    def build(cls, library: PatchLibrary, feature: int) -> StrutBuilder:
         """As thick as plates of the exemplar's volume over surface, and no thinner than the least
         feature.
         """
-        labels, void = learnt.stack[0], void_of(learnt.images[0].phases)
+        labels, void = library.stack[0], void_label(library.images[0].phases)
         inside = labels != void
         counts = np.bincount(labels.ravel(), minlength=void + 2)
         counts[void] = 0
         faces = sum(int(np.count_nonzero(np.diff(inside, axis=axis))) for axis in range(3))
         half = _FACES * int(inside.sum()) / max(faces, 1)
-        most = max(1, learnt.overlap // 2)
+        most = max(1, library.overlap // 2)
         return cls(void, int(counts.argmax()), max(min(round(half - 0.5), most), feature // 2, 0))
 
-    def laid(
+    def lay(
         self,
-        bodies: Bodies,
-        judge: Judge,
+        components: ComponentTracker,
+        check: ConnectivityCheck,
         old: np.ndarray,
         new: np.ndarray,
-        of: np.ndarray,
+        numbers: np.ndarray,
         share: np.ndarray,
     ) -> np.ndarray | None:
         """`new` with struts, so that it may stand; None where there is no way.
@@ -320,38 +327,46 @@ class Struts:
         """
         new = new.copy()
         for _ in range(_MOST_STRUTS):
-            verdict = judge.verdict(bodies, old, new, of)
+            verdict = check.verdict(components, old, new, numbers)
             if verdict == FINE:
                 return new
-            if verdict != CLOSED or not self._one_more(bodies, judge, new, share):
+            if verdict != CLOSED or not self._lay_one(components, check, new, share):
                 return None
         return None
 
-    def _one_more(self, bodies: Bodies, judge: Judge, new: np.ndarray, share: np.ndarray) -> bool:
+    def _lay_one(
+        self,
+        components: ComponentTracker,
+        check: ConnectivityCheck,
+        new: np.ndarray,
+        share: np.ndarray,
+    ) -> bool:
         """Lay a strut from the smallest body that would be shut and has a way; whether there is
         one.
         """
-        leaders, shut, kept = judge.shut()
+        leaders, shut, kept = check.closing_components()
         z, y, x = np.indices(share.shape)
         crooked = (73856093 * x ^ 19349663 * y ^ 83492791 * z) % _CROOKED
         far, came = np.empty(new.size, np.int32), np.empty(new.size, np.int32)
         for k in shut:
-            kind = int(bodies.classes[new.ravel()[np.argmax(leaders == k)]])
+            kind = int(components.classes[new.ravel()[np.argmax(leaders == k)]])
             found = share if kind == SOLID else 1 - share
             cost = np.zeros(new.shape, np.int32)
-            box_of(cost, judge.margin)[...] = (
+            inner_box(cost, check.margin)[...] = (
                 _CHEAP + np.rint((_DEAR - _CHEAP) * (1 - found)).astype(np.int32) + crooked
             )
-            end = _way(new, leaders, kept, bodies.classes, kind, int(k), cost, far, came)
+            end = _cheapest_path(
+                new, leaders, kept, components.classes, kind, int(k), cost, far, came
+            )
             if end >= 0:
                 label = self.void if kind == VOID else self.solid
-                _fill(new, leaders, int(k), end, came, judge.margin, label, self.radius)
+                _fill_path(new, leaders, int(k), end, came, check.margin, label, self.radius)
                 return True
         return False
 
 
 @inline
-def _beside(at, way, shape):
+def _neighbour(at, way, shape):
     """The neighbour of a voxel along one of six ways, or -1 where the window ends; voxels by their
     number.
     """
@@ -371,7 +386,7 @@ def _beside(at, way, shape):
 
 
 @kernel
-def _way(window, leaders, kept, classes, kind, own, cost, far, came):
+def _cheapest_path(window, leaders, kept, classes, kind, own, cost, far, came):
     """The cheapest way from a part to another of its class, or to voxels to make: its last voxel,
     or -1.
 
@@ -393,7 +408,7 @@ def _way(window, leaders, kept, classes, kind, own, cost, far, came):
         head = head + 1 if head + 1 < len(queue) else 0
         waits[p] = False
         for way in range(6):
-            q = _beside(p, way, window.shape)
+            q = _neighbour(p, way, window.shape)
             if q < 0:
                 continue
             if values[q] == EMPTY:
@@ -417,7 +432,7 @@ def _way(window, leaders, kept, classes, kind, own, cost, far, came):
 
 
 @kernel
-def _fill(window, leaders, own, end, came, margin, label, radius):
+def _fill_path(window, leaders, own, end, came, margin, label, radius):
     """Give a way and what lies around it a label, within the box."""
     depth, height, width = window.shape
     parts = leaders.ravel()
