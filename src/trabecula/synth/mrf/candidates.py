@@ -1,4 +1,6 @@
-"""CANDIDATES"""
+"""Neighbourhoods of a picture at one scale, as candidates of the Parzen estimate: extracted,
+prepared for distances, and weighed for the neighbours of sites.
+"""
 
 from __future__ import annotations
 
@@ -38,17 +40,18 @@ class Neighbourhoods:
     centres: np.ndarray
 
     def __getitem__(self, chosen: np.ndarray) -> Neighbourhoods:
+        """Select some of them by an index array."""
         return Neighbourhoods(self.around[chosen], self.centres[chosen])
 
     def subsample(self, most: int) -> Neighbourhoods:
-        """At most so many, evenly spread over the picture."""
+        """Return at most `most` of them, evenly spread over the picture."""
         count = len(self.centres)
         return self if count <= most else self[(2 * np.arange(most) + 1) * count // (2 * most)]
 
 
 @dataclass(frozen=True)
 class ParzenCandidates:
-    """What the density of one view needs at one scale.
+    """Candidates of one view at one scale, with the tables of their density.
 
     Attributes
     ----------
@@ -97,11 +100,11 @@ def extract_neighbourhoods(
     every: bool,
     diagonal: tuple[bool, bool] = (False, False),
 ) -> Neighbourhoods:
-    """The neighbourhoods of a picture (R, C) of levels, decimated `scale` times by two.
+    """Extract the neighbourhoods of a picture (R, C) of levels, decimated `scale` times by two.
 
-    With `every` the 4^scale pictures that begin at another pixel teach as well; the paper decimates
-    once. Along an axis (rows', columns') that is `diagonal` neighbours lie sqrt(2) pixels apart,
-    rounded.
+    With `every`, all of the 4^scale decimated pictures that begin at another pixel are used; the
+    paper uses one. Along an axis (of rows, of columns) that is `diagonal`, neighbours lie sqrt(2)
+    pixels apart, rounded.
     """
     stride = 2**scale
     rows, columns = (pixels_along(width, wide) for wide in diagonal)
@@ -129,7 +132,7 @@ def prepare_candidates(
     products: bool,
     bins: int,
 ) -> ParzenCandidates:
-    """Prepare neighbourhoods.
+    """Prepare neighbourhoods as candidates.
 
     Parameters
     ----------
@@ -179,14 +182,14 @@ def prepare_candidates(
 
 
 def _variance(features: np.ndarray, marginal: np.ndarray) -> float:
-    """Of the levels, summed over their channels."""
+    """Return the variance of the levels' features, summed over their channels."""
     share = marginal / marginal.sum()
     mean = share @ features
     return max(float(share @ ((features - mean) ** 2).sum(1)), 1e-3)
 
 
 def _merge_equal(neighbourhoods: Neighbourhoods) -> tuple[Neighbourhoods, np.ndarray]:
-    """Each neighbourhood with its centre once, and how often it occurs."""
+    """Merge equal neighbourhoods with equal centres, and count how often each occurs."""
     rows, times = np.unique(
         np.column_stack([neighbourhoods.centres, neighbourhoods.around]), axis=0, return_counts=True
     )
@@ -194,8 +197,9 @@ def _merge_equal(neighbourhoods: Neighbourhoods) -> tuple[Neighbourhoods, np.nda
 
 
 def label_codes(count: int) -> tuple[np.ndarray, int]:
-    """Bits for labels that differ in as many places, whichever two are compared, and how many bits
-    one has: two labels differ in one bit, more in two."""
+    """Return bit codes (uint64) of labels, any two of which differ in the same number of bits, and
+    the bits of a code: two labels differ in one bit, more in two.
+    """
     if count == 2:
         return np.array([0, 1], np.uint64), 1
     if count <= 4:
@@ -204,6 +208,7 @@ def label_codes(count: int) -> tuple[np.ndarray, int]:
 
 
 def _pack_bits(neighbourhoods: Neighbourhoods, count: int) -> np.ndarray:
+    """Pack the labels of the neighbours into words, (W, n) uint64."""
     codes, each = label_codes(count)
     per = 64 // each
     filled = -(-len(neighbourhoods.centres) // LANES) * LANES
@@ -216,7 +221,9 @@ def _pack_bits(neighbourhoods: Neighbourhoods, count: int) -> np.ndarray:
 def _product_columns(
     neighbourhoods: Neighbourhoods, features: np.ndarray, *, each: bool
 ) -> np.ndarray:
-    """Features by channel and neighbour, then the squares: of `each` neighbour, or all together."""
+    """Return columns of a matrix product: features by channel and neighbour, then the squares, of
+    `each` neighbour or summed.
+    """
     count, around = neighbourhoods.around.shape
     channels = features.shape[1]
     columns = np.zeros(
@@ -236,7 +243,7 @@ def _product_columns(
 
 
 def candidate_bytes(candidate_sets: Sequence[ParzenCandidates]) -> int:
-    """Memory that sources hold."""
+    """Return the memory of candidates, bytes."""
     arrays = [
         part
         for candidates in candidate_sets
@@ -246,13 +253,13 @@ def candidate_bytes(candidate_sets: Sequence[ParzenCandidates]) -> int:
 
 
 def pixels_along(width: int, diagonal: bool) -> np.ndarray:
-    """Where the neighbours lie along an axis of the picture, pixels from the centre."""
+    """Return where neighbours lie along an axis of the picture, pixels from the centre."""
     steps = np.arange(width) - width // 2
     return np.rint(steps * np.sqrt(2)).astype(np.int64) if diagonal else steps
 
 
 def count_scales(images: Sequence[Image], config: MrfConfig) -> int:
-    """How many scales leave room for a neighbourhood in every picture."""
+    """Count the scales at which every picture has room for a neighbourhood."""
     smallest, count = min(min(image.shape) for image in images), 1
     while count < config.scales and smallest // 2**count >= config.neighbourhood + ROOM:
         count += 1
@@ -267,11 +274,11 @@ _WHOLE = 1 << 20
 def reweight_by_porosity(
     neighbourhoods: Neighbourhoods, void: int, porosity: float
 ) -> Neighbourhoods:
-    """As many neighbourhoods as before, drawn evenly with weights exp(theta u), u the share of void
-    in each.
+    """Draw as many neighbourhoods anew for another porosity than the picture's.
 
-    theta, of -40 .. 40, is such that their centres come as near to `porosity` as they can: places
-    of the picture that are more porous than others teach more often.
+    They are drawn evenly with weights exp(theta u), where u is the share of void in a
+    neighbourhood. theta, -40 .. 40, brings the porosity of their centres as near to `porosity` as
+    possible: more porous places of the picture are used more often.
     """
     centre = neighbourhoods.centres == void
     share = ((neighbourhoods.around == void).sum(1, dtype=np.int32) + centre) / (
@@ -289,12 +296,13 @@ def reweight_by_porosity(
 
 
 def _tilt_weights(share: np.ndarray, theta: float) -> np.ndarray:
-    """Whole numbers, so that machines agree."""
+    """Return the weights as whole numbers, so that all machines agree."""
     power = theta * share
     return np.rint(_WHOLE * np.exp(power - power.max())).astype(np.int64)
 
 
 def _mean_porosity(weights: np.ndarray, centre: np.ndarray) -> float:
+    """Return the weighted porosity of the centres, 0 .. 1."""
     return float(weights[centre].sum() / weights.sum())
 
 
@@ -308,10 +316,11 @@ def weigh_candidates(
     bins: np.ndarray,
     scratch: np.ndarray,
 ) -> None:
-    """The weights by centre of one view: `bins` (S, V, L) int64, [:, view] is written.
+    """Sum the weights of one view's candidates by centre into `bins` (S, V, L) int64, [:, view].
 
-    `found` and `weight` (S, K) uint8 are the neighbours' levels and weights, in `steps`; `scratch`
-    has room for S products.
+    `found` and `weight` (S, K) uint8 are the levels and weights of the neighbours, in `steps`;
+    `scratch` holds the products of S sites. Distances come from bits where labels allow it,
+    otherwise from a matrix product.
     """
     if candidates.bits is not None:
         words = np.empty((len(found), len(candidates.bits)), np.uint64)
@@ -362,8 +371,8 @@ def _weigh_by_products(
     *,
     plain: bool,
 ) -> None:
-    """The same by a matrix product; `plain` where all neighbours count in full, which takes fewer
-    columns.
+    """Sum the weights by a matrix product; with `plain` all neighbours have full weight, which
+    takes fewer columns.
     """
     assert candidates.plain is not None and candidates.weighted is not None
     columns = candidates.plain if plain else candidates.weighted
@@ -393,16 +402,14 @@ _OF_A_PIXEL = {"labels": 10, "grey": 20, "colour": 132}  # bytes that numbering 
 def learning_bytes(
     images: Sequence[Image], scales: int, config: MrfConfig, *, oblique: bool
 ) -> tuple[int, int]:
-    """What is kept of the pictures once they are learnt at all scales, and the most that it takes
-    meanwhile.
-    """
+    """Forecast the bytes of the candidates of all scales, and the peak while they are prepared."""
     area, held = config.neighbourhood**2, sum(int(np.prod(image.shape)) for image in images)
     peak = held * _OF_A_PIXEL[images[0].kind]
     for scale in range(scales):
         before = 0
         for image in [*images, *([images[0]] * 2 if oblique else [])]:
-            count = _neighbourhoods(image.shape, scale, config)
-            kept = _source_bytes(image, count, config)
+            count = _count_neighbourhoods(image.shape, scale, config)
+            kept = _bytes_of_candidates(image, count, config)
             sums = (
                 5.3 * area * min(count, _ROWS)
                 + 12 * min(count, _MANY)
@@ -416,8 +423,8 @@ def learning_bytes(
     return held, peak
 
 
-def _neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -> int:
-    """How many a picture has at a scale."""
+def _count_neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -> int:
+    """Count the neighbourhoods of a picture at a scale."""
     stride, edge = 2**scale, config.neighbourhood - 1
     corners = np.ndindex(stride, stride) if config.every else [(0, 0)]
     return sum(
@@ -433,8 +440,8 @@ def _neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -> int:
     )
 
 
-def _source_bytes(image: Image, count: int, config: MrfConfig) -> int:
-    """What is kept of so many neighbourhoods, were they all different."""
+def _bytes_of_candidates(image: Image, count: int, config: MrfConfig) -> int:
+    """Return the bytes of `count` neighbourhoods as candidates, if all differ."""
     chosen, around = min(count, config.candidates), config.neighbourhood**2 - 1
     phases = len(np.unique(image.values)) if image.kind == "labels" else 0
     if phases and config.relaxation != "icm":

@@ -12,8 +12,8 @@ from trabecula.exemplar.views import as_planes
 
 @dataclass(frozen=True)
 class MrfConfig:
-    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last counts for
-    the rest.
+    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last one holds
+    for all coarser scales.
     """
 
     views: tuple[str, ...] = ()
@@ -130,7 +130,7 @@ class MrfConfig:
         object.__setattr__(self, "views", as_planes(self.views))
         for name, (low, high) in _RANGES.items():
             if getattr(self, name) is not None:
-                self._keep(name, low, high)
+                self._check_number(name, low, high)
         self._check_schedule("sweeps", 1, 1000, whole=True)
         self._check_schedule("heat", 0, 10, whole=False)
         self._check_schedule("final_heat", 0, 10, whole=False)
@@ -141,20 +141,24 @@ class MrfConfig:
                 raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         if self.neighbourhood % 2 == 0:
             raise InputError(
-                f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, 9 or 11"
+                f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, "
+                "9 or 11"
             )
         if self.heuristic in ("h1a", "h1b") and self.relaxation != "icm":
             raise InputError(
-                f"heuristic={self.heuristic} gives a level and no density: it goes with relaxation=icm, or take h2a or h2b"
+                f"heuristic={self.heuristic} gives a level and no density: it goes with "
+                "relaxation=icm, or take h2a or h2b"
             )
 
-    def _keep(self, name: str, low: float, high: float) -> None:
+    def _check_number(self, name: str, low: float, high: float) -> None:
+        """Store a number after checking its range."""
         whole = isinstance(getattr(MrfConfig, name, None), int) or name == "polish"
         object.__setattr__(
             self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
         )
 
     def _check_schedule(self, name: str, low: float, high: float, *, whole: bool) -> None:
+        """Store one number per scale after checking their range."""
         given = getattr(self, name)
         counts = tuple(given) if isinstance(given, (list, tuple)) else (given,)
         if not counts:
@@ -167,24 +171,24 @@ class MrfConfig:
         object.__setattr__(self, name, checked)
 
     def feedback_of(self, sort: str) -> float:
-        """`feedback`, or its default for a sort of picture (`Content.sort`)."""
+        """Return `feedback`, or its default for a sort of picture (`PictureLevels.sort`)."""
         return _FEEDBACK[sort] if self.feedback is None else self.feedback
 
     def coupling_of(self, sort: str) -> float:
-        """`coupling`, or its default for a sort of picture."""
+        """Return `coupling`, or its default for a sort of picture."""
         return _COUPLING[sort] if self.coupling is None else self.coupling
 
     def bandwidth_of(self, sort: str) -> float:
-        """`bandwidth`, or its default for a sort of picture."""
+        """Return `bandwidth`, or its default for a sort of picture."""
         return _BANDWIDTH[sort] if self.bandwidth is None else self.bandwidth
 
     def polish_of(self, sort: str) -> int:
-        """`polish`, or its default for a sort of picture."""
+        """Return `polish`, or its default for a sort of picture."""
         return _POLISH[sort] if self.polish is None else self.polish
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 

@@ -1,4 +1,13 @@
-"""DENSITY"""
+"""The local conditional density of all levels at once (Urs 2014, equations 3 to 7).
+
+For the neighbourhood r of a site and a level l, f(l) = sum over p of exp(-(D_p + (l - y_p)^2) / 2
+h^2), where D_p is the squared distance of r to the exemplar's neighbourhood p, and y_p its centre.
+D_p is the same for all levels: first exp(-D_p / 2 h^2) is summed over the p of equal centre, then a
+small matrix applies the Gaussian of the centre. Distances are whole numbers and weights are entries
+of a table of whole numbers, so every sum is exact and the same on every machine. Logarithms and
+exponentials come from tables for the same reason: a logarithm is in units of 2^-16 to the base 2,
+read off the bits of a float64, and a weight 2^(-s) is a whole number of at most 2^31.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +29,10 @@ NEAREST_WEIGHT = 1 << 22
 
 
 def gaussian_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
-    """exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded, for i = 0, 1, ... while it is at
-    least 1, then a 0 (int32).
+    """Compute a table of exp(-i 2^shift / (2 h^2)) times `NEAREST_WEIGHT`, rounded (int32), for i =
+    0, 1, ... while it is at least 1, with a 0 at the end.
 
-    The middle of a step counts where it is wider than 1.
+    Where a step is wider than 1 its middle counts.
     """
     step = 1 << shift
     count = int(np.log(NEAREST_WEIGHT * 2.0) * twice_variance / step) + 2
@@ -35,8 +44,8 @@ def gaussian_table(twice_variance: float, *, shift: int = 0) -> np.ndarray:
 
 
 def table_shift(twice_variance: float) -> int:
-    """The width of a step, as a power of two, such that the table has about 8000 entries at most
-    and stays in the cache.
+    """Return the width of a step as a power of two, so that the table has at most about 8000
+    entries and stays in the cache.
     """
     shift = 0
     while np.log(NEAREST_WEIGHT * 2.0) * twice_variance > 8000 << shift:
@@ -45,19 +54,19 @@ def table_shift(twice_variance: float) -> int:
 
 
 def log_units(values: np.ndarray) -> np.ndarray:
-    """log2 in units of 2^-16, rounded (int64), of positive values."""
+    """Return log2 of positive values in units of 2^-16, rounded (int64)."""
     return np.rint(np.log2(values) * UNIT).astype(np.int64)
 
 
 @inline
 def log_of(bits, logs):
-    """log2 in units of 2^-16 of a positive normal float64 given by its bits."""
+    """Return log2 in units of 2^-16 of a positive normal float64, given its bits."""
     return ((bits >> 52) - 1023) * UNIT + logs[(bits >> 40) & (_FINE - 1)]
 
 
 @inline
 def power_of(units, powers):
-    """2^(units / 2^16) times 2^31 as a whole number, units <= 0."""
+    """Return 2^(units / 2^16) times 2^31 as a whole number, units <= 0."""
     fall = -units
     whole = fall >> 16
     return powers[(fall >> 4) & (_FINE - 1)] >> whole if whole < 32 else 0
@@ -89,7 +98,7 @@ _BYTES, _1, _2, _4, _56 = (
 
 @inline
 def _bit_count(word):
-    """How many bits are set."""
+    """Count the bits that are set."""
     word = word - ((word >> _1) & _S1)
     word = (word & _S2) + ((word >> _2) & _S2)
     word = (word + (word >> _4)) & _S4
@@ -99,19 +108,21 @@ def _bit_count(word):
 # Loops of their own, over one row: LLVM turns only these into wide instructions.
 @inline
 def _set_distances(word, mask, row, distance):
+    """Set the distances to the bits that differ in one word."""
     for p in range(len(row)):
         distance[p] = _bit_count((row[p] ^ word) & mask)
 
 
 @inline
 def _add_distances(word, mask, row, distance):
+    """Add the bits that differ in a further word."""
     for p in range(len(row)):
         distance[p] += np.uint8(_bit_count((row[p] ^ word) & mask))
 
 
 @inline
 def _mark_near(distance, reach, passed):
-    """The least distance, and which lie at most `reach` beyond it."""
+    """Mark the distances at most `reach` beyond the least, and return the least."""
     least = np.uint8(255)
     for p in range(len(distance)):
         least = min(least, distance[p])
@@ -123,10 +134,10 @@ def _mark_near(distance, reach, passed):
 
 @kernel
 def weights_from_bits(words, masks, candidates, centres, times, table, view, bins):
-    """Weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ where
-    the mask is set.
+    """Sum weights by centre from bits: `candidates` (W, n) uint64, distance = bits that differ
+    where the mask is set.
 
-    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8, rising; 255 fills up to a
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8, rising; 255 pads to a
     multiple of `LANES`. `times` (n,) int64: how often a candidate occurs.
     """
     n = count = len(centres)
@@ -155,11 +166,11 @@ def weights_from_bits(words, masks, candidates, centres, times, table, view, bin
 
 @kernel
 def weights_from_products(products, centres, table, shift, view, bins):
-    """Weights by centre from products: `products` (S, n) float32 whole numbers, the distances less
-    a constant of the site.
+    """Sum weights by centre from `products` (S, n) float32: whole numbers, the distances less a
+    constant of the site.
 
-    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8; 255 fills up to a multiple
-    of `LANES`, with the products of another.
+    `bins` (S, V, L) int64: [:, view] is written. `centres` (n,) uint8; 255 pads to a multiple of
+    `LANES`, with the products of another candidate.
     """
     n = len(centres)
     low, passed, near = (
@@ -188,7 +199,9 @@ def weights_from_products(products, centres, table, shift, view, bins):
 
 @inline
 def _minimum(row, low):
-    """The least entry, by lanes: LLVM reorders no sum or minimum of floats by itself."""
+    """Return the least entry, by lanes: LLVM does not reorder a sum or minimum of floats by
+    itself.
+    """
     lanes = len(low)
     low[:] = row[:lanes]
     for first in range(lanes, len(row), lanes):
@@ -200,14 +213,15 @@ def _minimum(row, low):
 
 @inline
 def _mark_below(row, bound, passed):
+    """Mark the entries below a bound."""
     for p in range(len(row)):
         passed[p] = row[p] < bound
 
 
 @kernel
 def parzen_densities(bins, blur, logs, share, log):
-    """Equation 7 from the weights: `share` (S, V, L) float64, summing to 1 over the levels, and its
-    `log` in units (int64).
+    """Compute equation 7 from the weights: `share` (S, V, L) float64, which sums to 1 over the
+    levels, and its `log` in units (int64).
 
     `blur` (V, L, L) float64: exp(-(l - y)^2 / 2 h^2), [v, y, l].
     """
@@ -232,15 +246,15 @@ def parzen_densities(bins, blur, logs, share, log):
 
 
 def centre_gaussian(features: np.ndarray, twice_variance: float) -> np.ndarray:
-    """exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so that
-    machines agree.
+    """Return exp(-(l - y)^2 / 2 h^2) of every pair of levels, (L, L) float64, in steps of 2^-40 so
+    that machines agree.
     """
     apart = features[:, None].astype(np.int64) - features[None].astype(np.int64)
     return np.rint(np.exp(-(apart**2).sum(2) / twice_variance) * 2.0**40) / 2.0**40
 
 
 def optimal_bandwidth(variance: float, count: int, dimensions: int) -> float:
-    """h_opt of equation 6: sigma (4 / (n (d + 2)))^(1 / (d + 4)).
+    """Return h_opt of equation 6: sigma (4 / (n (d + 2)))^(1 / (d + 4)).
 
     Parameters
     ----------
@@ -256,7 +270,7 @@ def optimal_bandwidth(variance: float, count: int, dimensions: int) -> float:
 
 @kernel
 def plain_rows(found, features, rows):
-    """Rows (S, C K + 1) float32: -2 times the features, channel by channel, and a 1 for the
+    """Fill rows (S, C K + 1) float32: -2 times the features, channel by channel, and a 1 for the
     squares.
     """
     K, C = found.shape[1], features.shape[1]
@@ -269,8 +283,8 @@ def plain_rows(found, features, rows):
 
 @kernel
 def rows_with_weights(found, weight, features, rows):
-    """Rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel, then the
-    weights.
+    """Fill rows (S, (C + 1) K) float32: -2 times weight times the features, channel by channel,
+    then the weights.
     """
     K, C = found.shape[1], features.shape[1]
     for s in range(len(found)):
@@ -283,8 +297,9 @@ def rows_with_weights(found, weight, features, rows):
 
 @kernel
 def bit_rows(found, weight, codes, each, words, masks):
-    """Neighbours as bits: `codes` (L,) uint64 of so many bits `each`, packed from the low end into
-    (S, W) uint64; `masks` alike, with ones where a neighbour is there."""
+    """Pack neighbours as bits: `codes` (L,) uint64 of `each` bits, from the low end into (S, W)
+    uint64; `masks` has ones where a neighbour exists.
+    """
     ones = (np.uint64(1) << np.uint64(each)) - np.uint64(1)
     per = 64 // each
     for s in range(len(found)):

@@ -1,4 +1,10 @@
-"""FRACTIONS"""
+"""Control of the levels' shares: every class of sites is drawn with the target shares.
+
+A density that confirms itself acts like a magnet: the level with more voxels grows until it has
+all, and a bias learned from sweep to sweep only drives it from one side to the other. So the scores
+of each class are shifted before the draw, group of levels by group, just so far that the expected
+shares of the class are the target.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +35,7 @@ _LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at mo
 def group_shifts(
     energy: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
 ) -> np.ndarray:
-    """Shifts (G,) int64 of the groups' scores, in units, the largest 0.
+    """Return shifts (G,) int64 of the groups' scores, in units, the largest 0.
 
     Parameters
     ----------
@@ -66,16 +72,16 @@ def level_shifts(
     coldness: int,
     shift: np.ndarray,
 ) -> np.ndarray:
-    """Shifts (L,) int64 of the levels within their groups for the next class, from those of this
-    one.
+    """Return shifts (L,) int64 of the levels within their groups for the next class, from those of
+    this class.
 
-    Many levels are not settled class by class: each is moved once, by the logarithm of its wanted
-    share over its expected one.
+    Many levels are not solved for class by class: each moves once, by the logarithm of its target
+    share over its expected share.
 
     Parameters
     ----------
     taken : (L,) float64
-        How many of the class's `count` sites every level is expected to take (`add_expected_levels`), with
+        Expected number of the class's `count` sites of every level (`add_expected_levels`), with
         all shifts.
     groups : (L,) uint8
     wanted : (L,) float64
@@ -94,11 +100,12 @@ def level_shifts(
 
 
 def _solve_shift(lead: np.ndarray, wanted: float, coldness: int, near: int) -> int:
-    """The shift of a group at which its expected share is `wanted`, found by halving an interval
-    around the last one.
+    """Find the shift of a group at which its expected share is `wanted`, by halving an interval
+    around the last shift.
     """
 
     def expect(shift: int) -> int:
+        """Return the expected number of sites of the group, in steps of 1 / `SITE`."""
         return int(
             sum_on_rows(lambda a, b: count_expected(lead[a:b], shift, coldness, POWERS), len(lead))
         )
@@ -120,10 +127,10 @@ def _solve_shift(lead: np.ndarray, wanted: float, coldness: int, near: int) -> i
 
 @kernel
 def group_scores(score, kept, added, groups, coldness, logs, powers, energy):
-    """Scores of the groups (S', G) int64: the logarithm of the sum of their levels' weights, at
-    this coldness.
+    """Compute scores of the groups (S', G) int64: the logarithm of the sum of their levels'
+    weights, at this coldness.
 
-    Of the S' sites that are `kept` (S,) bool; `added` (L,) int64 comes on top of the score (S, L)
+    S' are the sites that are `kept` (S,) bool; `added` (L,) int64 is added to the score (S, L)
     int32.
     """
     G = energy.shape[1]
@@ -149,8 +156,8 @@ def group_scores(score, kept, added, groups, coldness, logs, powers, energy):
 
 @kernel
 def score_leads(energy, shift, group, coldness, logs, powers, lead):
-    """By how much a group's shifted score, its own shift left out, lies above all others' together,
-    (S,) int64.
+    """Compute by how much a group's score, without its own shift, exceeds that of all others
+    together, (S,) int64.
     """
     total = np.empty(1, np.float64)
     bits = total.view(np.int64)
@@ -170,8 +177,9 @@ def score_leads(energy, shift, group, coldness, logs, powers, lead):
 
 @kernel
 def count_expected(lead, shift, coldness, powers):
-    """How many of the sites a group that leads by `lead` + `shift` is expected to take, in steps of
-    1 / `SITE`: whole numbers, so that they may be summed in any order."""
+    """Return how many sites a group that leads by `lead` + `shift` is expected to take, in steps of
+    1 / `SITE`: whole numbers, so that they may be summed in any order.
+    """
     total = np.int64(0)
     for s in range(len(lead)):
         above = ((lead[s] + shift) * coldness) >> 12
@@ -182,7 +190,7 @@ def count_expected(lead, shift, coldness, powers):
 
 @kernel
 def add_expected_levels(score, kept, added, coldness, powers, total):
-    """Adds the expected number of sites of every level (L,) to `total`; of sites and scores as of
+    """Add the expected number of sites of every level (L,) to `total`; sites and scores as in
     `group_scores`.
     """
     weight = np.empty(score.shape[1], np.float64)
@@ -204,7 +212,7 @@ def add_expected_levels(score, kept, added, coldness, powers, total):
 
 @dataclass
 class FractionShifts:
-    """What is added to the scores of groups of levels, and of levels within them, for the wanted
+    """Shifts of the scores of groups of levels, and of levels within them, that give the target
     shares.
 
     Attributes
@@ -225,8 +233,8 @@ class FractionShifts:
         self.by_level = np.zeros(len(self.wanted), np.int64)
 
     def update(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> np.ndarray:
-        """The shifts (L,) int32 that give the sites of a class the wanted shares where they lie in
-        the result.
+        """Return the shifts (L,) int32 that give the sites of a class the target shares inside the
+        result.
         """
         if not site_class.count_in_result:
             return (self.by_group[self.groups] + self.by_level).astype(np.int32)
@@ -248,7 +256,7 @@ class FractionShifts:
         return shift.astype(np.int32)
 
     def _group_energy(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> np.ndarray:
-        """Scores (S', G) int64 of the groups at the sites in the result."""
+        """Compute scores (S', G) int64 of the groups at the sites in the result."""
         (rows, asked), in_result = site_class.starts, site_class.classes.lattice.in_result
         energy = site_class.allocate(
             (site_class.count_in_result, len(self._wanted_groups)), np.int64
@@ -274,7 +282,7 @@ class FractionShifts:
     def _count_by_level(
         self, site_class: SiteClass, score: np.ndarray, shift: np.ndarray, coldness: int
     ) -> np.ndarray:
-        """How many of these sites every level is expected to take, (L,) float64."""
+        """Return how many of these sites every level is expected to take, (L,) float64."""
         rows, in_result = site_class.starts[0], site_class.classes.lattice.in_result
         # by plane: sums of floats that no slab touches
         totals = np.zeros((site_class.depth, len(shift)))

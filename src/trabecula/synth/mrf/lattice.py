@@ -1,4 +1,6 @@
-"""LATTICE"""
+"""The output at each scale: its levels, its free and known voxels, its part of the result, and the
+classes of its sites that may change at once.
+"""
 
 from __future__ import annotations
 
@@ -50,11 +52,11 @@ class SiteLattice:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Voxels along z, y, x."""
+        """Return the voxels along z, y, x."""
         return self.levels.shape
 
     def in_result(self, sites: np.ndarray) -> np.ndarray:
-        """Which sites (S,) are voxels of the result, (S,) bool."""
+        """Mark the sites (S,) that are voxels of the result, (S,) bool."""
         if self.form is None and self.box in (None, self.shape):
             return np.ones(len(sites), bool)
         z, rest = np.divmod(sites, self.shape[1] * self.shape[2])
@@ -66,7 +68,7 @@ class SiteLattice:
         return asked
 
     def result_mask(self, first: int, last: int) -> np.ndarray:
-        """Where the result is in these planes, bool."""
+        """Mark the voxels of the result in these planes, bool."""
         depth, height, width = self.box or self.shape
         asked = np.zeros((last - first, *self.shape[1:]), bool)
         part = asked[: max(0, min(last, depth) - first), :height, :width]
@@ -74,9 +76,7 @@ class SiteLattice:
         return asked
 
     def count_known(self, count: int) -> tuple[int, np.ndarray]:
-        """How many voxels of the result are still to be made, and how many of each of `count`
-        levels are known.
-        """
+        """Count the free voxels of the result, and its known voxels of each of `count` levels."""
 
         def work(first: int, last: int) -> np.ndarray:
             asked = self.result_mask(first, last)
@@ -93,17 +93,19 @@ class SiteLattice:
 
 
 def marks_or_all(marks: np.ndarray | None) -> np.ndarray:
-    """What a kernel takes for marks."""
+    """Return the marks, or `ALL` for None, as a kernel takes them."""
     return ALL if marks is None else marks
 
 
 def half_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape at half the resolution."""
+    """Return the shape at half the resolution."""
     return tuple(-(-side // 2) for side in shape)
 
 
 def coarsen_any(marks: np.ndarray) -> np.ndarray:
-    """(Z, Y, X) bool at half the resolution: whether any of the eight voxels is marked."""
+    """Mark the cells (Z, Y, X) bool at half the resolution in which any of the eight voxels is
+    marked.
+    """
     coarse = memmap.zeros(half_shape(marks.shape), bool)
 
     def work(first: int, last: int) -> None:
@@ -116,8 +118,8 @@ def coarsen_any(marks: np.ndarray) -> np.ndarray:
 
 
 def coarsen_known(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Known voxels (uint8 levels) at half the resolution: a cell takes the first of its eight that
-    is known.
+    """Halve the resolution of known voxels (uint8 levels): a cell takes the first of its eight
+    voxels that is known.
     """
     result, found = (
         memmap.zeros(half_shape(known.shape), values.dtype),
@@ -138,13 +140,17 @@ def coarsen_known(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _of_corner(values: np.ndarray, corner: tuple[int, ...], first: int, last: int) -> np.ndarray:
-    """One of the eight voxels of every cell of the coarse planes first .. last, where there is one."""
+    """Return one of the eight voxels of every cell of the coarse planes first .. last, where there
+    is one.
+    """
     z, y, x = corner
     return values[2 * first + z : 2 * last : 2, y::2, x::2]
 
 
 def dilate_box(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
-    """What lies at most `reach` (a box) from a form at the corner of a torus, (Z, Y, X) bool."""
+    """Mark the voxels at most `reach` (a box) from a form at the corner of a torus, (Z, Y,
+    X) bool.
+    """
     domain = memmap.empty(shape, bool)
     height, width = form.shape[1:]
 
@@ -163,7 +169,7 @@ def dilate_box(form: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarr
 
 
 def _dilate_periodic(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
-    """The marks of a plane, and all cells at most `reach` from them along a periodic axis."""
+    """Mark all cells at most `reach` from the marks of a plane along a periodic axis."""
     wide = plane.copy()
     for step in range(1, reach + 1):
         wide |= np.roll(plane, step, axis)
@@ -174,10 +180,10 @@ def _dilate_periodic(plane: np.ndarray, axis: int, reach: int) -> np.ndarray:
 def torus_shape(
     shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int
 ) -> tuple[int, ...]:
-    """The torus that a result is cut from, for `count` scales.
+    """Return the shape of the torus that a result is cut from, for `count` scales.
 
-    Along an open axis a neighbourhood does not reach from one end of the result to the other. Were
-    the lattice to end there, its rim, known from one side alone, would look different; and a coarse
+    Along an open axis a neighbourhood must not reach from one end of the result to the other. If
+    the lattice ended there, its rim, known from one side only, would look different; and a coarse
     scale needs room for a neighbourhood.
     """
     grain = 2 ** (count - 1)
@@ -188,7 +194,9 @@ def torus_shape(
 
 
 def result_scales(shape: Sequence[int], periodic: Sequence[bool], *, count: int, width: int) -> int:
-    """How many of `count` scales a result has: a periodic axis has to hold a neighbourhood on each."""
+    """Return how many of `count` scales a result has: at each, a periodic axis has to hold a
+    neighbourhood.
+    """
     rings = [side for side, around in zip(shape, periodic, strict=True) if around]
     while count > 1 and any(-(-side // 2 ** (count - 1)) < width for side in rings):
         count -= 1
@@ -198,7 +206,7 @@ def result_scales(shape: Sequence[int], periodic: Sequence[bool], *, count: int,
 def build_lattices(
     request: Request, content: PictureLevels, count: int, width: int
 ) -> list[SiteLattice]:
-    """The output at `count` resolutions at most, finest first."""
+    """Build the output at `count` resolutions at most, finest first."""
     count = result_scales(request.shape, request.periodic, count=count, width=width)
     shape = torus_shape(request.shape, request.periodic, count=count, width=width)
     box, form, known = request.shape, request.mask, None
@@ -223,7 +231,7 @@ def build_lattices(
 def _enter_known(
     request: Request, content: PictureLevels, levels: np.ndarray, domain: np.ndarray | None
 ) -> np.ndarray:
-    """Where voxels are known, (Z, Y, X) bool; their levels are written, and they are there."""
+    """Write the levels of known voxels, add them to the domain, and mark them (Z, Y, X) bool."""
     assert request.fixed is not None and request.known is not None
     marks, values, known = (
         request.known,
@@ -245,7 +253,7 @@ def _enter_known(
 
 
 def _free_sites(domain: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
-    """What is there and not known."""
+    """Mark the voxels of the domain that are not known."""
     if known is None:
         return domain
     free = memmap.empty(known.shape, bool)
@@ -263,12 +271,12 @@ ClassName = tuple[int, int, int, int]
 
 
 def ring_colours(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:
-    """A colour for every cell of a ring such that cells of one colour lie more than `reach` apart,
-    and how many there are.
+    """Colour the cells of a ring so that cells of one colour lie more than `reach` apart; return
+    colours and their number.
 
     Colours begin at 0 again in every block. A ring whose length is no multiple of reach + 1 gets
-    longer blocks here and there, and a few more colours; so does one that is to have an `even`
-    number of blocks, or one alone.
+    some longer blocks, and a few more colours; so does one that needs an `even` number of blocks,
+    or has one block.
     """
     blocks = max(1, side // (reach + 1))
     if even and blocks > 1:
@@ -280,13 +288,13 @@ def ring_colours(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarr
 
 
 class SiteClasses:
-    """The classes of a lattice: no two sites of one are in each other's neighbourhood in any plane.
+    """Classes of a lattice: no two sites of a class are in each other's neighbourhood in any plane.
 
     Sites of equal colours along all axes lie too far apart for any plane along the axes. Sites
-    whose colours differ along all three share none of these planes; so for these the class of all
-    (c, c + a, c + b) is one, and there are m^2 classes. A plane of two diagonals reaches twice as
-    far along an axis; so for planes that are `oblique` blocks are told apart like the squares of a
-    chessboard, and there are 2 m^3.
+    whose colours differ along all three share none of these planes; so the class of all (c, c + a,
+    c + b) is one, and there are m^2 classes. A plane of two diagonals reaches twice as far along an
+    axis; so for `oblique` planes blocks are split like the squares of a chessboard, and there are 2
+    m^3 classes.
 
     Parameters
     ----------
@@ -312,7 +320,9 @@ class SiteClasses:
         ]
 
     def sites(self, name: ClassName, first: int, last: int) -> np.ndarray:
-        """The free sites of a class in the planes first .. last as flat places, rising (int64)."""
+        """Return the free sites of a class in the planes first .. last as flat places, rising
+        (int64).
+        """
         found: np.ndarray = _sites_of_class(
             name,
             self._count,

@@ -1,4 +1,15 @@
-"""METHOD"""
+"""The method `mrf`: learn the picture's neighbourhoods at every scale, then relax a volume from
+coarse to fine.
+
+1. The pictures become numbered levels (`picture_levels`), decimated by two for every scale; their
+   neighbourhoods become the candidates of a Parzen estimate with h_opt (`candidates`).
+2. The coarsest scale starts from white noise with the picture's histogram, each finer one from the
+   coarser result (`lattice`, `relaxation`).
+3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the
+   slices through it (`density`), the product of the views' densities (`slice_planes`), a new level
+   (`site_update`), then the site's temperature or the feedback (`relaxation`,
+   `statistics_feedback`).
+"""
 
 from __future__ import annotations
 
@@ -54,18 +65,21 @@ _DIAGONAL = ((False, True), (True, True))
 
 
 class Mrf(PictureMethod):
-    """Maximum likelihood from one picture."""
+    """Maximum-likelihood synthesis from one picture."""
 
     capabilities = CAPABILITIES
     config_type = MrfConfig
 
     def _width(self) -> int:
+        """Return the width of the neighbourhoods, pixels."""
         return self.config.neighbourhood
 
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> MrfModel:
+        """Learn the pictures."""
         return MrfModel(self.config, exemplars, views)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+        """Forecast the memory of learning, bytes."""
         config = self.config
         three = len(config.views) in (0, 3)
         oblique = (
@@ -111,12 +125,14 @@ class MrfModel(PictureModel):
         )
         self.count = count_scales(images, config)
         self.candidate_sets = [
-            self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")
+            self._candidates_at(scale, None)
+            for scale in track(range(self.count), "learning the exemplar")
         ]
 
-    def _learn(self, scale: int, porosity: float | None) -> list[ParzenCandidates]:
-        """What each picture says at a scale, then what the first says along diagonals; its
-        neighbourhoods chosen for a `porosity` where one is asked for."""
+    def _candidates_at(self, scale: int, porosity: float | None) -> list[ParzenCandidates]:
+        """Prepare the candidates of each picture at a scale, then those of the first picture along
+        diagonals; with a `porosity`, from neighbourhoods redrawn for it.
+        """
         config, content = self.config, self.content
         kinds = [(picture, (False, False)) for picture in content.pictures]
         if self.oblique:
@@ -146,8 +162,8 @@ class MrfModel(PictureModel):
         return candidate_sets
 
     def _view_sets(self, candidate_sets: Sequence[ParzenCandidates]) -> list[list[SliceView]]:
-        """The views along the axes, and where the material is alike in all directions those turned
-        about each of them.
+        """Return the views along the axes, and for isotropic material those of the oblique planes
+        about each axis.
         """
         pairs = zip(self.views, self.learners, strict=True)
         view_sets = [
@@ -166,8 +182,8 @@ class MrfModel(PictureModel):
             )
         return view_sets
 
-    def _couplings(self, scale: int, lattice: SiteLattice) -> PairCouplings | None:
-        """The couplings of a scale, which have learnt nothing yet."""
+    def _start_couplings(self, scale: int, lattice: SiteLattice) -> PairCouplings | None:
+        """Return the couplings of a scale before the first sweep; None without."""
         rate = self.config.coupling_of(self.content.sort)
         if not rate:
             return None
@@ -191,13 +207,13 @@ class MrfModel(PictureModel):
         for axis, side, periodic in zip("zyx", request.shape, request.periodic, strict=True):
             if periodic and side < width:
                 raise RequestError(
-                    f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for more, or for a smaller "
-                    "neighbourhood"
+                    f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for "
+                    "more, or for a smaller neighbourhood"
                 )
         self._target_porosity(request)
 
     def _target_porosity(self, request: Request) -> float | None:
-        """The porosity that is asked for."""
+        """Return the requested porosity, or None."""
         wanted = porosity_of(request.target)
         if isinstance(wanted, np.ndarray):
             raise RequestError(
@@ -206,7 +222,7 @@ class MrfModel(PictureModel):
         return wanted
 
     def _target_shares(self, porosity: float | None) -> np.ndarray:
-        """The shares (L,) of the levels that the result is to have: the pictures', or with another
+        """Return the target shares (L,) of the levels: the pictures', or those with another
         porosity.
         """
         content = self.content
@@ -227,7 +243,7 @@ class MrfModel(PictureModel):
         candidate_sets = (
             self.candidate_sets
             if porosity is None
-            else [self._learn(scale, porosity) for scale in range(self.count)]
+            else [self._candidates_at(scale, porosity) for scale in range(self.count)]
         )
         lattices = build_lattices(request, self.content, self.count, self.config.neighbourhood)
         top = len(lattices) - 1
@@ -237,7 +253,7 @@ class MrfModel(PictureModel):
         wanted = self._target_shares(porosity)
         for scale in range(begin, -1, -1):
             coarse = lattices[scale + 1].levels if scale < top else None
-            couplings = self._couplings(scale, lattices[scale])
+            couplings = self._start_couplings(scale, lattices[scale])
             relaxation = start_relaxation(
                 lattices[scale],
                 coarse,
@@ -263,7 +279,9 @@ class MrfModel(PictureModel):
         }
 
     def _to_values(self, levels: np.ndarray, request: Request) -> np.ndarray:
-        """Levels as values; what is known comes out as it was, and outside a form is nothing."""
+        """Convert levels to values; known voxels keep their values, and outside a form the value is
+        `empty`.
+        """
         table, word = self.content.values, key(request.seed, "mrf/values")
         depth, height, width = request.shape
         values = memmap.empty((*request.shape, *table.shape[1:]), table.dtype)
@@ -284,7 +302,9 @@ class MrfModel(PictureModel):
         return values
 
     def _find_checkpoint(self, top: int) -> tuple[int, Checkpoint | None]:
-        """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
+        """Return the scale at which an interrupted run resumes and its checkpoint, or the coarsest
+        and None.
+        """
         for scale in range(top + 1):
             state = resumed(f"scale {scale}")
             if state is not None:
@@ -302,7 +322,7 @@ class MrfModel(PictureModel):
         return {**self._constant_bytes(request), "slab": self._run_memory(request).slab}
 
     def _constant_bytes(self, request: Request) -> dict[str, int]:
-        """Bytes that do not depend on the shape."""
+        """Return the bytes that do not depend on the shape."""
         kept = candidate_bytes(
             [candidates for scale in self.candidate_sets for candidates in scale]
         )
@@ -314,6 +334,7 @@ class MrfModel(PictureModel):
         return memory
 
     def _run_memory(self, request: Request) -> RunMemory:
+        """Return the memory of a request."""
         config, width = self.config, self.config.neighbourhood
         count = result_scales(request.shape, request.periodic, count=self.count, width=width)
         shape = torus_shape(request.shape, request.periodic, count=count, width=width)
@@ -324,7 +345,7 @@ class MrfModel(PictureModel):
         )
 
     def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
-        """The pairs of a lattice that are coupled at most."""
+        """Return the pairs of a lattice that can be coupled; None without couplings."""
         if not self.config.coupling_of(self.content.sort):
             return None
         shortest = min(min(picture.shape) for picture in self.content.pictures)
@@ -333,7 +354,7 @@ class MrfModel(PictureModel):
 
 
 def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
-    """Whether turned planes go without being asked for."""
+    """Return whether oblique planes are used by default."""
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
 
 
@@ -345,10 +366,10 @@ _OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
 
 @dataclass(frozen=True)
 class RunMemory:
-    """What a run's memory depends on.
+    """Memory of a run, from shapes and settings alone; the factors were measured.
 
-    `shape` is that of the finest lattice, `pairs` the ones that are coupled (None: none), `threads`
-    how many work at once.
+    `shape` is that of the finest lattice, `pairs` the coupled pairs (None: none), `threads` the
+    number of threads.
     """
 
     request: Request
@@ -362,7 +383,7 @@ class RunMemory:
 
     @property
     def scratch(self) -> int:
-        """What batches of sites take in all threads."""
+        """Return the bytes of batches of sites in all threads."""
         content = self.content
         around, (levels, channels) = self.config.neighbourhood**2 - 1, content.features.shape
         shares = levels * (24 * self.views + 24) + around * 11
@@ -380,19 +401,21 @@ class RunMemory:
 
     @property
     def output(self) -> int:
-        """The lattices of all scales, and the most that anything takes beside them; the scratch of
-        sites comes on top.
+        """Return the bytes of the lattices of all scales and of the largest array beside them; the
+        scratch memory of sites comes on top.
         """
         beside = (
             *self._site_bytes(),
-            self._couplings() - self.scratch,
+            self._coupling_bytes() - self.scratch,
             self._value_bytes() - self.scratch,
         )
         return self._lattice_bytes() + max(0, *beside)
 
     @property
     def slab(self) -> int:
-        """What the thinnest slabs take where all that is as large as the result lies in files."""
+        """Return the bytes of the thinnest slabs where arrays as large as the result are
+        memory-mapped.
+        """
         _, height, width = self.shape
         levels, each = len(self.content.values), self.content.values[0].nbytes
         sites = _OF_A_SITE * height * width // (self.config.neighbourhood // 2 + 1) ** 2
@@ -406,15 +429,16 @@ class RunMemory:
 
     @property
     def _voxels(self) -> int:
+        """Count the voxels of the finest lattice."""
         return int(np.prod(self.shape, dtype=np.int64))
 
     @property
     def _table_bytes(self) -> int:
-        """Of the offsets of pairs: their bins, and their weights for a while."""
+        """Return the bytes of the pair tables: bins of offsets, and for a while their weights."""
         return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
 
     def _lattice_bytes(self) -> int:
-        """From the first sweep to the last, coarser scales included."""
+        """Return the bytes held from the first sweep to the last, coarser scales included."""
         levels, channels = self.content.features.shape
         marks = (self.request.mask is not None) + (self.request.known is not None)
         each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
@@ -428,8 +452,8 @@ class RunMemory:
         )
 
     def _site_bytes(self) -> tuple[int, int]:
-        """A class of sites with their scores, and then with the groups' scores less what scratch
-        there was before.
+        """Return the bytes of a class of sites with their scores, and of the groups' scores less
+        the earlier scratch memory.
         """
         levels, channels = self.content.features.shape
         groups = int(self.content.groups.max()) + 1
@@ -439,8 +463,8 @@ class RunMemory:
             rows + 8 * groups + _OF_A_SITE
         ) * sites - self.scratch
 
-    def _couplings(self) -> int:
-        """The transforms of a field."""
+    def _coupling_bytes(self) -> int:
+        """Return the bytes of the transforms of a field."""
         if self.pairs is None:
             return 0
         return (
@@ -451,6 +475,6 @@ class RunMemory:
         )
 
     def _value_bytes(self) -> int:
-        """The values that come out."""
+        """Return the bytes of the result's values."""
         each = self.content.values[0].nbytes
         return each * int(np.prod(self.request.shape, dtype=np.int64))

@@ -1,4 +1,4 @@
-"""The pictures as numbered levels: labels, grey values or colours, each level with whole-number
+"""Pictures as numbered levels: labels, grey values or colours, each level with whole-number
 features.
 
 The squared distance of two neighbourhoods is the sum over their pixels of the squared differences
@@ -58,14 +58,16 @@ class PictureLevels:
 
     @property
     def sort(self) -> str:
-        """What defaults go by: "two phases", "phases", "grey" or "colour"."""
+        """Return the sort of picture that defaults depend on: "two phases", "phases", "grey" or
+        "colour".
+        """
         if self.kind != "labels":
             return self.kind
         return "two phases" if len(self.values) == 2 else "phases"
 
     def draw_values(self, levels: np.ndarray, z: int, key: np.uint64) -> np.ndarray:
-        """Levels (Y, X) of plane z as values: each voxel takes one of the pixels that its level
-        stands for, at random.
+        """Convert levels (Y, X) of plane z to values: each voxel takes, at random, the value of one
+        of the pixels of its level.
         """
         chosen = np.empty(levels.shape, np.int64)
         draw_pixels(levels, self.starts, key, z, chosen)
@@ -73,14 +75,14 @@ class PictureLevels:
 
     @property
     def void(self) -> int | None:
-        """The level of the void; None where the pictures have none."""
+        """Return the level of the void; None where the pictures have none."""
         if self.kind != "labels":
             return None
         found = np.flatnonzero(self.values == self.empty)
         return int(found[0]) if len(found) else None
 
     def nearest_levels(self, values: np.ndarray) -> np.ndarray:
-        """The nearest level (uint8) of values of the exemplars' kind."""
+        """Return the nearest level (uint8) of values of the exemplars' kind."""
         if self.kind == "labels":
             return (
                 np.searchsorted(self.values, values).clip(0, len(self.values) - 1).astype(np.uint8)
@@ -100,7 +102,7 @@ class PictureLevels:
 
 @kernel
 def draw_pixels(levels, starts, key, z, chosen):
-    """A place in the pool (Y, X) for every voxel of a plane."""
+    """Choose a place in the pool (Y, X) for every voxel of a plane."""
     for y in range(levels.shape[0]):
         for x in range(levels.shape[1]):
             first = starts[levels[y, x]]
@@ -112,7 +114,7 @@ def draw_pixels(levels, starts, key, z, chosen):
 def number_levels(
     images: Sequence[Image], *, full: int, levels: int, colours: int
 ) -> PictureLevels:
-    """The levels of exemplars that agree in kind.
+    """Assign numbers to the levels of exemplars of the same kind.
 
     Parameters
     ----------
@@ -203,21 +205,22 @@ def _colour_levels(images: Sequence[Image], full: int, colours: int) -> PictureL
 def _pool_by_level(
     pooled: np.ndarray, pictures: Sequence[np.ndarray], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels' values by level, and where each level's begin."""
+    """Sort the pixels' values by level; return them and where each level begins."""
     levels = np.concatenate([picture.ravel() for picture in pictures])
     starts = np.concatenate([[0], np.cumsum(np.bincount(levels, minlength=count))])
     return pooled[np.argsort(levels, kind="stable")], starts
 
 
 def _group_levels(pictures: Sequence[np.ndarray], count: int) -> np.ndarray:
-    """Levels in groups of about equal share, in their order."""
+    """Group levels in their order, with about equal shares."""
     counts = np.sum([np.bincount(picture.ravel(), minlength=count) for picture in pictures], axis=0)
     middle = np.cumsum(counts) - counts / 2
     return np.minimum(middle * _GROUPS // max(1, counts.sum()), _GROUPS - 1).astype(np.uint8)
 
 
 def median_cut_palette(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many colours that stand for all.
+    """Choose a palette of real colours by median cut, splitting the box of largest scatter first
+    (Heckbert 1982, doi:10.1145/965145.801294).
 
     Parameters
     ----------
@@ -262,7 +265,7 @@ def median_cut_palette(pixels: np.ndarray, most: int) -> tuple[np.ndarray, np.nd
 
 
 def _scatter(colours: np.ndarray, counts: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """The sum of squared deviations from the mean, for each channel."""
+    """Return the sum of squared deviations from the mean, for each channel."""
     size = counts[box].sum()
     first = (colours[box] * counts[box, None]).sum(0)
     second = (colours[box] ** 2 * counts[box, None]).sum(0)
@@ -272,14 +275,16 @@ def _scatter(colours: np.ndarray, counts: np.ndarray, box: np.ndarray) -> np.nda
 def _split_box(
     colours: np.ndarray, counts: np.ndarray, box: np.ndarray, channel: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A box split at its mean along a channel: neither part is empty where the scatter is not 0."""
+    """Split a box at its mean along a channel: neither part is empty where the scatter is not 0."""
     values = colours[box, channel]
     below = values * counts[box].sum() <= (values * counts[box]).sum()
     return box[below], box[~below]
 
 
 def largest_feature(kind: str, config: MrfConfig) -> int:
-    """Such that distances stay exact in float32: 3 W F^2 C K < 2^24, with weights up to W."""
+    """Return the largest feature for which distances stay exact in float32: 3 W F^2 C K < 2^24,
+    with weights up to W.
+    """
     channels = 3 if kind == "colour" else 1
     weight = STEPS if config.relaxation == "icm" else 1
     return min(

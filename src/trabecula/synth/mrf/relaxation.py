@@ -1,4 +1,9 @@
-"""RELAX"""
+"""Relaxation at one scale: its start, then sweeps over the classes of sites, each class at once.
+
+Within a class no site is another's neighbour, so updating all at once equals updating one after
+another. The new level of a site depends on its neighbours, on the learned terms and on a random
+number of its own, not on batches, slabs or threads.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +105,7 @@ class Relaxation:
     def run(
         self, before: Sequence[dict[str, Any]] = (), state: Checkpoint | None = None
     ) -> list[dict[str, Any]]:
-        """All sweeps of this scale, from `state` where there is one.
+        """Run all sweeps of this scale, from the checkpoint `state` where there is one.
 
         Returns
         -------
@@ -131,11 +136,13 @@ class Relaxation:
 
     @property
     def stage(self) -> str:
-        """Its name among those of a run."""
+        """Return the stage's name."""
         return f"scale {self.scale}"
 
     def sweep(self, step: SweepStep) -> int:
-        """Visit every site that is to change, class after class; how many did change."""
+        """Visit every site that may change, class after class; return the number of changed
+        sites.
+        """
         view_set = self._view_sets[step.view_set]
         names = view_set.classes.names
         order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
@@ -155,7 +162,7 @@ class Relaxation:
     def _update_class(
         self, site_class: SiteClass, view_set: ViewSet, step: SweepStep
     ) -> SweepTally:
-        """New levels for the sites of a class."""
+        """Give the sites of a class new levels."""
         config = self.config
         found = score_class(
             site_class,
@@ -191,8 +198,8 @@ class Relaxation:
         first: int,
         last: int,
     ) -> SweepTally:
-        """New levels for those in the planes first .. last; nobody reads meanwhile what this
-        writes.
+        """Give the sites of a class in the planes first .. last new levels; no other thread reads
+        them meanwhile.
         """
         sites, start = site_class.sites(first, last), int(site_class.starts[0][first])
         levels, tables, changed = (
@@ -219,7 +226,7 @@ class Relaxation:
         return SweepTally(changed, tables)
 
     def _steps(self) -> list[SweepStep]:
-        """Every sweep of this scale."""
+        """List the sweeps of this scale."""
         config = self.config
         count = _at_scale(config.sweeps, self.scale)
         stage = key(self.seed, f"mrf/{self.scale}/{config.relaxation}")
@@ -250,7 +257,9 @@ class Relaxation:
         ]
 
     def _temperature_fall(self) -> float:
-        """By what share the global temperature has fallen since the scale began (section V.B)."""
+        """Return the share by which the global temperature has fallen since the scale began
+        (section V.B).
+        """
         temperature, held = self.temperature, self.held
         sums = np.zeros(len(temperature))
 
@@ -268,7 +277,7 @@ class Relaxation:
         return 1 - math.fsum(sums) / max(start, 1)
 
     def _state(self) -> dict[str, np.ndarray]:
-        """All that the next sweep starts from."""
+        """Return the arrays of a checkpoint."""
         learnt = {} if self.couplings is None else {"strength": self.couplings.strength}
         return {
             "levels": self.lattice.levels,
@@ -280,6 +289,7 @@ class Relaxation:
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Restore the arrays of a checkpoint."""
         self.lattice.levels, self.temperature = arrays["levels"], arrays["temperature"]
         self.shifts.by_group, self.shifts.by_level = arrays["shift"], arrays["fine"]
         self.bias_feedback.restore(arrays)
@@ -289,15 +299,16 @@ class Relaxation:
 
 
 def _at_scale(schedule: Sequence[T], scale: int) -> T:
+    """Return the entry of a schedule for a scale."""
     return schedule[min(scale, len(schedule) - 1)]
 
 
 @kernel
 def cool(sites, offsets, domain, held, xi, temperature):
-    """t = max(0, (xi + sum of t over the neighbours in three dimensions) / their number); `held`
-    sites keep theirs.
+    """Update temperatures (equation 8): t = max(0, (xi + sum of t over the neighbours in three
+    dimensions) / their number); `held` sites keep theirs.
 
-    What is not `domain` is no neighbour; without entries all are.
+    Voxels outside the `domain` are no neighbours; without entries all are inside.
     """
     flat, kept = temperature.ravel(), held.ravel()
     places = np.empty((1, len(offsets)), np.int64)
@@ -325,14 +336,14 @@ def start_relaxation(
     wanted: np.ndarray,
     couplings: PairCouplings | None,
 ) -> Relaxation:
-    """The relaxation of a scale at its start: white noise with the picture's histogram, and what a
-    coarser one hands on.
+    """Start the relaxation of a scale from white noise with the picture's histogram, or from the
+    coarser scale.
 
-    `wanted` are the shares (L,) of the levels in the result, known voxels among them.
+    `wanted` are the target shares (L,) of the levels in the result, known voxels included.
 
-    `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel goes to the
-    first of its eight ("one", 1/8), or to all ("all", 8/8); either way only the first inherits its
-    temperature of 0.
+    `coarse` are the levels of the coarser scale; None on the coarsest. A coarse voxel is copied to
+    the first of its eight voxels ("one", 1/8) or to all ("all", 8/8); in both cases only the first
+    inherits its temperature of 0.
     """
     marginal = np.sum([slice_view.candidates.marginal for slice_view in view_sets[0]], axis=0)
     # else there is nothing that it would not overwrite
@@ -351,8 +362,8 @@ def start_relaxation(
 
 
 def _free_shares(lattice: SiteLattice, wanted: np.ndarray) -> np.ndarray:
-    """The shares that voxels still to be made need, so that they and the known ones have the wanted
-    shares together.
+    """Return the shares that free voxels need so that they and the known ones together have the
+    target shares.
     """
     left, held = lattice.count_known(len(wanted))
     missing = np.maximum(wanted * (left + int(held.sum())) - held, 0)
@@ -360,7 +371,7 @@ def _free_shares(lattice: SiteLattice, wanted: np.ndarray) -> np.ndarray:
 
 
 def _fill_with_noise(lattice: SiteLattice, marginal: np.ndarray, seed: int, scale: int) -> None:
-    """Free voxels drawn from a histogram, each plane with random numbers of its own."""
+    """Draw free voxels from a histogram, each plane with random numbers of its own."""
     ends = np.cumsum(marginal)
 
     def work(first: int, last: int) -> None:
@@ -378,8 +389,8 @@ def _fill_with_noise(lattice: SiteLattice, marginal: np.ndarray, seed: int, scal
 
 
 def _inherit(lattice: SiteLattice, coarse: np.ndarray, upsampling: str) -> None:
-    """What a coarser scale found goes to the first of each eight voxels, or to all; what is not
-    free stays.
+    """Copy the coarser scale to the first of each eight voxels, or to all; voxels that are not free
+    stay.
     """
 
     def work(first: int, last: int) -> None:
@@ -400,14 +411,14 @@ def _inherit(lattice: SiteLattice, coarse: np.ndarray, upsampling: str) -> None:
 
 
 def _set_free(lattice: SiteLattice, part: Any, found: np.ndarray) -> None:
-    """Levels for the free voxels of a part."""
+    """Set the levels of the free voxels of a part."""
     np.copyto(
         lattice.levels[part], found, where=True if lattice.free is None else lattice.free[part]
     )
 
 
 def _initial_temperatures(lattice: SiteLattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The temperatures at the start, 1 or 0, and which voxels `inherits` gave one of 0: the first
+    """Return the temperatures at the start, 1 or 0, and which voxels `inherits` gave a 0: the first
     of every eight.
     """
     temperature, held = memmap.zeros(lattice.shape, np.float32), memmap.zeros(lattice.shape, bool)

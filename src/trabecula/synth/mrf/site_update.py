@@ -1,4 +1,11 @@
-"""SITES"""
+"""Update of one class of sites at once.
+
+1. The scores of every site, from the densities of its slices, the feedback and the couplings
+   (`score_class`).
+2. The shifts that give the target shares (`fraction_control`).
+3. New levels by draw, mode or proposal (`choose_levels`), which the feedback counts
+   (`count_local`).
+"""
 
 from __future__ import annotations
 
@@ -36,11 +43,11 @@ _ENOUGH = 256
 
 @dataclass
 class SiteClass:
-    """The sites of a class that are to be asked: found anew wherever they are needed, since their
-    places would take more room than their levels do.
+    """Sites of a class that a sweep visits, plane by plane. They are found anew wherever they are
+    needed, since their places would take more memory than their levels.
 
-    `temperature` (Z, Y, X) float32, `held` bool: only sites that are warm or held are asked;
-    without entries where that is nobody's business.
+    `temperature` (Z, Y, X) float32, `held` bool: only sites that are warm or held are visited;
+    without entries all are.
     """
 
     classes: SiteClasses
@@ -49,7 +56,7 @@ class SiteClass:
     held: np.ndarray
 
     def sites(self, first: int, last: int) -> np.ndarray:
-        """Flat places in the planes first .. last, rising."""
+        """Return flat places in the planes first .. last, rising."""
         sites = self.classes.sites(self.name, first, last)
         if not self.temperature.size:
             return sites
@@ -60,13 +67,13 @@ class SiteClass:
 
     @property
     def depth(self) -> int:
-        """Planes of the lattice."""
+        """Return the planes of the lattice."""
         return self.classes.lattice.shape[0]
 
     @cached_property
     def starts(self) -> tuple[np.ndarray, np.ndarray]:
-        """How many sites lie before each plane, and of these how many in the result: twice (Z + 1,)
-        int64.
+        """Count the sites before each plane, and those of them in the result: twice (Z +
+        1,) int64.
         """
         lattice = self.classes.lattice
         plane, counts = lattice.shape[1] * lattice.shape[2], np.zeros((2, self.depth + 1), np.int64)
@@ -88,34 +95,35 @@ class SiteClass:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Return the number of sites."""
         return int(self.starts[0][-1])
 
     @property
     def count_in_result(self) -> int:
-        """How many of them lie in the result."""
+        """Return the number of sites in the result."""
         return int(self.starts[1][-1])
 
     @property
     def _are_few(self) -> bool:
+        """Return whether threads are not worth their start."""
         return self.count < _FEW and self.classes.lattice.levels.size <= _MANY
 
     def allocate(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
-        """An array of rows for sites, for `run_expensive` to write; in memory where it is small: every
-        visit has some.
+        """Allocate an array of rows for sites, for `run_expensive` to write; in memory where it is
+        small, since every visit allocates some.
         """
         small = self._are_few and math.prod(shape) * np.dtype(dtype).itemsize < _SMALL
         return np.empty(tuple(shape), dtype) if small else memmap.empty(shape, dtype, least=0)
 
     def run_on_planes(self, work: Callable[[int, int], object]) -> None:
-        """Light work on planes of them."""
+        """Run cheap work on planes of sites."""
         if self._are_few:
             work(0, self.depth)
         else:
             for_slabs(work, self.depth, least=self._planes_with(_FEW))
 
     def sum_on_planes(self, work: Callable[[int, int], T]) -> T:
-        """The sum of whole numbers over planes of them."""
+        """Sum whole numbers over planes of sites."""
         return (
             work(0, self.depth)
             if self._are_few
@@ -123,13 +131,13 @@ class SiteClass:
         )
 
     def run_expensive(self, work: Callable[[int, int], object]) -> None:
-        """Dear work on planes of them, which other processes may do; it writes slabs of what `allocate`
-        gave.
+        """Run expensive work on planes of sites, also in other processes; it writes slabs of arrays
+        from `allocate`.
         """
         for_slabs(work, self.depth, least=self._planes_with(_ENOUGH), anywhere=not self._are_few)
 
     def _planes_with(self, sites: int) -> int:
-        """Planes that hold so many sites."""
+        """Return how many planes hold so many sites."""
         return max(1, self.depth * sites // max(1, self.count))
 
 
@@ -137,7 +145,7 @@ ROWS_AT_ONCE = 4096  # sites that get new levels at once
 
 
 def run_on_rows(work: Callable[[int, int], object], rows: int) -> None:
-    """Light work on rows of numbers, one for each site."""
+    """Run cheap work on rows of numbers, one row a site."""
     if rows < _FEW:
         work(0, rows)
     else:
@@ -145,19 +153,20 @@ def run_on_rows(work: Callable[[int, int], object], rows: int) -> None:
 
 
 def sum_on_rows(work: Callable[[int, int], T], rows: int) -> T:
-    """The sum of whole numbers over rows."""
+    """Sum whole numbers over rows."""
     return work(0, rows) if rows < _FEW else sum_slabs(work, rows, least=_FEW)
 
 
 def allocate_rows(rows: int) -> np.ndarray:
-    """A whole number for every row (int64); in memory where that is little."""
+    """Allocate a whole number for every row (int64); in memory where that is little."""
     return np.empty(rows, np.int64) if rows < _FEW else memmap.empty(rows, np.int64)
 
 
 @dataclass(frozen=True)
 class SweepStep:
-    """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for
-    random words, which of the frames it goes by, and whether it sees the pictures from behind."""
+    """One sweep: its rule ("gibbs", "icm", "annealing"), temperature, key and number for random
+    words, the number of its view set, and whether it sees the pictures mirrored.
+    """
 
     rule: str
     heat: float
@@ -169,7 +178,7 @@ class SweepStep:
 
 @dataclass(frozen=True)
 class ClassScores:
-    """What is known of the sites of a class, one row for each.
+    """Scores of the sites of a class, one row a site.
 
     Attributes
     ----------
@@ -188,12 +197,13 @@ class ClassScores:
 
 @dataclass(frozen=True)
 class SweepTally:
-    """How many sites changed, and what the feedback counted."""
+    """The number of changed sites, and the counts of the feedback."""
 
     changed: int
     tables: BiasTables
 
     def __add__(self, other: SweepTally) -> SweepTally:
+        """Add two tallies."""
         return SweepTally(
             self.changed + other.changed,
             [a + b for a, b in zip(self.tables, other.tables, strict=True)],
@@ -210,7 +220,7 @@ def score_class(
     couplings: PairCouplings | None,
     mirrored: bool,
 ) -> ClassScores:
-    """The scores of a class.
+    """Compute the scores of all levels at the sites of a class.
 
     Parameters
     ----------
@@ -258,8 +268,8 @@ def score_class(
 def choose_levels(
     score: np.ndarray, sites: np.ndarray, present: np.ndarray, step: SweepStep, proposals: int
 ) -> np.ndarray:
-    """New levels (S,) uint8 by the rule of a step, from scores (S, L) int32 with all shifts and the
-    `present` levels.
+    """Choose new levels (S,) uint8 by the rule of a step, from scores (S, L) int32 with all shifts
+    and the `present` levels.
     """
     chosen = np.empty(len(sites), np.uint8)
     if step.rule == "icm" or (step.rule == "gibbs" and step.heat == 0):
@@ -275,7 +285,7 @@ def choose_levels(
 
 
 def row_slices(count: int) -> list[slice]:
-    """So many rows, a few at a time."""
+    """Split so many rows into slices."""
     return [
         slice(first, min(first + ROWS_AT_ONCE, count)) for first in range(0, count, ROWS_AT_ONCE)
     ]
@@ -299,21 +309,21 @@ COLDEST = 64 * COLD
 
 
 def coldness(heat: float) -> int:
-    """1 / heat in whole 4096ths, `COLDEST` at most."""
+    """Return 1 / heat in whole 4096ths, `COLDEST` at most."""
     return max(1, round(min(COLDEST, COLD / heat)))
 
 
 @kernel
 def most_probable_levels(score, chosen):
-    """The level of the greatest score; of equals the first."""
+    """Choose the level of the greatest score; of equals the first."""
     for s in range(len(score)):
         chosen[s] = best_level(score[s])
 
 
 @kernel
 def draw_levels(score, coldness, powers, sites, key, sweep, chosen):
-    """A level drawn with probability proportional to 2^(score coldness / 2^16 / 2^12); coldness
-    4096 is temperature 1.
+    """Draw a level with probability proportional to 2^(score coldness / 2^16 / 2^12); coldness 4096
+    is temperature 1.
     """
     weight = np.empty(score.shape[1], np.int64)
     for s in range(len(score)):
@@ -333,8 +343,8 @@ def draw_levels(score, coldness, powers, sites, key, sweep, chosen):
 
 @kernel
 def propose_levels(score, temperature, powers, present, tries, sites, key, sweep, chosen):
-    """The paper's figure 1: a level at random takes the place of the present one where p > 1 or p t
-    > q, p the ratio of scores.
+    """Propose levels at random (figure 1): one replaces the present level where p > 1 or p t > q, p
+    being the ratio of their densities and q random.
 
     `temperature` in 0 .. 2^16; `tries` proposals one after another, each with a q of its own.
     """

@@ -1,4 +1,12 @@
-"""SLICES"""
+"""The slices through a site: their planes, their neighbours, and one score from their densities.
+
+A volume that is only looked at along its axes comes out with boxes and rods along them. In an
+isotropic material any plane will do; so sweeps use in turn three planes along the axes, and three
+oblique ones, rotated by 45 degrees about an axis. Along a diagonal voxels lie sqrt(2) apart: the
+k-th neighbour stands for the picture's pixel at rint(k sqrt(2)).
+
+A neighbour outside the domain of a form has weight 0: it is left out of the distance.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +27,8 @@ Offset = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class SlicePlane:
-    """A plane by what one step along a picture's rows' axis, and one along its columns' axis, is in
-    voxels (z, y, x).
+    """A plane, by the voxels (z, y, x) of one step along the rows' axis and one along the columns'
+    axis of its picture.
     """
 
     rows: Offset
@@ -28,17 +36,19 @@ class SlicePlane:
 
     @property
     def diagonal(self) -> tuple[bool, bool]:
-        """Whether the steps are diagonals."""
+        """Return whether the steps along rows and columns are diagonals."""
         return sum(map(abs, self.rows)) > 1, sum(map(abs, self.columns)) > 1
 
     @property
     def mirror_image(self) -> SlicePlane:
-        """The same plane, its picture seen from behind."""
+        """Return the same plane with its picture seen from behind."""
         z, y, x = self.columns
         return SlicePlane(self.rows, (-z, -y, -x))
 
     def offsets(self, width: int) -> np.ndarray:
-        """Where the neighbours lie, (w^2 - 1, 3) int64, in the order of a picture's pixels."""
+        """Return the offsets of the neighbours, (w^2 - 1, 3) int64, in the order of a picture's
+        pixels.
+        """
         steps = np.arange(width) - width // 2
         grid = steps[:, None, None] * np.array(self.rows) + steps[None, :, None] * np.array(
             self.columns
@@ -47,13 +57,13 @@ class SlicePlane:
 
 
 def plane_across(axis: int) -> SlicePlane:
-    """The plane along two axes that is seen across the third."""
+    """Return the plane across an axis, along the two others."""
     rows, columns = (other for other in range(3) if other != axis)
     return SlicePlane(_unit_step(rows), _unit_step(columns))
 
 
 def oblique_planes(axis: int) -> tuple[SlicePlane, SlicePlane, SlicePlane]:
-    """Three orthogonal planes, turned by 45 degrees about an axis."""
+    """Return three orthogonal planes, rotated by 45 degrees about an axis."""
     first, second = (other for other in range(3) if other != axis)
     up, down = (
         np.add(_unit_step(first), _unit_step(second)),
@@ -64,7 +74,7 @@ def oblique_planes(axis: int) -> tuple[SlicePlane, SlicePlane, SlicePlane]:
 
 
 def union_offsets(planes: Sequence[SlicePlane], width: int) -> np.ndarray:
-    """All neighbours in three dimensions, each once (equation 11)."""
+    """Return all neighbours in three dimensions, each once (equation 11)."""
     return np.unique(np.concatenate([plane.offsets(width) for plane in planes]), axis=0)
 
 
@@ -82,7 +92,7 @@ _MOST = 1 << 30
 
 @dataclass(frozen=True)
 class SliceView:
-    """A view at one scale: its plane and what it learns from; `learner` numbers its statistics."""
+    """A view at one scale: its plane and its candidates; `learner` numbers its statistics."""
 
     plane: SlicePlane
     candidates: ParzenCandidates
@@ -90,7 +100,7 @@ class SliceView:
 
 
 class ViewSet:
-    """The views that a sweep goes by.
+    """The views that a sweep uses.
 
     Parameters
     ----------
@@ -127,14 +137,14 @@ class ViewSet:
 
     @property
     def batch(self) -> int:
-        """Sites that are done at a time."""
+        """Return the number of sites of a batch."""
         return (
             BATCH_OF_BITS if self.slice_views[0].candidates.bits is not None else BATCH_OF_PRODUCTS
         )
 
     def product_buffer(self, count: int) -> np.ndarray:
-        """Room for the products of a batch of so many sites; fresh pages for each would cost as
-        much as its products.
+        """Allocate the products of a batch of at most `count` sites once; fresh pages for each
+        batch would cost as much as its products.
         """
         bits = self.slice_views[0].candidates.bits is not None
         widest = (
@@ -155,7 +165,7 @@ class ViewSet:
         *,
         mirrored: bool = False,
     ) -> np.ndarray:
-        """The logarithms of the views' densities (S, V, L) int64, in units.
+        """Compute the logarithms of the views' densities (S, V, L) int64, in units.
 
         Parameters
         ----------
@@ -204,7 +214,9 @@ class ViewSet:
     def combine(
         self, log: np.ndarray, pulled: np.ndarray, heuristic: str, score: np.ndarray
     ) -> None:
-        """One score (S, L) int32 of the views' logarithms and what is added to them: h2a or h2b."""
+        """Combine the views' logarithms and the terms added to them into one score (S, L) int32, by
+        h2a or h2b.
+        """
         total = np.empty(pulled.shape, np.int64)
         if heuristic == "h2a":
             least_of_views(log, pulled, total)
@@ -214,10 +226,11 @@ class ViewSet:
 
 
 def log_prior(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
-    """(views - 1) times the logarithm of the views' mean marginal, times `power`, in units (L,).
+    """Return (views - 1) times the logarithm of the views' mean marginal, times `power`, in units
+    (L,).
 
-    Given the centre, let what the views see besides it be independent: then by Bayes' rule the
-    density given all of them is the product of theirs over the marginal to the power (views - 1).
+    If the views are independent given the centre, then by Bayes' rule the density given all of them
+    is the product of theirs over the marginal to the power (views - 1).
     """
     share = np.mean([marginal / marginal.sum() for marginal in marginals], axis=0)
     floor = 0.5 / sum(int(marginal.sum()) for marginal in marginals)
@@ -228,8 +241,8 @@ def log_prior(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
 
 @kernel
 def product_of_views(log, prior, bias, score):
-    """H2b with its corrections: the sum of the views' logarithms, less `prior` (L,), plus `bias`
-    (S, L); all in units.
+    """Add the views' logarithms (H2b, equations 14, 15), less `prior` (L,), plus `bias` (S, L); all
+    in units.
     """
     for s in range(len(log)):
         for level in range(log.shape[2]):
@@ -241,7 +254,7 @@ def product_of_views(log, prior, bias, score):
 
 @kernel
 def least_of_views(log, bias, score):
-    """H2a: the least of the views' logarithms, plus `bias`."""
+    """Take the least of the views' logarithms (H2a, equation 13), plus `bias`."""
     for s in range(len(log)):
         for level in range(log.shape[2]):
             least = log[s, 0, level]
@@ -252,6 +265,7 @@ def least_of_views(log, bias, score):
 
 @inline
 def best_level(row):
+    """Return the level of the greatest score; of equals the first."""
     best = 0
     for level in range(1, len(row)):
         if row[level] > row[best]:
@@ -261,7 +275,9 @@ def best_level(row):
 
 @kernel
 def level_of_views(log, features, mean, chosen):
-    """H1a, or H1b where `mean`: from the most probable level of each view. `chosen` (S,) uint8."""
+    """Choose a level from the most probable level of each view: H1a, or H1b (equation 12) where
+    `mean`. `chosen` (S,) uint8.
+    """
     V, L, C = log.shape[1], log.shape[2], features.shape[1]
     total = np.empty(C, np.int64)
     for s in range(len(log)):
@@ -288,8 +304,8 @@ def level_of_views(log, features, mean, chosen):
 
 @kernel
 def gather_places(sites, offsets, shape, domain, places):
-    """Flat places of the neighbours (S, K) int64 on a torus, -1 for those that are not `domain`;
-    without entries all are.
+    """Gather flat places of the neighbours (S, K) int64 on a torus, -1 for those outside the
+    `domain`; without entries all are inside.
     """
     marks = domain.ravel()
     every = len(marks) == 0
@@ -308,8 +324,8 @@ def gather_places(sites, offsets, shape, domain, places):
 
 @kernel
 def gather_levels(places, levels, found, weight):
-    """The levels of the neighbours (S, K) uint8, and 1 or 0 in `weight` (S, K) uint8 as they are
-    there or not.
+    """Gather the levels of the neighbours (S, K) uint8, and 1 or 0 in `weight` (S, K) uint8 as they
+    exist or not.
     """
     flat = levels.ravel()
     for s in range(len(places)):
@@ -321,8 +337,8 @@ def gather_levels(places, levels, found, weight):
 
 @kernel
 def gather_confidence(places, temperature, full, weight):
-    """Weights (1 - t)^2 of the neighbours (equation 9), in `full` steps, rounded; 0 for those that
-    are not there.
+    """Gather weights (1 - t)^2 of the neighbours (equation 9), in `full` steps, rounded; 0 for
+    those that do not exist.
     """
     flat = temperature.ravel()
     for s in range(len(places)):
@@ -334,8 +350,8 @@ def gather_confidence(places, temperature, full, weight):
 
 @kernel
 def local_sums(found, weight, features, sums):
-    """The features summed over the neighbours, (S, C) int32, scaled up where some are missing
-    (weight 0).
+    """Sum the features over the neighbours, (S, C) int32, scaled up where some are missing (weight
+    0).
     """
     K = found.shape[1]
     for s in range(len(found)):

@@ -1,4 +1,18 @@
-"""STATISTICS"""
+"""Terms learned from sweep to sweep that draw the output's statistics to the picture's: a bias by
+local sums, and couplings of pairs.
+
+Bias: for every channel of the features, the sum over a slice neighbourhood falls into one of a few
+cells; how often a group of levels is the centre of each cell is the joint statistic. After a sweep
+the bias of a group in a cell moves by the logarithm of its frequency in the picture over that in
+the output. The levels' overall shares are not part of it (`fraction_control`).
+
+Couplings: a neighbourhood sees few voxels, so structure at larger distances is in no slice's
+density. Pairs of voxels up to some distance have an energy that depends on their offset alone, one
+multiplier for every statistic, moved by how far the statistic is off (Zhu, Wu, Mumford 1998,
+"Filters, random fields and maximum entropy (FRAME)", doi:10.1023/A:1007925832420, section 3).
+Offsets are sorted by their distance and their nearest axis; those that no picture holds have no
+energy.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +40,8 @@ _MOST = 12.0  # factors of two in a bias
 
 @dataclass(frozen=True)
 class JointHistogram:
-    """How often (C, B, G) float64 a group of levels has a local sum in a cell; `edges` (C, B - 1)
-    int32 part the cells.
+    """Frequency (C, B, G) float64 of a group of levels with its local sum in a cell; `edges` (C, B
+    - 1) int32 separate the cells.
     """
 
     edges: np.ndarray
@@ -37,7 +51,9 @@ class JointHistogram:
 def joint_histogram(
     neighbourhoods: Neighbourhoods, content: PictureLevels, bins: int
 ) -> JointHistogram:
-    """The joint statistic of a picture's neighbourhoods, with cells of about equal share."""
+    """Measure the joint statistic of a picture's neighbourhoods, with cells of about equal
+    share.
+    """
     features = content.features
     groups = int(content.groups.max()) + 1
     edges = np.empty((features.shape[1], bins - 1), np.int32)
@@ -56,12 +72,12 @@ def joint_histogram(
 
 
 def bias_change(joint: JointHistogram, counted: np.ndarray) -> np.ndarray:
-    """How the bias (C, B, G) float64 of a group in a cell is to change after `counted` (C, B, G),
-    at most 1 factor of two.
+    """Return the change of the bias (C, B, G) float64 of a group in a cell after `counted` (C, B,
+    G), at most 1 factor of two.
 
-    By how often a group occurs in a cell, given the cell. It is freed of what it would do to the
-    groups' own shares, which have another owner. One count is added on both sides, so that what is
-    rare is not moved by chance.
+    It follows how often a group occurs in a cell, given the cell. Its effect on the groups' overall
+    shares is removed, since `fraction_control` sets these. One count is added on both sides, so
+    that rare events do not move it by chance.
     """
     wanted = joint.share * counted[0].sum() + 1
     seen = counted + 1
@@ -74,13 +90,15 @@ def bias_change(joint: JointHistogram, counted: np.ndarray) -> np.ndarray:
 
 
 def to_units(bias: np.ndarray) -> np.ndarray:
-    """Factors of two in whole units (int64)."""
+    """Convert factors of two to whole units (int64)."""
     return np.rint(np.clip(bias, -_MOST, _MOST) * UNIT).astype(np.int64)
 
 
 @kernel
 def local_cells(sums, edges, cells):
-    """The cell (S, C) uint8 of every local sum (S, C) int32: as many as there are edges below it."""
+    """Return the cell (S, C) uint8 of every local sum (S, C) int32: the number of edges
+    below it.
+    """
     for s in range(len(sums)):
         for c in range(len(edges)):
             cell = 0
@@ -91,7 +109,7 @@ def local_cells(sums, edges, cells):
 
 @kernel
 def add_bias(cells, bias, groups, out):
-    """Adds the bias (C, B, G) of the cells to every level: `out` (S, L) int64."""
+    """Add the bias (C, B, G) of the cells to every level: `out` (S, L) int64."""
     for s in range(len(cells)):
         for c in range(len(bias)):
             row = bias[c, cells[s, c]]
@@ -101,7 +119,7 @@ def add_bias(cells, bias, groups, out):
 
 @kernel
 def count_cells(cells, groups, chosen, table):
-    """Counts the levels chosen (S,) by cell and group: `table` (C, B, G) int64."""
+    """Count the levels chosen (S,) by cell and group: `table` (C, B, G) int64."""
     for s in range(len(cells)):
         for c in range(len(table)):
             table[c, cells[s, c], groups[chosen[s]]] += 1
@@ -136,25 +154,25 @@ class BiasFeedback:
         self.by_cell = [np.zeros(joint.share.shape) for joint in joints]
 
     def bias(self) -> BiasTables:
-        """The bias of every group by cell, in units."""
+        """Return the bias of every group by cell, in units."""
         return [to_units(part) for part in self.by_cell]
 
     def empty_tables(self) -> BiasTables:
-        """What a sweep counts into."""
+        """Allocate the counts of a sweep."""
         return [np.zeros(part.shape, np.int64) for part in self.by_cell]
 
     def learn(self, counted: BiasTables) -> None:
-        """The counts of a whole sweep; learners that it did not ask have none."""
+        """Learn from the counts of a whole sweep; learners without counts stay as they are."""
         for n, (joint, table) in enumerate(zip(self._joints, counted, strict=True)):
             if table.any():
                 self.by_cell[n] = self.by_cell[n] + self._rate * bias_change(joint, table)
 
     def state(self) -> dict[str, np.ndarray]:
-        """What the next sweep starts from."""
+        """Return the arrays of a checkpoint."""
         return {f"by_cell{n}": part for n, part in enumerate(self.by_cell)}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Restore the arrays of a checkpoint."""
         self.by_cell = [arrays[f"by_cell{n}"] for n in range(len(self.by_cell))]
 
 
@@ -221,7 +239,7 @@ class PairCouplings:
         self._field = memmap.zeros((features.shape[1], *shape), np.int16)
 
     def _targets(self, pictures: Pictures) -> tuple[np.ndarray, np.ndarray]:
-        """The pictures' autocorrelation (C, bins), and which bins they hold."""
+        """Measure the pictures' autocorrelation (C, bins), and mark the bins that they hold."""
         sums = np.zeros((self._values.shape[1], self._pairs.bins))
         fits = np.zeros(self._pairs.bins)
         for axis, picture in pictures:
@@ -253,8 +271,8 @@ class PairCouplings:
         self.update_field(levels, domain)
 
     def learn(self, levels: np.ndarray, domain: np.ndarray | None = None) -> None:
-        """Move the strengths after a sweep that left `levels` (Z, Y, X); `domain` says which of them
-        count (None: all).
+        """Move the strengths after a sweep that left `levels` (Z, Y, X); `domain` marks the voxels
+        that count (None: all).
         """
         apart = np.zeros_like(self.strength)
         both = self._pair_shares(domain)
@@ -274,12 +292,12 @@ class PairCouplings:
             self.update_field(levels, domain)
 
     def update_field(self, levels: np.ndarray, domain: np.ndarray | None = None) -> None:
-        """What the strengths say of every site, given all others."""
+        """Compute the field of the couplings at every site, given all others."""
         for c in range(len(self.strength)):
             self._update_channel(c, self._pairs.forward(self._channel_planes(levels, domain, c)))
 
     def _update_channel(self, channel: int, spectrum: np.ndarray) -> None:
-        """The field of a channel, from the transform of its values."""
+        """Compute the field of a channel from the transform of its values."""
         # The strength of a bin is that of the mean over its offsets.
         into = self._field[channel]
         each = self.strength[channel] * into.size / np.maximum(self._pairs.fits, 1)
@@ -293,14 +311,14 @@ class PairCouplings:
         for_slabs(work, len(into))
 
     def add_to_scores(self, sites: np.ndarray, out: np.ndarray) -> None:
-        """Add what pairs say of every level at the sites to `out` (S, L) int64, in units."""
+        """Add the energy of pairs of every level at the sites to `out` (S, L) int64, in units."""
         own = np.rint(self._values.astype(np.float64) * _GRAIN).astype(np.int64)
         for c in range(own.shape[1]):
             field = self._field[c].reshape(-1)[sites, None].astype(np.int64)
             out += field * own[:, c] // (_GRAIN * _GRAIN // UNIT)
 
     def _pair_shares(self, domain: np.ndarray | None) -> np.ndarray | float:
-        """The share of each bin's pairs of which both count."""
+        """Return the share of each bin's pairs of which both voxels count."""
         if domain is None:
             return 1.0
         marks = domain
@@ -310,7 +328,7 @@ class PairCouplings:
     def _channel_planes(
         self, levels: np.ndarray, domain: np.ndarray | None, channel: int
     ) -> Planes:
-        """The values of a channel, plane by plane."""
+        """Return a function that gives the values of a channel, plane by plane."""
         values = np.ascontiguousarray(self._values[:, channel])
         if domain is None:
             return lambda z: values[levels[z]]
@@ -319,7 +337,7 @@ class PairCouplings:
 
 
 def _standardise(pictures: Pictures, features: np.ndarray) -> np.ndarray:
-    """Features (L, C) float32 with the pictures' mean 0 and variance 1."""
+    """Scale features (L, C) float32 to the pictures' mean 0 and variance 1."""
     counts = np.sum(
         [np.bincount(picture.ravel(), minlength=len(features)) for _, picture in pictures], axis=0
     )
