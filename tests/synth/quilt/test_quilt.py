@@ -334,7 +334,7 @@ def test_settings_that_do_not_fit(cells, settings, words):
         ({"periodic": True, "shape": 12}, "at least"),
         (
             {"mask": np.arange(20)[:, None, None] % 10 + np.zeros((20, 20, 20)) < 5},
-            "2 separate pieces",
+            "2 connected components",
         ),
         ({"shape": (20, 20)}, "give 3 numbers"),
     ],

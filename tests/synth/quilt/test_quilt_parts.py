@@ -104,7 +104,7 @@ def test_of_the_nearest_the_least_seam_comes_first():
     assert run._lay_or_undo(0) == 1
     place = run._site_at(1, run.grid.corner(1))
     found = run.chooser.ranker.rank(
-        place.query, place.pool, place.asked, place=1, count=500, before=place.before, without=()
+        place.query, place.pool, place.target, place=1, count=500, before=place.before, without=()
     )
     nearest = np.argsort(found.score, kind="stable")[:10]
     order = [n for n, _ in run.chooser._by_seam(place, found)]

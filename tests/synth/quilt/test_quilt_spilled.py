@@ -131,7 +131,7 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     for stopped in (True, False):
         stops = pytest.raises(KeyboardInterrupt) if stopped else nullcontext()
         with slabs(tmp_path / "files"), stops, checkpoint.kept_at(tmp_path / "part"):
-            values, report = lattice_model.run(request)
+            values, report = lattice_model.made(request)
             assert np.array_equal(values, whole) and report["places"] == trace.summary()["places"]
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
@@ -270,7 +270,7 @@ def test_pools_that_are_forgotten_are_made_again(out_of_step, monkeypatch):
     values = out_of_step.make_with_trace(request)[0]
     monkeypatch.setattr(candidates, "HELD", 0)
     run = QuiltRun(out_of_step.library, out_of_step.config, request)
-    assert np.array_equal(run.run(), values)
+    assert np.array_equal(run.lay_all(), values)
     assert not run.pools._made
 
 
@@ -282,7 +282,7 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
     )
     keys = {phase_key(grid.corner(n), library.periods) for n in range(int(np.prod(grid.counts)))}
     assert len(keys) > 50
-    assert sum(len(made.numbers(phase).at) for phase in keys) == _count_pooled(library, grid, 0)
+    assert sum(len(made.pool(phase).at) for phase in keys) == _count_pooled(library, grid, 0)
 
 
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
@@ -300,5 +300,5 @@ def test_a_form_in_pieces_is_found_in_slabs(monkeypatch):
     method._check_one_form(mask, (False,) * 3)
     mask[4] = False
     method._check_one_form(mask, (True, False, False))
-    with pytest.raises(tb.errors.RequestError, match="2 separate pieces"):
+    with pytest.raises(tb.errors.RequestError, match="2 connected components"):
         method._check_one_form(mask, (False,) * 3)

@@ -27,7 +27,7 @@ from trabecula.synth.mrf.picture_levels import PictureLevels
 from trabecula.synth.mrf.statistics_feedback import JointHistogram, joint_histogram
 from trabecula.synth.shared.pictures import ROOM
 
-_MANY = 65536  # neighbourhoods that are looked at for the statistics, at most
+_MANY = 65536  # neighbourhoods measured for the statistics, at most
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class ParzenCandidates:
     Attributes
     ----------
     centres : (n,) uint8
-        The centres of the candidates; 255 fills up to a multiple of `LANES`.
+        Centres of the candidates; 255 pads to a multiple of `LANES`.
     times : (n,) int64
-        How often each occurs: equal neighbourhoods of labels are one candidate.
+        Occurrences of each: equal neighbourhoods of labels are one candidate.
     bits : (W, n) uint64, or None
         The candidates' neighbours as bits: labels whose neighbours all count in full.
     plain, weighted : (C K + 1, n), ((C + 1) K, n) float32, or None
@@ -72,9 +72,9 @@ class ParzenCandidates:
     bandwidth : float
         h, in features.
     marginal : (L,) int64
-        How often each level occurs.
+        Occurrences of each level.
     joint : Joint
-        How levels go with the local sums around them.
+        Joint statistic of levels and the local sums around them.
     """
 
     centres: np.ndarray
@@ -143,7 +143,7 @@ def prepare_candidates(
     steps : int
         Steps of the weights of single neighbours (1: there or not).
     products : bool
-        Whether distances come from products also where bits would do.
+        Whether distances come from products also where bits would suffice.
     bins : int
         Cells of a local sum, for the feedback.
     """
@@ -238,7 +238,7 @@ def _product_columns(
         columns[channels * around :, :count] = squares[neighbourhoods.around].T
     else:
         columns[-1, :count] = squares[neighbourhoods.around].sum(1)
-    columns[:, count:] = columns[:, :1]  # what fills up must never be the nearest alone
+    columns[:, count:] = columns[:, :1]  # padding must never be the nearest alone
     return columns
 
 

@@ -79,7 +79,7 @@ LANES = 16
 """The number of candidates is filled up to a multiple of this."""
 
 _FLOOR = 2.0**-40
-"""Of a density: what no candidate supports stays possible where another view asks for it."""
+"""Least density: a level without candidates stays possible where another view supports it."""
 
 _S1, _S2, _S4 = (
     np.uint64(0x5555555555555555),

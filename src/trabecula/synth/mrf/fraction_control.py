@@ -42,7 +42,7 @@ def group_shifts(
     energy : (S, G) int64
         Scores of the groups (`group_scores`) at the sites of a class, in units.
     wanted : (G,) float64
-        Shares that the class is to have, sum 1.
+        Target shares of the class, sum 1.
     coldness : int
         1 / temperature in whole 4096ths.
     start : (G,) int64
@@ -94,7 +94,7 @@ def level_shifts(
         np.int64
     )
     moved = np.clip(shift + step, -_MOST, _MOST)
-    for group in range(int(groups.max()) + 1):  # what all of a group have in common is the group's
+    for group in range(int(groups.max()) + 1):  # the common shift of a group is the group's own
         moved[groups == group] -= int(np.median(moved[groups == group]))
     return moved
 
@@ -141,7 +141,7 @@ def group_scores(score, kept, added, groups, coldness, logs, powers, energy):
         if not kept[s]:
             continue
         top[:] = -(1 << 40)
-        # one step of 2^-31: what has no level is far below, and not below everything
+        # one step of 2^-31: a group without weight is far below, not infinitely far
         total[:] = 1.0
         for level in range(len(groups)):
             top[groups[level]] = max(top[groups[level]], score[s, level] + added[level])
@@ -221,7 +221,7 @@ class FractionShifts:
     wanted : (L,) float64
         Shares of the levels.
     of_groups, fine : (G,), (L,) int64
-        In units; they go on from class to class.
+        In units; each class starts from those of the class before.
     """
 
     groups: np.ndarray
@@ -284,7 +284,7 @@ class FractionShifts:
     ) -> np.ndarray:
         """Return how many of these sites every level is expected to take, (L,) float64."""
         rows, in_result = site_class.starts[0], site_class.classes.lattice.in_result
-        # by plane: sums of floats that no slab touches
+        # by plane: sums of floats that do not depend on slabs
         totals = np.zeros((site_class.depth, len(shift)))
 
         def work(first: int, last: int) -> None:

@@ -27,21 +27,21 @@ class SiteLattice:
     Attributes
     ----------
     levels : (Z, Y, X) uint8
-        The present level of every voxel.
+        Present level of every voxel.
     free : (Z, Y, X) bool, or None
-        Voxels that are to be made. Of this and of what follows: None for all.
+        Voxels to be made. Here and below None stands for all.
     there : (Z, Y, X) bool, or None
-        Voxels that are neighbours: what is made and what is known. Outside a form there is nothing.
+        Voxels that count as neighbours: free and known ones; none outside a form.
     box : three int, or None
-        The corner of the lattice that is the result, whose shares are to be right; a rim beyond it
-        is made as well and then cut away.
+        Corner of the lattice that is the result, whose shares are controlled; a rim beyond it is
+        made as well and then cut away.
     form : bool of the shape of the box, or None
-        What of the box the result is.
+        Voxels of the box that are the result.
 
     Notes
     -----
-    A torus: every axis is periodic. Where the result is not to be, there is more of the lattice
-    than of the result.
+    A torus: every axis is periodic. Along axes where the result is not periodic, the lattice is
+    longer than the result.
     """
 
     levels: np.ndarray

@@ -60,7 +60,7 @@ from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 
-# along which of a turned plane's axes steps are diagonals
+# axes of an oblique plane whose steps are diagonals: (rows, columns)
 _DIAGONAL = ((False, True), (True, True))
 
 
@@ -106,7 +106,7 @@ class MrfModel(PictureModel):
         self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]
     ) -> None:
         super().__init__(config, exemplars, views)
-        # A picture that several views share is learnt once.
+        # A picture that several views share is learned once.
         images: list[Image] = []
         self.learners: list[int] = []
         for view in self.views:
@@ -359,7 +359,7 @@ def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) ->
 
 
 _SMALL = 100_000  # bytes of what does not depend on the picture
-_OF_A_SITE = 42  # bytes while it is told whether sites lie in the result
+_OF_A_SITE = 42  # bytes a site while sites in the result are marked
 
 _OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
 

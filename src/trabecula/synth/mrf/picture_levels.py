@@ -30,17 +30,17 @@ class PictureLevels:
     kind : str
         Of the pictures.
     values : (L,) or (L, 3)
-        What a level is in the result: a label, a grey value or a colour of the exemplar.
+        Value of a level in the result: a label, a grey value or a colour of the exemplar.
     features : (L, C) int16
         Whole numbers; at most `full` in size.
     dimensions : int
-        Of the space that a level lies in: 1 (two labels, grey), n - 1 (n labels), 3 (colour).
+        Dimensions of the levels' space: 1 (two labels, grey), n - 1 (n labels), 3 (colour).
     groups : (L,) uint8
         Levels that count together in the feedback, 0 .. 15, by rising grey.
     pictures : list of (R, C) uint8
         The exemplars as levels.
     empty : int
-        What lies outside a form, as a value of the result (label of void; 0).
+        Value of the result outside a form (label of void; 0).
     pool : (N,) or (N, 3)
         The pixels' own values by rising level; those of level l begin at `starts[l]`, (L + 1,)
         int64.

@@ -46,8 +46,8 @@ from trabecula.synth.mrf.statistics_feedback import BiasFeedback, PairCouplings
 
 T = TypeVar("T")
 
-# Else all that lies far apart turns over at every sweep.
-_PARTS = 4  # of a sweep, before each of which couplings look anew
+# With one update a sweep, voxels at large distances flip together at every sweep.
+_PARTS = 4  # of a sweep; before each the field of the couplings is updated
 
 
 @dataclass
@@ -57,12 +57,12 @@ class Relaxation:
     Attributes
     ----------
     frames : sequence of sequences of Face
-        The views along the axes, and those that sweeps take in turn with them.
+        The views along the axes, and those that sweeps use in turn with them.
     wanted : (L,) float64
-        Shares of the levels that the output is to have.
+        Target shares of the levels in the output.
     couplings : Couplings, optional
     temperature, held : (Z, Y, X) float32, bool
-        Of equation 8, and where it is not to change; empty unless the relaxation is "icm".
+        Of equation 8, and where it must not change; empty unless the relaxation is "icm".
     """
 
     lattice: SiteLattice
@@ -110,29 +110,29 @@ class Relaxation:
         Returns
         -------
         list of dict
-            What there is to tell of the coarser scales (`before`) and of this one: voxels changed
-            in each sweep, for icm how far the global temperature had fallen, and how far couplings
-            leave the autocorrelation off.
+            Reports of the coarser scales (`before`) and of this one: voxels changed in each sweep,
+            for icm the fall of the global temperature, and with couplings the misfit of the
+            autocorrelation.
         """
         before, begin = list(before), 0
-        told: dict[str, Any] = {"scale": self.scale, "changed": []}
+        report: dict[str, Any] = {"scale": self.scale, "changed": []}
         if state is not None:
-            begin, (*before, told) = state.number, json.loads(bytes(state.arrays["told"]))
+            begin, (*before, report) = state.number, json.loads(bytes(state.arrays["told"]))
             self._restore(state.arrays)
         steps = self._steps()
         for number in track(range(begin, len(steps)), self.stage, total=len(steps) - begin):
             if self.temperature.size and self._temperature_fall() >= self.config.stop:
                 break
-            told["changed"].append(self.sweep(steps[number]))
+            report["changed"].append(self.sweep(steps[number]))
             if self.temperature.size:
-                told["fall"] = round(self._temperature_fall(), 4)
+                report["fall"] = round(self._temperature_fall(), 4)
             if self.couplings is not None:
                 self.couplings.learn(self.lattice.levels, self.lattice.domain)
-                told["misfit"] = round(self.couplings.misfit, 4)
+                report["misfit"] = round(self.couplings.misfit, 4)
             if due():
-                packed = np.frombuffer(json.dumps([*before, told]).encode(), np.uint8)
+                packed = np.frombuffer(json.dumps([*before, report]).encode(), np.uint8)
                 offer(self.stage, number + 1, told=packed, **self._state())
-        return [*before, told]
+        return [*before, report]
 
     @property
     def stage(self) -> str:
@@ -176,7 +176,7 @@ class Relaxation:
         shift = np.zeros(len(self.wanted), np.int32)
         if config.shares and len(found.score):
             cold = step.rule == "icm" or step.heat == 0
-            heat = step.heat if step.rule == "gibbs" else 1.0  # proposals go by the density itself
+            heat = step.heat if step.rule == "gibbs" else 1.0  # proposals use the density itself
             shift = self.shifts.update(
                 site_class,
                 found.score,
@@ -241,13 +241,14 @@ class Relaxation:
             )
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
         polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
-        # A material that is alike in all directions is so for its mirror image.
+        # An isotropic material has an isotropic mirror image: three views that lean one way would
+        # confirm each other.
         ways = len(self._view_sets)
         steps = [
             SweepStep(config.relaxation, heat, stage, n, n % ways, ways > 1 and n // ways % 2 > 0)
             for n, heat in enumerate(heats)
         ]
-        # The last sweeps go by the planes along the axes, in which the result will be looked at.
+        # The last sweeps use the planes along the axes, in which the result will be looked at.
         return [
             *steps,
             *(
@@ -346,7 +347,7 @@ def start_relaxation(
     inherits its temperature of 0.
     """
     marginal = np.sum([slice_view.candidates.marginal for slice_view in view_sets[0]], axis=0)
-    # else there is nothing that it would not overwrite
+    # with 8/8 every voxel is overwritten
     if coarse is None or config.upsampling == "one":
         _fill_with_noise(lattice, marginal, seed, scale)
     if coarse is not None:

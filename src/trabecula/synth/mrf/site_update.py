@@ -29,16 +29,16 @@ from trabecula.synth.mrf.statistics_feedback import BiasTables, PairCouplings, c
 T = TypeVar("T")
 
 _FEW = 1 << 14
-"""Sites of which light work is done before threads have begun."""
+"""Sites below which cheap work is done before threads have started."""
 
 _MANY = 1 << 22
-"""Voxels of which some may be resident wherever they lie."""
+"""Voxels of a lattice whose arrays may be resident."""
 
 _SMALL = 1 << 20
-"""Bytes of an array that is not worth a file."""
+"""Bytes below which an array is not worth a file."""
 
 _ENOUGH = 256
-"""Sites that are worth a thread where each has a density."""
+"""Sites that are worth a thread where each needs a density."""
 
 
 @dataclass
@@ -183,11 +183,11 @@ class ClassScores:
     Attributes
     ----------
     score : (S, L) int32
-        Of all levels; without rows for h1a and h1b, which choose at once:
+        Of all levels; without rows for h1a and h1b, which choose at once.
     chosen : (S,) uint8
-        Else without entries.
+        Levels chosen by h1a and h1b; otherwise without entries.
     cells : (V, S, C) uint8
-        Where the local sums lie; without rows where nothing is learnt of them.
+        Cells of the local sums; without rows where the feedback is off.
     """
 
     score: np.ndarray

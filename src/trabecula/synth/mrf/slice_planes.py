@@ -85,7 +85,7 @@ def _unit_step(axis: int) -> Offset:
 
 
 BATCH_OF_BITS, BATCH_OF_PRODUCTS = 1024, 128
-"""Sites of a batch: what belongs to them stays in the cache."""
+"""Sites of a batch: their arrays stay in the cache."""
 
 _MOST = 1 << 30
 
@@ -174,9 +174,9 @@ class ViewSet:
         temperature : (Z, Y, X) float32
             Empty where there is none.
         pulled : (S, L) int64
-            What the feedback's `bias` (empty: none) says is added to it.
+            The feedback's `bias` (empty: none) is added to it.
         cells : (V, S, C) uint8
-            Where the local sums lie is written to it, where there is a bias.
+            Cells of the local sums are written to it, where there is a bias.
         mirrored : bool
             Whether the pictures are seen from behind.
         """

@@ -137,7 +137,7 @@ class BiasFeedback:
     joints : sequence of Joint
         The statistics of every learner.
     views : int
-        How many views pull at a site at once.
+        Views that act on a site at once.
     rate : float
         Setting `feedback`.
 
@@ -148,8 +148,8 @@ class BiasFeedback:
 
     def __init__(self, joints: Sequence[JointHistogram], views: int, *, rate: float) -> None:
         self._joints = list(joints)
-        # Every view and every channel pulls with its own table: together they move as far as the
-        # rate says.
+        # Every view and every channel adds its own bias: divided, they move as far as the rate
+        # says together.
         self._rate = rate / (views * len(joints[0].share))
         self.by_cell = [np.zeros(joint.share.shape) for joint in joints]
 
@@ -177,9 +177,9 @@ class BiasFeedback:
 
 
 CONES = 2
-"""Without, what lies along the axes is made up for by what lies along diagonals."""
+"""Cones of directions per axis. With one, excess along an axis is balanced by the diagonals."""
 
-_NEAR = 2  # voxels: what lies nearer is the densities' own
+_NEAR = 2  # voxels: nearer pairs are left to the densities
 
 _LEAST = 4  # voxels of a scale that couplings reach at least
 
@@ -205,13 +205,13 @@ class PairCouplings:
     reach : int
         Farthest distance, voxels of this scale.
     rate : float
-        How fast they learn.
+        Setting `coupling`.
 
     Attributes
     ----------
     strength : (C, bins) float64
-        Of every bin of offsets: what the mean standardised feature there, times the site's own,
-        adds to the logarithm of a density.
+        Of every bin of offsets: factor of the mean standardised feature there times the site's
+        own, in the logarithm of a density.
     misfit : float
         Root mean square of the last difference in autocorrelation.
     """

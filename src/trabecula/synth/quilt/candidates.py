@@ -1,4 +1,6 @@
-"""CANDIDATES"""
+"""Candidates of a place: patches of the exemplars, pooled by phase and sorted by descriptors, and
+ranked by their distance d = alpha d_N + (1 - alpha) d_D (equations 4 to 6) in whole numbers.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,13 @@ from trabecula.synth.quilt.patch_library import OverlapQuery, PackedLabels, Patc
 from trabecula.synth.quilt.period import positions_in_phase
 
 SCALE = 65535
-"""What a descriptor's whole range in the exemplars is, as a number."""
+"""Whole range of a descriptor in the exemplars, as a number."""
 
 WEIGHT = 1024
-"""What the weights of all descriptors sum up to."""
+"""Sum of the weights of all descriptors."""
 
 HELD = 6
-"""Times all candidates that pools hold together, about."""
+"""Times all candidates that pools hold together, at most, about."""
 
 _AROUND = 2  # voxels around a good candidate
 
@@ -29,14 +31,14 @@ _FAR = 8  # ranges beyond the exemplars' at which a target is taken as that far
 
 @dataclass(frozen=True)
 class CandidateDescriptors:
-    """What every candidate's descriptors are, in whole numbers.
+    """Descriptors of every candidate, in whole numbers.
 
-    values : (k, n) uint16, 0 .. SCALE over what the candidates hold; the most important first.
+    values : (k, n) uint16, 0 .. SCALE over the range of the candidates; the most important first.
     """
 
     names: tuple[str, ...]
     weights: np.ndarray  # (k,) int64
-    low: np.ndarray  # (k,) of what the candidates hold
+    low: np.ndarray  # (k,) range of the candidates
     high: np.ndarray
     values: np.ndarray
 
@@ -44,7 +46,7 @@ class CandidateDescriptors:
     def measure(
         cls, library: PatchLibrary, names: Sequence[str], weights: Mapping[str, float]
     ) -> CandidateDescriptors:
-        """Of all candidates of the exemplars, one exemplar after the other in raster order."""
+        """Measure all candidates of the exemplars, one exemplar after the other in raster order."""
         order = sorted(names, key=lambda name: -weights.get(name, 1.0))
         count = sum(int(np.prod(counts)) for counts in library.counts)
         values = np.empty((len(order), count), np.uint16)
@@ -60,24 +62,24 @@ class CandidateDescriptors:
         return cls(tuple(order), parts, low, high, values)
 
     def differences(self, number: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Weighted differences (equation 6) of candidates given by their number, int64."""
+        """Return weighted differences (equation 6) of candidates given by their number, int64."""
         off = np.abs(self.values[:, number].astype(np.int64) - target[:, None])
         return (self.weights[:, None] * off).sum(axis=0)
 
     def scale_targets(self, targets: Mapping[str, float]) -> np.ndarray:
-        """(k,) int64: a place's targets on the candidates' scale; what they do not hold lies
-        outside 0 .. SCALE.
+        """Return a place's targets on the candidates' scale, (k,) int64; targets beyond the
+        candidates lie outside 0 .. SCALE.
         """
-        asked = np.array([targets[name] for name in self.names])
+        target = np.array([targets[name] for name in self.names])
         span = np.maximum(self.high - self.low, 1e-12)
         far = _FAR * SCALE
-        return np.clip(np.rint((asked - self.low) / span * SCALE), -far, far).astype(np.int64)
+        return np.clip(np.rint((target - self.low) / span * SCALE), -far, far).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class CandidatePool:
-    """Candidates of one phase: where each begins in the stack, and its descriptors, by the first
-    descriptor rising.
+    """Candidates of one phase: where each begins in the stack, and its descriptors, sorted by the
+    first descriptor.
     """
 
     at: np.ndarray  # (n,) int32
@@ -86,8 +88,8 @@ class CandidatePool:
     def nearest(
         self, target: np.ndarray, weights: np.ndarray, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Up to `count` candidates nearest in descriptors, and their weighted differences (equation
-        6) as int64.
+        """Return up to `count` candidates nearest in descriptors, and their weighted differences
+        (equation 6) as int64.
         """
         count = min(count, len(self.at))
         wide = count if len(target) == 1 else len(self.at)
@@ -97,7 +99,7 @@ class CandidatePool:
 
 
 class CandidatePools:
-    """The pools of a run, one for every phase that its places have."""
+    """The pools of a run, one for every phase of its places."""
 
     def __init__(self, library: PatchLibrary, descriptors: CandidateDescriptors, seed: int) -> None:
         self.counts = library.counts
@@ -113,8 +115,8 @@ class CandidatePools:
         self._made: dict[tuple[int, ...], CandidatePool] = {}
 
     def offset_candidates(self, at: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Candidates that lie `away` (n, 3) from the patches that begin `at` (n,), those without
-        room left out: where they begin in the stack (int32), and their numbers (int64).
+        """Return candidates at offsets `away` (n, 3) from the patches that begin `at` (n,), without
+        those that do not fit: where they begin in the stack (int32), and their numbers (int64).
         """
         source, *place = np.unravel_index(at, self.shape)
         z, y, x = (here + by for here, by in zip(place, away.T, strict=True))
@@ -125,8 +127,8 @@ class CandidatePools:
         return first[fits].astype(np.int32), numbers[fits]
 
     def nearby_candidates(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Candidates a few voxels from these, as `offset_candidates` gives them; along an axis with a period
-        there are none.
+        """Return candidates a few voxels from these, as in `offset_candidates`; none along an axis
+        with a period.
         """
         where, numbers = self.offset_candidates(
             np.repeat(at, len(self.nearby)), np.tile(self.nearby, (len(at), 1))
@@ -135,19 +137,20 @@ class CandidatePools:
         return where, numbers[first]
 
     def drop_large_pools(self) -> None:
-        """Let go of the pools where together they hold many times all candidates, as those of a
-        lattice do whose period is no whole number; they are made again when they are asked for.
+        """Drop the pools where together they hold many times all candidates, as those of a lattice
+        whose period is no whole number; they are built again on request.
         """
         if sum(len(pool.at) for pool in self._made.values()) > HELD * self.before[-1]:
             self._made.clear()
 
     def pool(self, phase: tuple[int, ...]) -> CandidatePool:
-        """The pool of a phase."""
+        """Return the pool of a phase."""
         if phase not in self._made:
             self._made[phase] = self._build_pool(phase)
         return self._made[phase]
 
     def _build_pool(self, phase: tuple[int, ...]) -> CandidatePool:
+        """Build the pool of a phase."""
         at, rows = [], []
         for source, counts in enumerate(self.counts):
             axes = [
@@ -170,7 +173,7 @@ class CandidatePools:
 
 
 def _nearby_offsets(library: PatchLibrary) -> np.ndarray:
-    """(n, 3) ways to the candidates around one; none along an axis with a period."""
+    """Return (n, 3) offsets to the candidates around one; none along an axis with a period."""
     reach = [
         0 if period or size == 1 else _AROUND
         for period, size in zip(library.periods, library.box, strict=True)
@@ -182,6 +185,7 @@ def _nearby_offsets(library: PatchLibrary) -> np.ndarray:
 
 @kernel
 def _hashes(stage, at):
+    """Return a random word for every candidate, so that equal descriptors have a random order."""
     found = np.empty(len(at), np.uint32)
     for n in range(len(at)):
         found[n] = philox(stage, at[n], 0, 0, 0)[0]
@@ -190,7 +194,7 @@ def _hashes(stage, at):
 
 @kernel
 def _nearest_run(values, target, count):
-    """Where the `count` values nearest to a target begin, among values that rise."""
+    """Return where the `count` values nearest to a target begin, among sorted values."""
     low, high = 0, len(values) - count
     while low < high:
         middle = (low + high) // 2
@@ -203,8 +207,8 @@ def _nearest_run(values, target, count):
 
 @kernel
 def _nearest(values, weights, target, first, wide, count):
-    """Of a run of `wide` candidates the `count` with the smallest weighted difference, in the run's
-    order.
+    """Select, from a run of `wide` candidates, the `count` with the smallest weighted difference,
+    in the run's order.
     """
     every = np.empty(wide, np.int64)
     for n in range(wide):
@@ -266,11 +270,11 @@ class RankedCandidates:
     mismatch : (n,) int32
         Voxels of the overlap that differ.
     difference : (n,) int64
-        Weighted difference of descriptors, 0 .. SCALE * WEIGHT over what the exemplars hold.
+        Weighted difference of descriptors, 0 .. SCALE * WEIGHT over the exemplars' range.
     score : (n,) int64
         Distance; those that were taken off are at the end of the range.
     complete : bool
-        Whether these are all candidates that there are.
+        Whether these are all candidates of the pool.
     """
 
     at: np.ndarray
@@ -280,13 +284,11 @@ class RankedCandidates:
     complete: bool
 
     def least_mismatch(self) -> int:
-        """The least mismatch among all, in voxels."""
+        """Return the least mismatch of all, voxels."""
         return int(self.mismatch.min()) if len(self.mismatch) else 0
 
     def take_nearest(self, count: int) -> np.ndarray:
-        """The nearest `count` candidates that are left (of equals the first), which are left out
-        from now on.
-        """
+        """Take off the nearest `count` candidates that are left (of equals the first)."""
         count = min(count, len(self.score))
         near = _smallest(self.score, count) if count else np.empty(0, np.int64)
         near = near[self.score[near] < _REFUSED]
@@ -296,7 +298,7 @@ class RankedCandidates:
 
 @dataclass(frozen=True)
 class CandidateRanker:
-    """What the candidates of every place are ranked by."""
+    """Ranking of the candidates of every place."""
 
     words: PackedLabels
     pools: CandidatePools
@@ -311,25 +313,27 @@ class CandidateRanker:
         self,
         query: OverlapQuery,
         pool: CandidatePool,
-        asked: np.ndarray,
+        target: np.ndarray,
         *,
         place: int,
         count: int,
         before: tuple[np.ndarray, np.ndarray],
         without: Collection[int],
     ) -> RankedCandidates:
-        """The `count` candidates of a pool that are nearest in descriptors (of many, those that
-        pass the sieve), those that go on with pieces laid `before` (first voxels and offsets), and
-        what lies around the best of all these; where fields are asked for, only those that differ
-        from them no more than the first do.
+        """Rank the candidates of a place.
+
+        They are the `count` candidates of a pool nearest in descriptors (of many, those that pass
+        the sieve), those that continue the patches laid `before` (first voxels and offsets), and
+        those around the best of all these. With target fields, the latter two differ from the
+        targets no more than the first do.
         """
-        at, difference = pool.nearest(asked, self.descriptors.weights, count)
+        at, difference = pool.nearest(target, self.descriptors.weights, count)
         complete = len(at) == len(pool.at)
         limit = int(difference.max()) if self.strict else _REFUSED
         if self.sieve > 1 and len(at) > _FEW and query.voxels:
             at, difference = self._sieve_candidates(query, at, difference)
         more, more_off = self._limit_difference(
-            *self.pools.offset_candidates(*before), asked, limit
+            *self.pools.offset_candidates(*before), target, limit
         )
         at, difference = np.concatenate([more, at]), np.concatenate([more_off, difference])
         mismatch = mismatches(self.words, query, at)
@@ -337,7 +341,7 @@ class CandidateRanker:
         if query.voxels and len(self.pools.nearby):
             best = at[_smallest(score, min(_GOOD, len(score)))]
             more, more_off = self._limit_difference(
-                *self.pools.nearby_candidates(best), asked, limit
+                *self.pools.nearby_candidates(best), target, limit
             )
             more_apart = mismatches(self.words, query, more)
             at, mismatch = np.concatenate([at, more]), np.concatenate([mismatch, more_apart])
@@ -352,7 +356,9 @@ class CandidateRanker:
     def _sieve_candidates(
         self, query: OverlapQuery, at: np.ndarray, difference: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Those candidates, and their differences, that are nearest by a part of the overlap."""
+        """Keep the candidates that are nearest by a part of the overlap; return them and their
+        differences.
+        """
         # so that words of one candidate are near those of the next in memory
         order = np.argsort(at)
         at, difference = at[order], difference[order]
@@ -363,17 +369,19 @@ class CandidateRanker:
         return at[near], difference[near]
 
     def _limit_difference(
-        self, at: np.ndarray, numbers: np.ndarray, asked: np.ndarray, limit: int
+        self, at: np.ndarray, numbers: np.ndarray, target: np.ndarray, limit: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Those of some candidates whose difference is at most `limit`, and their differences."""
-        off = self.descriptors.differences(numbers, asked)
+        """Keep the candidates whose difference is at most `limit`; return them and their
+        differences.
+        """
+        off = self.descriptors.differences(numbers, target)
         near = off <= limit
         return at[near], off[near]
 
     def _distances_of(
         self, query: OverlapQuery, mismatch: np.ndarray, difference: np.ndarray
     ) -> np.ndarray:
-        """Equation (4), int64."""
+        """Return the distances of equation (4), int64."""
         by_mismatch = round(self.alpha * _PARTS / max(query.voxels, 1))
         by_difference = round((1 - self.alpha) * _PARTS / (SCALE * WEIGHT))
         return mismatch * np.int64(by_mismatch) + difference * by_difference
@@ -381,7 +389,7 @@ class CandidateRanker:
 
 @kernel
 def _smallest(score, count):
-    """Where the smallest are, rising; of equals the first."""
+    """Return where the smallest are, rising; of equals the first."""
     found = np.empty(count, np.int64)
     kept = np.empty(count, np.int64)
     held = 0
@@ -399,7 +407,7 @@ def _smallest(score, count):
 
 @kernel
 def _vary(score, at, stage, place, most):
-    """Distances become greater by a random share."""
+    """Increase distances by a random share."""
     for n in range(len(score)):
         by = np.int64((philox(stage, place, at[n], 0, 0)[0] * np.uint64(most)) >> np.uint64(32))
         score[n] += (score[n] >> 10) * by

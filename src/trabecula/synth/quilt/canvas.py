@@ -1,4 +1,6 @@
-"""CANVAS"""
+"""The growing output: codes of its voxels, the grid of its patches, windows read and written, its
+start and end, and the targets at every place.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ _MARGIN = 4
 
 @dataclass(frozen=True)
 class PatchGrid:
-    """Where boxes lie in an output of `shape`: `patch` voxels a side, every `step`, the first at
+    """A grid of boxes in an output of `shape`: `patch` voxels a side, every `step`, the first at
     `start` (0 or before).
     """
 
@@ -43,7 +45,9 @@ class PatchGrid:
 
     @cached_property
     def margin(self) -> tuple[int, ...]:
-        """Voxels around a box in its window: none along an axis of one voxel, and no voxel twice."""
+        """Return the voxels around a box in its window: none along an axis of one voxel, and no
+        voxel twice.
+        """
         return tuple(
             0 if side == 1 else min(_MARGIN, (side - patch) // 2) if wrap else _MARGIN
             for side, patch, wrap in zip(self.shape, self.patch, self.wraps, strict=True)
@@ -51,7 +55,7 @@ class PatchGrid:
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
-        """Boxes along every axis, so that all voxels are covered."""
+        """Return the number of boxes along every axis that covers all voxels."""
         counts = []
         for side, wrap, patch, step, start in zip(
             self.shape, self.wraps, self.patch, self.step, self.start, strict=True
@@ -61,14 +65,14 @@ class PatchGrid:
         return tuple(counts)
 
     def corner(self, number: int) -> tuple[int, ...]:
-        """First voxel of a box; boxes are numbered in raster order."""
+        """Return the first voxel of a box; boxes are numbered in raster order."""
         at = np.unravel_index(number, self.counts)
         return tuple(
             int(a) * step + start for a, step, start in zip(at, self.step, self.start, strict=True)
         )
 
     def indices(self, corner: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-        """Coordinates of a box's voxels along every axis, those outside left out."""
+        """Return the coordinates of a box's voxels along every axis, without those outside."""
         axes = []
         for first, size, side, wrap in zip(corner, self.patch, self.shape, self.wraps, strict=True):
             at = np.arange(first, first + size)
@@ -78,7 +82,7 @@ class PatchGrid:
     def read_window(
         self, canvas: np.ndarray, corner: tuple[int, ...], window: np.ndarray, beyond: int
     ) -> None:
-        """Copy a box with its margin into `window`; `beyond` is what lies outside the volume."""
+        """Copy a box with its margin into `window`; voxels outside the volume are `beyond`."""
         first = tuple(at - margin for at, margin in zip(corner, self.margin, strict=True))
         _read_window(canvas, first, self.wraps, window, beyond)
 
@@ -90,8 +94,8 @@ class PatchGrid:
 def grid_start(
     shape: tuple[int, ...], to_make: Sequence[np.ndarray], step: tuple[int, ...], lead: int
 ) -> tuple[int, ...]:
-    """Starts (0 or before) of boxes that begin `lead` voxels before the first layer with voxels
-    `to_make`, along every axis.
+    """Return starts (0 or before) of boxes that begin `lead` voxels before the first layer with
+    voxels `to_make`, along every axis.
     """
     starts = []
     for side, by, made in zip(shape, step, to_make, strict=True):
@@ -102,12 +106,14 @@ def grid_start(
 
 
 def inner_box(window: np.ndarray, margin: tuple[int, ...]) -> np.ndarray:
-    """The box in a window, as a view."""
+    """Return the box in a window, as a view."""
     return window[tuple(slice(m, side - m) for m, side in zip(margin, window.shape, strict=True))]
 
 
 def near_empty(box: np.ndarray, reach: int) -> np.ndarray:
-    """Which made voxels of a box have a voxel to make within `reach` along every axis."""
+    """Mark the voxels of a box that are made and have a voxel to make within `reach` along every
+    axis.
+    """
     found = box == EMPTY
     for axis, side in enumerate(box.shape):
         rows, grown = np.moveaxis(found, axis, 0), np.moveaxis(found.copy(), axis, 0)
@@ -120,7 +126,7 @@ def near_empty(box: np.ndarray, reach: int) -> np.ndarray:
 
 @kernel
 def _read_window(canvas, first, wraps, window, beyond):
-    """Coordinates beyond a side wrap around where the axis does."""
+    """Copy a window; coordinates beyond a side wrap around where the axis does."""
     depth, height, width = canvas.shape
     for k in range(window.shape[0]):
         z = first[0] + k
@@ -137,6 +143,7 @@ def _read_window(canvas, first, wraps, window, beyond):
 
 @kernel
 def _write_box(canvas, corner, wraps, margin, window):
+    """Write the box of a window where it is inside the volume."""
     depth, height, width = canvas.shape
     for k in range(window.shape[0] - 2 * margin[0]):
         z = corner[0] + k
@@ -156,8 +163,8 @@ def _write_box(canvas, corner, wraps, margin, window):
 
 
 def patch_grid(library: PatchLibrary, request: Request) -> PatchGrid:
-    """Where boxes lie: from the first voxel; where only a part is made, from that part on, its
-    surroundings overlapped.
+    """Return the grid of a request: from the first voxel; where only a part is made, from that part
+    on, with an overlap into its surroundings.
     """
     shape = shape_3d(request)
     wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
@@ -169,13 +176,13 @@ def patch_grid(library: PatchLibrary, request: Request) -> PatchGrid:
 
 
 def shape_3d(request: Request) -> tuple[int, int, int]:
-    """The request's shape with one layer along z for a picture."""
+    """Return the request's shape with one layer along z for a picture."""
     shape = (1,) * (3 - len(request.shape)) + tuple(request.shape)
     return (shape[0], shape[1], shape[2])
 
 
 def initial_canvas(shape: tuple[int, ...], request: Request) -> np.ndarray:
-    """What there is from the start: measured voxels, and nothing outside the form."""
+    """Build the canvas before the first patch: measured voxels, and `OUT` outside the form."""
     canvas = memmap.empty(shape, np.uint8)
     mask, known = (
         None if part is None else part.reshape(shape) for part in (request.mask, request.known)
@@ -195,7 +202,7 @@ def initial_canvas(shape: tuple[int, ...], request: Request) -> np.ndarray:
 
 
 def _layers_to_fill(shape: tuple[int, ...], request: Request) -> list[np.ndarray]:
-    """Along every axis, (side,) bool: which layers have a voxel to make."""
+    """Mark the layers with a voxel to make along every axis, (side,) bool."""
     mask, known = (
         None if part is None else part.reshape(shape) for part in (request.mask, request.known)
     )
@@ -219,7 +226,7 @@ def paint_islands(
     void: int,
     solid: int,
 ) -> int:
-    """Turn islands of solid into void and closed void into `solid`; return their voxels.
+    """Turn islands of solid into void, and enclosed void into `solid`; return their voxels.
 
     Parameters
     ----------
@@ -243,7 +250,7 @@ def paint_islands(
 
 
 def unmark(canvas: np.ndarray, void: int) -> None:
-    """Make labels of what is on a canvas; outside there is void."""
+    """Turn the codes of a canvas into labels; outside is void."""
 
     def clear(first: int, last: int) -> None:
         _unmark(canvas[first:last], void)
@@ -283,8 +290,8 @@ def targets_at(
     middle: int,
     mask: np.ndarray | None,
 ) -> dict[str, float]:
-    """Every target in the middle of a box, the voxel `descriptor_centre` further than its first along every
-    axis; where that lies outside the volume or the form, the mean over what lies inside.
+    """Return every target at the centre of a box, the voxel `middle` after its first along every
+    axis; where that is outside the volume or the form, the mean over the box.
     """
     centre = tuple(
         at + (middle if side > 1 else 0) for at, side in zip(corner, grid.patch, strict=True)
@@ -300,12 +307,11 @@ def targets_at(
 
 @dataclass(frozen=True)
 class ExemplarShares:
-    """Where nothing is asked for: the first exemplar's own shares of phases, neighbourhood by
-    neighbourhood.
+    """Targets of a run without any: the first exemplar's own shares of phases, patch by patch.
 
     Without a target the best partners would be those of void, which fits to void anywhere. The
-    fields run backwards, and back and forth beyond their ends, so that no place asks for what lies
-    beside its neighbour's piece in the exemplar.
+    fields run backwards, and back and forth beyond their ends, so that no place asks for the patch
+    beside its neighbour's in the exemplar.
     """
 
     fields: dict[str, np.ndarray]
@@ -313,7 +319,7 @@ class ExemplarShares:
 
     @classmethod
     def build(cls, library: PatchLibrary, seed: int) -> ExemplarShares:
-        """The fields, begun at a place that the seed chooses."""
+        """Measure the fields; they begin at a place that depends on the seed."""
         image = library.images[0]
         void = void_label(image.phases)
         names = [OF_A_PHASE + phase for label, phase in enumerate(image.phases) if label != void]
@@ -327,7 +333,7 @@ class ExemplarShares:
         )
 
     def at(self, corner: tuple[int, ...]) -> dict[str, float]:
-        """The shares that a box is to have."""
+        """Return the target shares of a box."""
         place = []
         for first, offset, side in zip(corner, self.offset, _field_shape(self.fields), strict=True):
             at = (offset - first) % max(1, 2 * side - 2)
@@ -336,13 +342,15 @@ class ExemplarShares:
 
 
 def _field_shape(fields: Mapping[str, np.ndarray]) -> tuple[int, ...]:
-    """The shape that all fields have."""
+    """Return the shape of the fields."""
     return next(iter(fields.values())).shape
 
 
 @kernel
 def _centre_mean(field, inside, centre, corner, sides, wraps):
-    """A mask of one voxel stands for none."""
+    """Return a field at the centre of a box, or its mean over the box; a mask of one voxel stands
+    for none.
+    """
     total, count = _sum_box(field, inside, centre, (1, 1, 1), wraps)
     if count == 0:
         total, count = _sum_box(field, inside, corner, sides, wraps)
@@ -351,6 +359,9 @@ def _centre_mean(field, inside, centre, corner, sides, wraps):
 
 @inline
 def _sum_box(field, inside, corner, sides, wraps):
+    """Sum a field over a box as whole numbers, so that all machines agree; return the sum and the
+    voxels.
+    """
     depth, height, width = field.shape
     masked = inside.size > 1
     total, count = np.int64(0), 0

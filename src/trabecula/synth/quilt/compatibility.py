@@ -1,4 +1,10 @@
-"""COMPAT"""
+"""(N, D)-compatibility (section 3.4): a forecast of how near the exemplars can come to a target,
+and a record of how near each place came.
+
+In the forecast D is exact for each place alone: no patch of the exemplars is nearer to the target.
+N is the mismatch of a patch near the target with its best partner in an overlap, estimated from the
+exemplars' own.
+"""
 
 from __future__ import annotations
 
@@ -27,33 +33,30 @@ from trabecula.synth.quilt.patch_library import PatchLibrary, mismatches, overla
 from trabecula.synth.quilt.period import phase_key
 
 _BINS, _SAMPLES = 16, 6
-"""Parts of the most important descriptor's range in which the mismatch is told, and neighbourhoods
-asked in each.
-"""
+"""Parts of the most important descriptor's range, and patches sampled in each for the mismatch."""
 
 _SLACK = 1e-6  # fields are float32
 
 
 @dataclass(frozen=True)
 class CompatibilityForecast:
-    """How near the exemplars can come to a target.
+    """Forecast of how near the exemplars can come to a target.
 
     Attributes
     ----------
     asked : dict of str to (float, float)
         Least and greatest target over all places, by descriptor.
     held : dict of str to (float, float)
-        What neighbourhoods of the exemplars have.
+        Least and greatest value of the exemplars' patches.
     difference : float array, one entry per place along z, y, x
         Weighted difference of the nearest neighbourhood's descriptors from the target, each over
-        its range in the exemplars (equation 6): nothing that is made can be nearer. NaN where
-        nothing is made.
+        its range in the exemplars (equation 6): a lower bound. NaN where nothing is made.
     mismatch : float array, the same
-        Share of differing voxels that a neighbourhood near the target has with its best partner.
+        Share of differing voxels of a patch near the target with its best partner.
     outside : float
-        Share of the places whose target no neighbourhood has, 0 .. 1.
+        Share of the places with a target beyond all patches, 0 .. 1.
     advice : str
-        What to do; empty where nothing is wanting.
+        Advice; empty where all targets are within range.
     """
 
     asked: Mapping[str, tuple[float, float]]
@@ -64,7 +67,7 @@ class CompatibilityForecast:
     advice: str
 
     def to_json(self) -> dict[str, Any]:
-        """Ranges, means and maxima as plain JSON."""
+        """Return ranges, means and maxima as plain JSON."""
         summary: dict[str, Any] = {
             "asked": dict(self.asked),
             "held": dict(self.held),
@@ -76,13 +79,13 @@ class CompatibilityForecast:
 
 
 def descriptor_range(library: PatchLibrary, name: str) -> tuple[float, float]:
-    """Least and greatest value of a descriptor over all neighbourhoods."""
+    """Return the least and greatest value of a descriptor over all patches."""
     fields = [library.describe_patches(image, name) for image in library.images]
     return min(float(field.min()) for field in fields), max(float(field.max()) for field in fields)
 
 
 def target_range(request: Request, name: str) -> tuple[float, float]:
-    """Least and greatest value of a target, inside the mask."""
+    """Return the least and greatest value of a target, inside the mask."""
     values = np.asarray(request.target[name])
     if request.mask is None or not values.ndim:
         return float(values.min()), float(values.max())
@@ -100,14 +103,13 @@ def target_range(request: Request, name: str) -> tuple[float, float]:
 def check_targets(
     library: PatchLibrary, request: Request, held: dict[str, tuple[float, float]]
 ) -> None:
-    """Raise where no part of a target is within what neighbourhoods hold; `held` keeps what was
-    measured.
+    """Raise where no part of a target is within the range of the patches; `held` caches the ranges.
 
     Raises
     ------
     RequestError
-        A target beyond all neighbourhoods; a phase that the exemplars do not have; a functional of
-        the other dimension.
+        A target beyond all patches; a phase that the exemplars lack; a functional of the other
+        dimension.
     """
     for name in request.target:
         check_descriptor(library, name)
@@ -116,8 +118,9 @@ def check_targets(
         (least, most), (low, high) = target_range(request, name), held[name]
         if most < low - _SLACK or least > high + _SLACK:
             raise RequestError(
-                f"the target {name} asks for {_range(least, most)}, neighbourhoods of {library.descriptor_size} voxels of the exemplar "
-                f"hold {_range(low, high)}: {_advice(name)}"
+                f"the target {name} asks for {_range(least, most)}, neighbourhoods of "
+                f"{library.descriptor_size} voxels of the exemplar hold {_range(low, high)}: "
+                f"{_advice(name)}"
             )
 
 
@@ -138,30 +141,31 @@ def check_descriptor(library: PatchLibrary, name: str) -> None:
 def forecast_compatibility(
     library: PatchLibrary, config: QuiltConfig, grid: PatchGrid, request: Request
 ) -> CompatibilityForecast:
-    """The forecast of a request; see `CompatibilityForecast`."""
+    """Forecast the compatibility of a request; see `CompatibilityForecast`."""
     if not request.target:
         raise RequestError(
-            "a forecast needs a target to compare the exemplar with: give one, such as volume_fraction"
+            "a forecast needs a target to compare the exemplar with: give one, such as "
+            "volume_fraction"
         )
-    describe_patches = CandidateDescriptors.measure(library, list(request.target), config.weights)
-    pools = CandidatePools(library, describe_patches, request.seed)
+    descriptors = CandidateDescriptors.measure(library, list(request.target), config.weights)
+    pools = CandidatePools(library, descriptors, request.seed)
     target = {
         name: np.reshape(t, grid.shape) if np.ndim(t) else t for name, t in request.target.items()
     }
     mask = None if request.mask is None else request.mask.reshape(grid.shape)
     difference = np.full(grid.counts, np.nan)
     mismatch = np.full(grid.counts, np.nan)
-    partners = _partner_mismatch(library, config, pools.pool((0, 0, 0)), describe_patches)
+    partners = _partner_mismatch(library, config, pools.pool((0, 0, 0)), descriptors)
     outside = total = 0
     for number in range(difference.size):
         corner = grid.corner(number)
         if mask is not None and not mask[np.ix_(*grid.indices(corner))].any():
             continue
-        asked = describe_patches.scale_targets(
+        asked = descriptors.scale_targets(
             targets_at(target, grid, corner, library.descriptor_centre, mask)
         )
         pool = pools.pool(phase_key(corner, library.periods))
-        difference.flat[number] = least_difference(pool.values, describe_patches.weights, asked) / (
+        difference.flat[number] = least_difference(pool.values, descriptors.weights, asked) / (
             SCALE * WEIGHT
         )
         mismatch.flat[number] = partners[
@@ -171,8 +175,8 @@ def forecast_compatibility(
         total += 1
     asked_for = {name: target_range(request, name) for name in request.target}
     held = {
-        name: (float(describe_patches.low[k]), float(describe_patches.high[k]))
-        for k, name in enumerate(describe_patches.names)
+        name: (float(descriptors.low[k]), float(descriptors.high[k]))
+        for k, name in enumerate(descriptors.names)
     }
     share = outside / max(total, 1)
     return CompatibilityForecast(
@@ -184,9 +188,11 @@ def _partner_mismatch(
     library: PatchLibrary,
     config: QuiltConfig,
     pool: CandidatePool,
-    describe_patches: CandidateDescriptors,
+    descriptors: CandidateDescriptors,
 ) -> np.ndarray:
-    """(_BINS,) the mismatch with the best partner elsewhere, by the most important descriptor."""
+    """Estimate the mismatch with the best partner elsewhere, by the most important descriptor,
+    (_BINS,).
+    """
     found = np.full(_BINS, np.nan)
     near = np.zeros(library.box, np.bool_)
     for axis, side in enumerate(library.box):
@@ -203,7 +209,7 @@ def _partner_mismatch(
             )
             at, _ = pool.nearest(
                 pool.values[:, n].astype(np.int64),
-                describe_patches.weights,
+                descriptors.weights,
                 config.candidates or len(pool.at),
             )
             own = _disjoint(library, at, int(pool.at[n]))
@@ -216,7 +222,7 @@ def _partner_mismatch(
 
 
 def _disjoint(library: PatchLibrary, at: np.ndarray, own: int) -> np.ndarray:
-    """Which patches share no voxel with one."""
+    """Mark the patches that share no voxel with one."""
     places = np.array(np.unravel_index(at, library.stack.shape))
     here = np.array(np.unravel_index(own, library.stack.shape))[:, None]
     away = np.abs(places - here)
@@ -225,7 +231,9 @@ def _disjoint(library: PatchLibrary, at: np.ndarray, own: int) -> np.ndarray:
 
 @kernel
 def least_difference(values, weights, target):
-    """The weighted difference of the candidate nearest to a target (equation 6), whole numbers."""
+    """Return the weighted difference of the candidate nearest to a target (equation 6), in whole
+    numbers.
+    """
     least = np.int64(1) << 62
     for n in range(values.shape[1]):
         total = np.int64(0)
@@ -238,8 +246,10 @@ def least_difference(values, weights, target):
 def _advise(
     asked: Mapping[str, tuple[float, float]], held: Mapping[str, tuple[float, float]]
 ) -> str:
+    """Return advice on every target beyond the exemplars; empty where there is none."""
     beyond = [
-        f"{name} asks for {_range(*asked[name])}, the exemplar holds {_range(*held[name])}: {_advice(name)}"
+        f"{name} asks for {_range(*asked[name])}, the exemplar holds {_range(*held[name])}: "
+        f"{_advice(name)}"
         for name in asked
         if asked[name][0] < held[name][0] - _SLACK or asked[name][1] > held[name][1] + _SLACK
     ]
@@ -249,10 +259,12 @@ def _advise(
 
 
 def _range(low: float, high: float) -> str:
+    """Format a range."""
     return f"{low:.4g}" if low == high else f"{low:.4g} .. {high:.4g}"
 
 
 def _advice(name: str) -> str:
+    """Return advice on one descriptor."""
     thicken = (
         ", or thicken it (finish.thicken)"
         if name.partition(":")[0] in ("volume_fraction", "porosity")
@@ -264,30 +276,30 @@ def _advice(name: str) -> str:
 _WORST = 5
 
 REASONS = ("", "connectivity", "feature size")
-"""What no piece could keep; `Trace.gave_way` has the position."""
+"""Reasons why a place gave way; `PlacementTrace.gave_way` has the position."""
 
 
 class PlacementTrace:
-    """What happened at every place.
+    """Record of every place.
 
     Attributes
     ----------
     frame : Frame
         Where places are: entry (k, j, i) is the k-th along z, and so on.
     mismatch : float array, one entry per place along z, y, x
-        Share of the overlap's voxels that differ from the piece chosen: d_N, 0 .. 1; NaN without an
+        Share of the overlap's voxels that differ from the chosen patch: d_N, 0 .. 1; NaN without an
         overlap.
     difference : float array, the same
-        Weighted difference of the piece's descriptors from the target, each over its range in the
-        exemplars: d_D; NaN where nothing is asked for.
+        Weighted difference of the patch's descriptors from the target, each over its range in the
+        exemplars: d_D; NaN without a target.
     tried : int32 array, the same
-        Pieces that were laid down and judged; 0 where nothing was to be made.
+        Candidates that were cut in and judged; 0 where nothing was to be made.
     strut : int32 array, the same
-        Voxels of struts, that were laid where no piece could keep what is to hang together.
+        Voxels of struts, laid where no patch kept the structure connected.
     gave_way : uint8 array, the same
-        What no piece could keep, as its position in `REASONS`.
+        Reason why the place gave way, as its position in `REASONS`.
     taken_back : int
-        Pieces that were laid and taken back.
+        Patches that were taken back.
     painted : int
         Voxels of islands that were painted over in the end.
     """
@@ -307,18 +319,18 @@ class PlacementTrace:
     def add(
         self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str
     ) -> None:
-        """What happened at a place."""
+        """Record a place."""
         at = np.unravel_index(number, self.grid.counts)
         self.mismatch[at], self.difference[at] = mismatch, difference
         self.tried[at], self.strut[at], self.gave_way[at] = tried, strut, REASONS.index(gave_way)
 
     def drop(self, number: int) -> None:
-        """Forget a place: its piece is taken back."""
+        """Forget a place whose patch is taken back."""
         self.add(number, math.nan, math.nan, 0, 0, "")
         self.taken_back += 1
 
     def summary(self) -> dict[str, Any]:
-        """Means and maxima, and where it had to give way, as plain JSON."""
+        """Return means and maxima, and the places that gave way, as plain JSON."""
         summary: dict[str, Any] = {
             "places": _count_nonzero(self.tried),
             "taken_back": self.taken_back,
@@ -333,13 +345,14 @@ class PlacementTrace:
         return summary
 
     def _distance_summaries(self) -> tuple[tuple[str, dict[str, float]], ...]:
+        """Return mean and maximum of both distances."""
         return (
             ("mismatch", _mean_and_max(self.mismatch)),
             ("descriptors", _mean_and_max(self.difference)),
         )
 
     def _first_gave_way(self) -> Iterator[dict[str, Any]]:
-        """The first places that gave way."""
+        """Yield the first places that gave way."""
         left = _WORST
         for z, layer in enumerate(_layers(self.gave_way)):
             for at in np.argwhere(layer)[:left]:
@@ -350,7 +363,7 @@ class PlacementTrace:
                 return
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All of it, for a checkpoint."""
+        """Return the arrays of a checkpoint."""
         held = {
             name: getattr(self, name)
             for name in ("mismatch", "difference", "tried", "strut", "gave_way")
@@ -358,26 +371,26 @@ class PlacementTrace:
         return {**held, "taken_back": np.array(self.taken_back)}
 
     def load_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take what `arrays` gave."""
+        """Restore the arrays of a checkpoint."""
         for name in ("mismatch", "difference", "tried", "strut", "gave_way"):
             setattr(self, name, arrays[name])
         self.taken_back = int(arrays["taken_back"])
 
 
 def _layers(values: np.ndarray) -> Iterator[np.ndarray]:
-    """Layer by layer, so that not all is in memory at once."""
+    """Yield layer by layer, so that not all is in memory at once."""
     for layer in values:
         yield layer
         memmap.release_pages()
 
 
 def _count_nonzero(values: np.ndarray) -> int:
-    """Entries that are not 0."""
+    """Count the entries that are not 0."""
     return sum(int(np.count_nonzero(layer)) for layer in _layers(values))
 
 
 def _mean_and_max(values: np.ndarray) -> dict[str, float]:
-    """Mean and maximum of what is known; empty where nothing is."""
+    """Return mean and maximum without NaN; empty where all are NaN."""
     sums, most, count = [], -math.inf, 0
     for layer in _layers(values):
         known = layer[~np.isnan(layer)]
@@ -388,4 +401,5 @@ def _mean_and_max(values: np.ndarray) -> dict[str, float]:
 
 
 def _round6(value: float) -> float:
+    """Round to 6 decimals."""
     return round(float(value), 6)

@@ -1,4 +1,17 @@
-"""CONNECT"""
+"""Connectivity and feature size by construction (section 4.3), followed while the output grows.
+
+A *component* is a connected set of voxels of one class (the solid, or the void). It may still grow
+as long as it has *ends*: faces towards voxels that are not made yet. A patch is accepted if
+
+1. voxels connected outside its box before still are (seen in a window with a margin around the
+   box), and
+2. no component is closed, that is without an end, while there is another of its class.
+
+So there is one component of a class in the end, beside islands of a few voxels, which may be closed
+and are painted over at the end. Void that reaches a face of the volume or of the form is open: all
+of it is component 0, which never closes. The components of given voxels are found some planes at a
+time, so that no whole volume of labels is held.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +43,18 @@ from trabecula.synth.quilt.connectivity_kernels import (
 )
 
 FINE, TORN, CLOSED = 0, 1, 2
-"""Verdicts on a piece."""
+"""Verdicts on a patch."""
 
 SOLID, VOID = 1, 2
 
-_ALWAYS = 1 << 40  # ends of what is out
+_ALWAYS = 1 << 40  # ends of the open void
 
-_MORE = 4096  # bodies by which the book grows
+_MORE = 4096  # rows by which the table grows
 
 
 def voxel_classes(connected: str, void: int, labels: int) -> np.ndarray:
-    """(256,) uint8: class of every value of a voxel; 0 where it does not matter what hangs
-    together.
+    """Return the class of every value of a voxel, (256,) uint8; 0 where connectivity does not
+    matter.
     """
     table = np.zeros(256, np.uint8)
     for label in range(labels):
@@ -54,16 +67,16 @@ def voxel_classes(connected: str, void: int, labels: int) -> np.ndarray:
 
 
 class ComponentTracker:
-    """The bodies of an output: the number of every voxel's, and a book of which are one, with their
-    ends.
+    """The components of an output: the number of every voxel's, and a table of which numbers are
+    one component, with their ends.
 
     Attributes
     ----------
     of : (Z, Y, X) int32
-        A voxel's body; what counts is the root of it in the book.
+        A voxel's component; the root of its number in the table counts.
     alive : (2, 3) int64
-        Bodies of every class that have ends, body 0 among them where void is followed; and those
-        that were closed as the only one, after which none may begin.
+        Components of every class that have ends, component 0 among them where void is followed;
+        and those that were closed as the only one, after which none may begin.
     """
 
     def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
@@ -81,7 +94,7 @@ class ComponentTracker:
             self._label_initial(canvas, wraps)
 
     def _label_initial(self, canvas: np.ndarray, wraps: tuple[bool, ...]) -> None:
-        """Bodies of what is there from the start; those without an end are nobody's business."""
+        """Label the components of given voxels; those without an end are ignored."""
         for kind in (SOLID, VOID):
             member = self.classes == kind
             part, sizes = label_slabwise(canvas, member, wraps, into=self.numbers)
@@ -102,11 +115,11 @@ class ComponentTracker:
 
     @property
     def table(self) -> ComponentTable:
-        """What the kernels take of it."""
+        """Return the arrays that the kernels take."""
         return ComponentTable(self.parent, self.ends, self.sizes, self.mark, self.alive)
 
     def snapshot(self, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What the book says of these bodies, and how many there are."""
+        """Copy the table's rows of these components, and their number."""
         kept = numbers.copy()
         return (
             kept,
@@ -118,13 +131,13 @@ class ComponentTracker:
         )
 
     def restore(self, snapshot: tuple[np.ndarray, ...]) -> None:
-        """Let the book say again what it said."""
+        """Restore a snapshot."""
         numbers, parents, ends, sizes, alive, count = snapshot
         self.parent[numbers], self.ends[numbers], self.sizes[numbers] = parents, ends, sizes
         self.alive[:], self.count = alive, int(count)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All of it, for a checkpoint."""
+        """Return the arrays of a checkpoint."""
         used = slice(self.count)
         return {
             "of": self.numbers,
@@ -135,7 +148,7 @@ class ComponentTracker:
         }
 
     def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Take what `arrays` gave."""
+        """Restore the arrays of a checkpoint."""
         self.numbers, self.alive[:], self.count = arrays["of"], arrays["alive"], 0
         self.reserve(len(arrays["parent"]))
         self.count = len(arrays["parent"])
@@ -143,12 +156,13 @@ class ComponentTracker:
             _copy(arrays[name], getattr(self, name))
 
     def islands(self, most: int) -> np.ndarray:
-        """(count,) bool: numbers of bodies of at most so many voxels; the largest and what is out
-        are none.
+        """Mark the components of at most `most` voxels, (count,) bool, except the largest and the
+        open void.
         """
         found, parent = memmap.zeros(self.count, np.bool_), self.parent[: self.count]
         kept = 0
-        # Of void all is out; of solid the largest is what the others should have joined.
+        # All void is open in the end; of solid the largest is the one that the others should have
+        # joined.
         if (self.classes == SOLID).any():
             for first, last in slabs(parent.shape):
                 kept = int(largest_component(parent, self.sizes, first, last, kept))
@@ -157,9 +171,9 @@ class ComponentTracker:
         return found
 
     def reserve(self, more: int) -> None:
-        """Let the book hold so many more bodies."""
+        """Enlarge the table for so many more components."""
         while self.count + more > len(self.parent):
-            for name in ("parent", "ends", "sizes", "mark"):  # marks are 0 between judgements
+            for name in ("parent", "ends", "sizes", "mark"):  # marks are 0 between verdicts
                 before = getattr(self, name)
                 longer = memmap.zeros(2 * len(before), before.dtype)
                 _copy(before, longer)
@@ -176,7 +190,7 @@ def _copy(table: np.ndarray, into: np.ndarray) -> None:
 
 
 class ConnectivityCheck:
-    """What one size of window needs for judging, held for all windows of a run."""
+    """Check of one window after another, with arrays that all windows of a run share."""
 
     def __init__(self, window: tuple[int, ...], margin: tuple[int, ...], *, island: int) -> None:
         self.margin, self.island = margin, island
@@ -195,8 +209,8 @@ class ConnectivityCheck:
 
     @property
     def growth(self) -> int:
-        """Bodies that the window judged last adds to those that may still grow; one that it ends
-        counts as two.
+        """Return how many components the last window adds to those that may still grow; one that it
+        ends counts as two.
         """
         tally = self.local.tally
         return int((tally[1] - tally[0] + 2 * tally[2]).sum())
@@ -204,7 +218,7 @@ class ConnectivityCheck:
     def verdict(
         self, components: ComponentTracker, old: np.ndarray, new: np.ndarray, numbers: np.ndarray
     ) -> int:
-        """Whether `new` may stand in place of the window `old`, whose bodies are `numbers` (uint8, and
+        """Decide if `new` may replace the window `old`, whose components are `numbers` (uint8, and
         int32, of one shape).
         """
         local = self.local
@@ -231,8 +245,8 @@ class ConnectivityCheck:
     def enter(
         self, components: ComponentTracker, old: np.ndarray, new: np.ndarray, numbers: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Write a window into the book whatever the verdict, and its bodies into `numbers`; returns what
-        `Bodies.restore` takes.
+        """Write a window into the table whatever the verdict, and its components into `numbers`;
+        return what `ComponentTracker.restore` takes.
         """
         if new is not self.new_seen or old is not self.old_seen:
             self.verdict(components, old, new, numbers)
@@ -253,9 +267,10 @@ class ConnectivityCheck:
         return before
 
     def closing_components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the window judged last: the leader of every voxel's part (int32), the leaders that
-        would be shut, the smallest body first, and by number (bool) which leaders are more than
-        islands.
+        """Return the components that the last window would close.
+
+        These are the leader of every voxel's part (int32), the leaders that would be closed, the
+        smallest component first, and by number (bool) the leaders that are more than islands.
         """
         parts = self.local.parts[:, : self.count + 1]
         leaders = np.empty(self.local.after.shape, np.int32)
@@ -274,7 +289,7 @@ _FACES = 6  # neighbours of a voxel
 
 
 def slabs(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """First and last plane (which is not among them) of slabs that are worked on one after the
+    """Yield the first plane and the plane after the last of slabs, to be worked on one after the
     other.
     """
     plane = int(np.prod(shape[1:], dtype=np.int64))
@@ -287,7 +302,7 @@ def slabs(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
 def label_slabwise(
     values: np.ndarray, member: np.ndarray, wraps: Sequence[bool], *, into: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the parts of the voxels whose value is a member.
+    """Label the connected components of the voxels whose value is a member.
 
     Parameters
     ----------
@@ -330,7 +345,7 @@ def label_slabwise(
 
 
 def _end_layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
-    """The numbers at one end of a slab, int64; `before` of them are those of slabs before."""
+    """Return the numbers at one end of a slab, int64; `before` of them belong to slabs before."""
     box = [(0, side) for side in runs.shape]
     box[axis] = (runs.shape[axis] - 1, runs.shape[axis]) if end else (0, 1)
     labels = runs.labels(tuple(box)).take(0, axis).astype(np.int64)
@@ -338,12 +353,12 @@ def _end_layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
 
 
 def _touching_pairs(far: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """(n, 2) numbers that are neighbours from a layer to the one behind it."""
+    """Return (n, 2) numbers that are neighbours from a layer to the one behind it."""
     return meeting(far, near, _FACES, (False, False))
 
 
 def thin_voxels(window: np.ndarray, margin: tuple[int, ...], size: int, solid: np.ndarray) -> int:
-    """Voxels of a window's box that lie in no `size`-cube of solid; what is not made yet, or
+    """Count the voxels of a window's box in no `size`-cube of solid; voxels not made yet, or
     outside, may be solid.
 
     Parameters

@@ -1,4 +1,6 @@
-"""KERNELS"""
+"""Kernels of connectivity: the components of a window, and the effect of a patch on the components
+of the output that they belong to.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 
 @inline
 def _in_box(z, y, x, shape, margin):
+    """Return whether a voxel of a window is in its box."""
     return (
         margin[0] <= z < shape[0] - margin[0]
         and margin[1] <= y < shape[1] - margin[1]
@@ -21,7 +24,7 @@ def _in_box(z, y, x, shape, margin):
 
 @inline
 def _ends_at(window, z, y, x):
-    """Faces of a voxel towards voxels that are not made."""
+    """Count the faces of a voxel towards voxels that are not made."""
     depth, height, width = window.shape
     count = 0
     if z > 0 and window[z - 1, y, x] == EMPTY:
@@ -40,7 +43,7 @@ def _ends_at(window, z, y, x):
 
 
 class ComponentTable(NamedTuple):
-    """What is known of every body, by its number; arrays as in `bodies.Bodies`."""
+    """Facts of every component, by its number; arrays as in `ComponentTracker`."""
 
     parent: np.ndarray
     ends: np.ndarray
@@ -50,20 +53,20 @@ class ComponentTable(NamedTuple):
 
 
 class WindowComponents(NamedTuple):
-    """What is seen in one window.
+    """Components in one window.
 
     before, after : (z, y, x) int32
         Parts of the old and of the new window, from 1.
     parts : (8, .) int64
-        Rows below; columns are the parts of the new window. Parts of one body follow one leader,
-        which holds all there is.
+        Rows below; columns are the parts of the new window. Parts of one component follow one
+        leader, which holds the sums.
     seen : (.,) int64
-        How many bodies the window has, then their numbers.
+        Number of components in the window, then their numbers.
     stack : (.,) int32
-        Room to work in.
+        Scratch array.
     tally : (4, 3) int64
-        Per class the bodies that were alive here, those that will be, those that would be shut, and
-        those that were.
+        Per class the components that were alive here, those that will be, those that would be
+        closed, and those that were.
     """
 
     before: np.ndarray
@@ -74,21 +77,22 @@ class WindowComponents(NamedTuple):
     tally: np.ndarray
 
 
-# Rows of `parts`. COMPONENT is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies
-# that had no end already.
+# Rows of `parts`. COMPONENT is the component's number + 1, 0 for a new one; SHUT_BEFORE counts
+# voxels of components that had no end already.
 LINK, COMPONENT, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
 
 _ALIVE, _COMING, _SHUT, _WAS_SHUT = 0, 1, 2, 3
 
-# instead of ends: no longer growing, and the one body of its class; 0: an island, or given, or
-# given up
+# Instead of ends: no longer growing, and the only component of its class. 0: an island, or given,
+# or given up.
 _CLOSED = -1
 
-_GONE = -1  # instead of a part: the body was in the box alone, and the new window has nothing of it
+_GONE = -1  # instead of a part: the component was in the box alone, and none of it is left
 
 
 @inline
 def _leader(parts, k):
+    """Return the leader of a part."""
     while parts[LINK, k] > 0:
         k = parts[LINK, k]
     return k
@@ -96,6 +100,7 @@ def _leader(parts, k):
 
 @inline
 def _join(parts, a, b):
+    """Let two parts follow one leader."""
     a, b = _leader(parts, a), _leader(parts, b)
     if a != b:
         parts[LINK, max(a, b)] = min(a, b)
@@ -103,9 +108,11 @@ def _join(parts, a, b):
 
 @kernel
 def judge_window(old, new, numbers, margin, classes, table, local, count, island):
-    """Whether `new` may stand in place of `old`: 0, or 1 where it tears what hangs together, or 2
-    where it closes a body beside others. `numbers`: bodies of the old window; `count`: parts of the new
-    one; `island`: voxels that may be closed. `book.mark` is 0 before and after.
+    """Return 0 if `new` may replace `old`, 1 where it tears connected voxels apart, 2 where it
+    closes a component beside others.
+
+    `numbers`: components of the old window; `count`: parts of the new one; `island`: voxels that
+    may be closed. `table.mark` is 0 before and after.
     """
     local.tally[:] = 0
     known, torn = _match_components(old, new, numbers, margin, classes, table, local)
@@ -122,7 +129,9 @@ def judge_window(old, new, numbers, margin, classes, table, local, count, island
 
 @inline
 def _match_components(old, new, numbers, margin, classes, table, local):
-    """Which bodies every new part goes on; returns how many there are, and whether one is torn."""
+    """Match the components with the new parts that continue them; return their number, and if one
+    is torn.
+    """
     shape, parts, sent = new.shape, local.parts, local.stack
     torn, known = False, 0
     sent[: old.size] = 0
@@ -136,7 +145,7 @@ def _match_components(old, new, numbers, margin, classes, table, local):
                     parts[KIND, mine] = classes[new[z, y, x]]
                 if was == 0 or (inside and old[z, y, x] < FIXED):
                     continue
-                # Nothing changes here: what hung together by the old window has to by the new.
+                # Nothing changes here: parts connected in the old window have to be in the new.
                 if sent[was - 1] == 0:
                     sent[was - 1] = mine
                 elif sent[was - 1] != mine:
@@ -153,8 +162,8 @@ def _match_components(old, new, numbers, margin, classes, table, local):
 
 @inline
 def _weigh_components(old, new, numbers, margin, classes, table, local, known):
-    """Voxels and ends that every leader gains or loses in the window; returns how many bodies there
-    are with those that go.
+    """Count the voxels and ends that every leader gains or loses in the window; return the number
+    of components, with those that disappear.
     """
     shape, parts = new.shape, local.parts
     for z in range(shape[0]):
@@ -185,7 +194,7 @@ def _weigh_components(old, new, numbers, margin, classes, table, local, known):
 
 @inline
 def _carry_over(table, local):
-    """What leaders take over from the bodies that they go on."""
+    """Add to the leaders the ends and voxels of the components that they continue."""
     parts, tally = local.parts, local.tally
     for n in range(1, local.seen[0] + 1):
         component = local.seen[n]
@@ -196,7 +205,7 @@ def _carry_over(table, local):
         parts[WHOLE, k] += table.sizes[component]
         tally[_ALIVE, parts[KIND, k]] += table.ends[component] > 0
         tally[_WAS_SHUT, parts[KIND, k]] += table.ends[component] == _CLOSED
-        if table.ends[component] == 0:  # it was shut before, which is nobody's fault now
+        if table.ends[component] == 0:  # it was closed before, not by this patch
             parts[SHUT_BEFORE, k] += table.sizes[component]
         if parts[COMPONENT, k] == 0 or component + 1 < parts[COMPONENT, k]:
             parts[COMPONENT, k] = component + 1
@@ -204,7 +213,7 @@ def _carry_over(table, local):
 
 @inline
 def _count_leaders(local, count, island):
-    """How many leaders may go on growing, and how many would be shut."""
+    """Count the leaders that may go on growing, and those that would be closed."""
     parts = local.parts
     for k in range(1, count + 1):
         if parts[LINK, k] > 0:
@@ -218,6 +227,7 @@ def _count_leaders(local, count, island):
 
 @inline
 def _closes_beside_others(alive, tally):
+    """Return whether a component is closed while there is another of its class."""
     for kind in range(1, 3):
         shut = alive[1, kind] - tally[_WAS_SHUT, kind] + tally[_SHUT, kind]
         if shut > 0 and alive[0, kind] - tally[_ALIVE, kind] + tally[_COMING, kind] + shut > 1:
@@ -227,7 +237,7 @@ def _closes_beside_others(alive, tally):
 
 @kernel
 def label_leaders(after, parts, found):
-    """The leader of every voxel's part."""
+    """Write the leader of every voxel's part."""
     for z in range(after.shape[0]):
         for y in range(after.shape[1]):
             for x in range(after.shape[2]):
@@ -237,11 +247,13 @@ def label_leaders(after, parts, found):
 
 @kernel
 def enter_window(new, numbers, margin, classes, table, local, count):
-    """The parts as bodies; `count` numbers are in use before, and what it returns after."""
+    """Enter the parts as components; `count` numbers are in use before; return the numbers in use
+    after.
+    """
     shape, parts, tally = new.shape, local.parts, local.tally
     for n in range(1, local.seen[0] + 1):
         if local.seen[n] > 0:
-            table.ends[local.seen[n]] = 0  # what goes on gets its ends below
+            table.ends[local.seen[n]] = 0  # those that continue get their ends below
             table.sizes[local.seen[n]] = 0
     given_up = np.zeros(3, np.bool_)
     for kind in range(1, 3):
@@ -277,7 +289,7 @@ def enter_window(new, numbers, margin, classes, table, local, count):
 
 @inline
 def root_of(parent, component):
-    """The number that stands for all of a body."""
+    """Return the number that stands for all of a component."""
     while parent[component] != component:
         component = parent[component]
     return component
@@ -285,7 +297,9 @@ def root_of(parent, component):
 
 @kernel
 def largest_component(parent, sizes, first, last, found):
-    """The largest of the bodies first .. last - 1 and of `found`; of equals the first."""
+    """Return the largest of the components first .. last - 1 and of `found`; of equals the
+    first.
+    """
     for component in range(first, last):
         if parent[component] == component and sizes[component] > sizes[found]:
             found = component
@@ -294,7 +308,7 @@ def largest_component(parent, sizes, first, last, found):
 
 @kernel
 def mark_islands(parent, sizes, most, kept, first, last, found):
-    """Mark the bodies first .. last - 1 that are of up to `most` voxels, but `kept`; 0 is none."""
+    """Mark the components first .. last - 1 of up to `most` voxels, except `kept` and 0."""
     for component in range(first, last):
         root = root_of(parent, component)
         found[component] = root > 0 and root != kept and sizes[root] <= most
@@ -302,8 +316,9 @@ def mark_islands(parent, sizes, most, kept, first, last, found):
 
 @kernel
 def initial_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
-    """Of the layers first .. last - 1, faces of every part towards voxels to make, and whether it
-    touches a face of the volume or what is outside. `part`: what numbers stand for, from 1."""
+    """Count, in the layers first .. last - 1, faces of every part towards voxels to make, and mark
+    the parts that touch a face of the volume or `OUT`. `part`: the part of a number, from 1.
+    """
     shape = canvas.shape
     for z in range(first, last):
         for y in range(shape[1]):
@@ -327,7 +342,7 @@ def initial_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
 
 @kernel
 def renumber(canvas, member, component, numbers):
-    """Bodies instead of the numbers that stand for them."""
+    """Replace numbers by the components that they stand for."""
     for z in range(canvas.shape[0]):
         for y in range(canvas.shape[1]):
             for x in range(canvas.shape[2]):
@@ -337,7 +352,7 @@ def renumber(canvas, member, component, numbers):
 
 @inline
 def _unite(parent, a, b):
-    """The root of two numbers that turn out to be one part, the smaller of their roots; 0 is none."""
+    """Unite two numbers of one part; return their root, the smaller of both roots; 0 is none."""
     if a == 0 or b == 0:
         return a + b
     while parent[a - 1] != a:
@@ -350,8 +365,8 @@ def _unite(parent, a, b):
 
 @kernel
 def label_window(window, classes, labels, parent):
-    """Number the connected parts of every class, from 1 in raster order; returns how many there
-    are.
+    """Assign numbers to the connected parts of every class, from 1 in raster order; return their
+    number.
     """
     depth, height, width = window.shape
     count = 0

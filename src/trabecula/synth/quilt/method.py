@@ -1,4 +1,6 @@
-"""METHOD"""
+"""The method `quilt`: pack the exemplars, then lay their patches (Liu and Shapiro 2016, section
+3.3).
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,11 @@ class Quilt(Method):
     config: QuiltConfig
 
     def learn(self, exemplars: Sequence[Image]) -> QuiltModel:
+        """Pack the exemplars."""
         return QuiltModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Words and a copy of every orientation, and what cleaning takes."""
+        """Forecast the memory: words and a copy of every orientation, and the cleaning."""
         turns = len(
             symmetries(
                 self.config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing
@@ -63,7 +66,7 @@ class Quilt(Method):
 
 
 class QuiltModel(Model):
-    """Exemplars as words."""
+    """Packed exemplars."""
 
     capabilities = CAPABILITIES
     config: QuiltConfig
@@ -76,22 +79,22 @@ class QuiltModel(Model):
 
     @property
     def patch(self) -> int:
-        """Side of a neighbourhood, voxels."""
+        """Return the side of a patch, voxels."""
         return self.library.patch
 
     @property
     def overlap(self) -> int:
-        """Voxels by which neighbourhoods overlap."""
+        """Return the voxels by which patches overlap."""
         return self.library.overlap
 
     @property
     def periods(self) -> tuple[float | None, ...]:
-        """The exemplar's period along every axis, voxels; None where it has none."""
+        """Return the exemplar's period along every axis, voxels; None where it has none."""
         return self.library.periods[-self.facts[0].ndim :]
 
     def forecast(self, request: Request) -> CompatibilityForecast:
-        """What the exemplars can give of a request's target, place by place, before anything is
-        made (section 3.4).
+        """Forecast how near the exemplars can come to a request's target, place by place (section
+        3.4).
         """
         self._check_request(request)
         return forecast_compatibility(
@@ -99,12 +102,12 @@ class QuiltModel(Model):
         )
 
     def make_with_trace(self, request: Request) -> tuple[np.ndarray, PlacementTrace]:
-        """The voxels of a request, and what happened at every place (the recipe of `generate` has
-        its sums).
+        """Make the voxels of a request; return them and the record of every place (its sums are in
+        the recipe of `generate`).
         """
         self._check_request(request)
         run = QuiltRun(self.library, self.config, request)
-        values = run.run()
+        values = run.lay_all()
         return values.reshape(request.shape), run.trace
 
     def _check_request(self, request: Request) -> None:
@@ -112,8 +115,9 @@ class QuiltModel(Model):
         axes = zip(request.shape, request.periodic, strict=True)
         if any(wraps and side < self.patch + 4 for side, wraps in axes):
             raise RequestError(
-                f"a periodic axis needs at least {self.patch + 4} voxels with a patch of {self.patch}, the request is "
-                f"{request.shape}: ask for more, or for a smaller patch"
+                f"a periodic axis needs at least {self.patch + 4} voxels with a patch of "
+                f"{self.patch}, the request is {request.shape}: ask for more, or for a smaller "
+                "patch"
             )
         if request.mask is not None and self.config.connected in ("solid", "both"):
             _check_one_form(request.mask, request.periodic)
@@ -137,8 +141,9 @@ class QuiltModel(Model):
         if summary["gave_way"]:
             at = summary["gave_way_at"][0]
             notify(
-                f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, the first at voxel {at['voxel']}: "
-                "look at more candidates, or finish the part (finish.connect)"
+                f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, "
+                f"the first at voxel {at['voxel']}: look at more candidates, or finish the part "
+                "(finish.connect)"
             )
         return values, {
             "patch": self.patch,
@@ -149,29 +154,29 @@ class QuiltModel(Model):
 
 
 def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:
-    """Raise where the form is in pieces: what fills them cannot hang together."""
+    """Raise where the form is not connected: no solid that fills it can be."""
     deep = mask.reshape((1,) * (3 - mask.ndim) + mask.shape)
     wraps = (False,) * (3 - mask.ndim) + tuple(periodic)
     _, sizes = label_slabwise(deep.view(np.uint8), INSIDE, wraps)
     if len(sizes) > 1:
         raise RequestError(
-            f"the mask is {len(sizes)} separate pieces, which no solid can connect: fill them one by one, or ask for "
-            "connected=none"
+            f"the mask has {len(sizes)} connected components, which no solid can connect: fill "
+            "them one by one, or ask for connected=none"
         )
 
 
 _A_PLACE = 29 + 72
-"""Bytes of a place: its piece, what the trace says of it, and a body or two that begin there, of 24
-in a book that doubles.
+"""Bytes of a place: its patch, its record, and a component or two that begin there, of 24 in a
+table that doubles.
 """
 
 _AT_ONCE = 32
-"""Bytes a voxel of a slab while parts of what is given are found in it: runs, labels, masks."""
+"""Bytes a voxel of a slab while components of given voxels are labelled: runs, labels, masks."""
 
 
 @dataclass(frozen=True)
 class QuiltBytes:
-    """Bytes, by what they are for.
+    """Memory of a run, bytes, by what it is for.
 
     Attributes
     ----------
@@ -193,7 +198,7 @@ class QuiltBytes:
 
 
 def run_bytes(library: PatchLibrary, config: QuiltConfig, request: Request) -> QuiltBytes:
-    """The needs of a request."""
+    """Forecast the memory of a request."""
     shape = shape_3d(request)
     wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
     grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
@@ -219,15 +224,15 @@ def run_bytes(library: PatchLibrary, config: QuiltConfig, request: Request) -> Q
 
 
 def _bytes_of_given(request: Request) -> int:
-    """Bytes a voxel while what is given is entered, where all is in memory."""
+    """Return the bytes a voxel while given voxels are entered, with all arrays in memory."""
     if request.fixed is not None:
         return 16
     return 1 if request.mask is not None else 0
 
 
 def _candidate_bytes(library: PatchLibrary, grid: PatchGrid, named: int) -> int:
-    """Of candidates: their descriptors, what ranking them takes, and the pools of all phases that
-    places have.
+    """Return the bytes of candidates: their descriptors, their ranking, and the pools of all phases
+    of the places.
     """
     count = sum(int(np.prod(counts)) for counts in library.counts)
     pooled = sum(_count_pooled(library, grid, source) for source in range(len(library.counts)))
@@ -237,7 +242,7 @@ def _candidate_bytes(library: PatchLibrary, grid: PatchGrid, named: int) -> int:
 
 
 def _count_pooled(library: PatchLibrary, grid: PatchGrid, source: int) -> int:
-    """Candidates of an exemplar in all pools together."""
+    """Count the candidates of an exemplar in all pools together."""
     total = 1
     for axis, period in enumerate(library.periods):
         firsts = range(0, grid.counts[axis] * grid.step[axis], grid.step[axis])

@@ -1,4 +1,10 @@
-"""LIBRARY"""
+"""The exemplars as a library of patches: their size and period, and their labels packed into 64-bit
+words, so that the mismatch of a candidate in an overlap of any form takes a few exclusive-ors.
+
+A *wide* word holds as many rows of a patch as fit into 64 bits; a *narrow* one more rows of as many
+columns as an overlap has. Both exist for every voxel of the exemplars as the word's first. Labels
+of more than one bit have a word per bit.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +25,7 @@ from trabecula.synth.shared.orient import Symmetry, oriented, symmetries
 MOST_LABELS = 16
 """Labels are below it; a power of two, so that a mask takes marks off a label."""
 
-_LEAST, _MOST = 8, 24  # voxels of a patch that nobody chose
+_LEAST, _MOST = 8, 24  # voxels of a patch by default
 
 _OVER = 0.4  # share of a patch, or a period, that overlaps
 
@@ -39,7 +45,7 @@ class PatchLibrary:
     patch, overlap : int
     periods : three of float or None
     shifts : (S, 3) int64
-        Voxels by which an exemplar's cells lie further than the first one's.
+        Voxels by which an exemplar's cells are shifted from the first one's.
     words : Words
     """
 
@@ -53,7 +59,7 @@ class PatchLibrary:
 
     @classmethod
     def build(cls, exemplars: Sequence[Image], config: QuiltConfig) -> PatchLibrary:
-        """Learn from exemplars of labels of one material, all 2-D or all 3-D."""
+        """Build it from exemplars of labels of one material, all 2-D or all 3-D."""
         own = [
             _as_3d(labels)
             for labels in (remove_unconnected(image, config.connected) for image in exemplars)
@@ -76,14 +82,14 @@ class PatchLibrary:
 
     @property
     def flat(self) -> bool:
-        """Whether the exemplars are pictures."""
+        """Return whether the exemplars are pictures."""
         return self.images[0].ndim == 2
 
     @property
     def descriptor_size(self) -> int:
-        """Side of what a patch's descriptors are measured in, about its middle: the patch, or of a
-        lattice as many whole periods as it holds. Part of a period more would count its struts, or
-        its hollows, twice.
+        """Return the side of the cube that a patch's descriptors are measured in, about its centre:
+        the patch, or as many whole periods of a lattice as it holds. Part of a further period would
+        count its struts, or its hollows, twice.
         """
         known = {period for period in self.periods[int(self.flat) :]}
         period = known.pop() if len(known) == 1 else None
@@ -93,44 +99,44 @@ class PatchLibrary:
 
     @property
     def descriptor_centre(self) -> int:
-        """How far from a patch's first voxel what it is measured in has its middle, as
-        `fields.measure` has it.
+        """Return the offset from a patch's first voxel to the centre of its descriptors, as in
+        `fields.measure`.
         """
         return (self.patch - self.descriptor_size) // 2 + (self.descriptor_size - 1) // 2
 
     def describe_patches(self, image: Image, name: str) -> np.ndarray:
-        """A descriptor of every patch of an image, float32, one value a position."""
+        """Measure a descriptor of every patch of an image, float32, one value a position."""
         off = (self.patch - self.descriptor_size) // 2
         field = windowed(image, size=self.descriptor_size, names=[name])[name]
         return field[tuple(slice(off, off + side - self.patch + 1) for side in image.shape)]
 
     @property
     def box(self) -> tuple[int, int, int]:
-        """Voxels of a patch along every axis."""
+        """Return the voxels of a patch along every axis."""
         return (1 if self.flat else self.patch, self.patch, self.patch)
 
     @property
     def step(self) -> tuple[int, int, int]:
-        """Voxels between patches along every axis."""
+        """Return the voxels between patches along every axis."""
         by = self.patch - self.overlap
         return (1 if self.flat else by, by, by)
 
     @property
     def strides(self) -> tuple[int, int, int]:
-        """Voxels of the stack from one exemplar, layer and row to the next."""
+        """Return the voxels of the stack from one exemplar, layer and row to the next."""
         _, depth, height, width = self.stack.shape
         return (depth * height * width, height * width, width)
 
     @property
     def counts(self) -> list[tuple[int, ...]]:
-        """Positions of a patch along every axis of every exemplar."""
+        """Return the positions of a patch along every axis of every exemplar."""
         shapes = [(1,) * (3 - image.ndim) + image.shape for image in self.images]
         return [
             tuple(side - p + 1 for side, p in zip(shape, self.box, strict=True)) for shape in shapes
         ]
 
     def patch_at(self, at: int) -> np.ndarray:
-        """The patch that begins at a voxel of the stack."""
+        """Return the patch that begins at a voxel of the stack."""
         by_source, by_layer, by_row = self.strides
         (source, at), (depth, height, width) = divmod(at, by_source), self.box
         (z, at) = divmod(at, by_layer)
@@ -141,13 +147,13 @@ class PatchLibrary:
 
 
 def void_label(phases: Sequence[str]) -> int:
-    """The label that is void: the phase of that name, or 0."""
+    """Return the label of the void: the phase of that name, or 0."""
     return list(phases).index("void") if "void" in phases else 0
 
 
 def remove_unconnected(image: Image, connected: str) -> np.ndarray:
-    """The labels without what could hang together with nothing: solid that floats inside the
-    exemplar, where the solid is to be connected, and void that is closed in, where the void is.
+    """Remove components that could never be connected: solid that floats inside the exemplar, where
+    the solid is to be connected, and enclosed void, where the void is.
     """
     labels, void = image.values, void_label(image.phases)
     if connected in ("solid", "both"):
@@ -160,7 +166,7 @@ def remove_unconnected(image: Image, connected: str) -> np.ndarray:
 
 
 def _mark_unconnected(inside: np.ndarray) -> np.ndarray:
-    """Bodies that touch no face of the image, but the largest."""
+    """Mark components that touch no face of the image, except the largest."""
     numbers, sizes = label_components(inside)
     lost = np.ones(len(sizes) + 1, np.bool_)
     lost[0] = False
@@ -175,7 +181,7 @@ def _mark_unconnected(inside: np.ndarray) -> np.ndarray:
 def choose_sizes(
     own: Sequence[np.ndarray], config: QuiltConfig, periods: Sequence[float | None]
 ) -> tuple[int, int]:
-    """Patch and overlap: what the settings say, or what suits the exemplars."""
+    """Return patch and overlap: the settings, or sizes that suit the exemplars."""
     if config.patch:
         overlap = config.overlap or min(max(3, round(_OVER * config.patch)), config.patch - 1)
         return config.patch, overlap
@@ -198,8 +204,8 @@ def choose_sizes(
 
 
 def _first_dip(labels: np.ndarray, axis: int) -> int:
-    """The distance at which two voxels agree least, before they agree more again: about half of a
-    structure and its gap.
+    """Return the distance of the first minimum of agreement: about half of a structure and
+    its gap.
     """
     curve = agreement(labels, axis, max(1, labels.shape[axis] // 3))
     rises = np.flatnonzero(np.diff(curve) > 0)
@@ -207,25 +213,28 @@ def _first_dip(labels: np.ndarray, axis: int) -> int:
 
 
 def check_fits(exemplars: Sequence[Image], patch: int) -> None:
-    """Raise where a patch has no room to lie in an exemplar in more than one place."""
+    """Raise where a patch fits in an exemplar in one place at most."""
     for exemplar in exemplars:
         if min(exemplar.shape) < patch + 1:
             raise InputError(
-                f"the exemplar is {exemplar.shape}, a patch of {patch} needs at least {patch + 1} voxels along every axis: "
-                "give a larger exemplar, or a smaller patch"
+                f"the exemplar is {exemplar.shape}, a patch of {patch} needs at least {patch + 1} "
+                "voxels along every axis: give a larger exemplar, or a smaller patch"
             )
 
 
 def _as_3d(labels: np.ndarray) -> np.ndarray:
+    """Return labels with three axes."""
     return np.ascontiguousarray(labels if labels.ndim == 3 else labels[None])
 
 
 def _orient(labels: np.ndarray, turn: Symmetry, ndim: int) -> np.ndarray:
+    """Return labels in another orientation."""
     own = labels if ndim == 3 else labels[0]
     return _as_3d(oriented(own[None], turn)[0])
 
 
 def _stack_labels(turned: Sequence[np.ndarray]) -> np.ndarray:
+    """Stack labels of different shapes, with 0 beyond a smaller one's end."""
     shape = np.max([labels.shape for labels in turned], axis=0)
     stack = np.zeros((len(turned), *shape), np.uint8)
     for own, labels in zip(stack, turned, strict=True):
@@ -239,7 +248,7 @@ _AT_A_TIME = 256  # candidates
 
 
 def label_bits(labels: int) -> int:
-    """Bits of a label, of so many labels."""
+    """Return the bits of a label, of so many labels."""
     return max(1, int(labels - 1).bit_length())
 
 
@@ -256,7 +265,7 @@ class PackedLabels:
 
     @classmethod
     def pack(cls, stack: np.ndarray, *, patch: int, overlap: int, planes: int) -> PackedLabels:
-        """Of a stack of exemplars (S, Z, Y, X) uint8."""
+        """Pack a stack of exemplars (S, Z, Y, X) uint8."""
         columns = (patch, overlap)
         rows = tuple(min(patch, MOST_COLUMNS // width) for width in columns)
         made = [np.empty((planes, stack.size), np.uint64) for _ in columns]
@@ -269,8 +278,8 @@ class PackedLabels:
 
 @dataclass(frozen=True)
 class OverlapQuery:
-    """The words of one overlap: where each begins beside a candidate's first voxel, what it should
-    hold and what counts.
+    """The words of one overlap: their offsets from a candidate's first voxel, the bits that they
+    should hold, and the masks of those that count.
     """
 
     offsets: np.ndarray  # int64
@@ -280,8 +289,8 @@ class OverlapQuery:
     voxels: int
 
     def every_nth(self, nth: int) -> OverlapQuery:
-        """Every nth of its words; they run through the box row by row, so that each is of another
-        part of the overlap.
+        """Keep every nth word; words run through the box row by row, so each is of another part of
+        the overlap.
         """
         offsets, narrow, bits, masks = (
             np.ascontiguousarray(words[..., ::nth])
@@ -299,7 +308,7 @@ class OverlapQuery:
 def overlap_query(
     words: PackedLabels, box: np.ndarray, near: np.ndarray, strides: tuple[int, int]
 ) -> OverlapQuery:
-    """The words that hold `near` (bool) of a box of labels."""
+    """Collect the words that hold `near` (bool) of a box of labels."""
     planes, most = len(words.wide), box.shape[0] * box.shape[1]
     offsets, narrow = np.empty(most, np.int64), np.empty(most, np.bool_)
     bits, masks = np.zeros((planes, most), np.uint64), np.zeros(most, np.uint64)
@@ -316,8 +325,8 @@ def overlap_query(
 
 
 def mismatches(words: PackedLabels, query: OverlapQuery, at: np.ndarray) -> np.ndarray:
-    """How many voxels of the overlap differ, for candidates with their first voxels `at` (int64):
-    equation (5). int32.
+    """Count the voxels of the overlap that differ, int32, for candidates with their first voxels
+    `at` (int64): equation (5).
     """
     found = np.zeros(len(at), np.int32)
     _count_mismatches(
@@ -328,7 +337,9 @@ def mismatches(words: PackedLabels, query: OverlapQuery, at: np.ndarray) -> np.n
 
 @kernel
 def _pack_words(layers, plane, rows, columns, words):
-    """Bit j * columns + i of a word is voxel (y + j, x + i); what lies beyond the layer is 0."""
+    """Pack one bit of the labels into words: bit j * columns + i of a word is voxel (y + j, x + i);
+    beyond the layer it is 0.
+    """
     depth, height, width = layers.shape
     kept = ~np.uint64(0) >> np.uint64(64 - columns)
     one = np.uint64(1)
@@ -349,7 +360,7 @@ def _pack_words(layers, plane, rows, columns, words):
 
 @inline
 def bit_count(word):
-    """How many bits are set; compilers know this form and put one instruction in its place."""
+    """Count the bits that are set; compilers know this form and replace it by one instruction."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
@@ -360,8 +371,8 @@ def bit_count(word):
 
 @kernel
 def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
-    """Word by word for some candidates at a time, so that a word is one simple loop over counts
-    that stay in the cache.
+    """Count mismatches word by word for some candidates at a time, so that a word is one simple
+    loop over counts that stay in the cache.
     """
     planes = len(bits)
     for begin in range(0, len(at), _AT_A_TIME):
@@ -382,8 +393,8 @@ def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
 
 @kernel
 def _cover(box, near, stride_z, stride_y, rows, columns, offsets, narrow, bits, masks):
-    """Rows that reach over more columns than a narrow word has take wide words; the others share
-    narrow ones.
+    """Cover an overlap with words: rows that reach over more columns than a narrow word has take
+    wide words; the others share narrow ones.
     """
     depth, height, width = box.shape
     first, last = np.empty(height, np.int64), np.empty(height, np.int64)

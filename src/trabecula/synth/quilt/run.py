@@ -1,4 +1,10 @@
-"""RUN"""
+"""A run: places in raster order; at each the best candidates are cut in and judged until one is
+accepted.
+
+A candidate's mismatch counts all voxels of the overlap that differ; only those along the seam are
+visible. So of the few with the least distance the one with the cheapest cut is taken. Where no
+candidate keeps the structure connected, struts do.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +65,7 @@ _STAGE = "quilt laid"
 
 @dataclass
 class _PlacedPatch:
-    """What it takes to take a piece back."""
+    """A placed patch, with what it takes to take it back."""
 
     place: int
     at: int
@@ -75,9 +81,9 @@ class QuiltRun:
     Attributes
     ----------
     canvas : (Z, Y, X) uint8
-        Labels; EMPTY, OUT and FIXED + label as `marks` says.
+        Labels; EMPTY, OUT and FIXED + label as in `canvas`.
     placed : int32, one entry a place
-        1 + where the piece begins in the stack; 0 where none lies.
+        1 + where the patch begins in the stack; 0 without one.
     trace : Trace
     """
 
@@ -118,10 +124,10 @@ class QuiltRun:
         self.refused: dict[int, set[int]] = {}
         self.backs: dict[int, int] = {}
 
-    def run(self) -> np.ndarray:
-        """Lay all pieces; returns the labels, uint8 (Z, Y, X)."""
+    def lay_all(self) -> np.ndarray:
+        """Lay all patches; return the labels, uint8 (Z, Y, X)."""
         counts = self.grid.counts
-        for done in track(range(self._resume(), counts[0]), "laying pieces"):
+        for done in track(range(self._resume(), counts[0]), "laying patches"):
             self._lay_layer(done)
             if checkpoint.due():
                 checkpoint.offer(
@@ -145,7 +151,7 @@ class QuiltRun:
         return self.canvas
 
     def _lay_layer(self, layer: int) -> None:
-        """Lay the pieces of one layer of places; none is taken back later."""
+        """Lay the patches of one layer of places; none is taken back later."""
         _, rows, places = self.grid.counts
         number, end = layer * rows * places, (layer + 1) * rows * places
         while number < end:
@@ -157,7 +163,7 @@ class QuiltRun:
             memory.clear()
 
     def _lay_or_undo(self, number: int) -> int:
-        """Lay the piece of a place, or take one back; returns the place to go on with."""
+        """Lay the patch of a place, or take one back; return the place to continue with."""
         corner = self.grid.corner(number)
         place = self._site_at(number, corner)
         if place is None:
@@ -176,7 +182,7 @@ class QuiltRun:
         return number + 1
 
     def _site_at(self, number: int, corner: tuple[int, ...]) -> PatchSite | None:
-        """What there is to know of a place; None where nothing is to be made."""
+        """Collect the facts of a place; None where nothing is to be made."""
         library, grid = self.library, self.grid
         old = np.empty(self.chooser.window, np.uint8)
         grid.read_window(self.canvas, corner, old, OUT)
@@ -204,8 +210,8 @@ class QuiltRun:
         )
 
     def _patches_before(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where the pieces before a place along z, y and x begin in the stack, and how far the
-        place lies from them.
+        """Return where the patches before a place along z, y and x begin in the stack, and the
+        offsets of the place from them.
         """
         at, away = [], []
         place = np.unravel_index(number, self.grid.counts)
@@ -218,7 +224,7 @@ class QuiltRun:
         return np.array(at, np.int64), np.array(away, np.int64).reshape(-1, 3)
 
     def _lay_patch(self, place: PatchSite, corner: tuple[int, ...], patch: CutPatch) -> None:
-        """Write a piece into the output, and its bodies into the book."""
+        """Write a patch into the output, and its components into the table."""
         table: tuple[np.ndarray, ...] = ()
         numbers = place.numbers
         if self.components is not None:
@@ -232,7 +238,7 @@ class QuiltRun:
         self.log.append(_PlacedPatch(place.number, patch.at, corner, place.old, numbers, table))
 
     def _undo_last(self) -> int:
-        """Undo the last piece; its place has to do without it."""
+        """Undo the last patch, and refuse it at its place."""
         step = self.log.pop()
         self.grid.write_box(self.canvas, step.corner, step.old)
         if self.components is not None:
@@ -243,9 +249,11 @@ class QuiltRun:
         return step.place
 
     def _component_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the components for a checkpoint."""
         return {} if self.components is None else self.components.arrays()
 
     def _resume(self) -> int:
+        """Restore a checkpoint; return the layer to continue with."""
         state = checkpoint.resumed(_STAGE)
         if state is None:
             return 0
@@ -262,21 +270,21 @@ _FEWEST = 8  # candidates
 
 _OF_A_LATTICE, _OF_OTHERS = 4, 8  # candidates whose seams are compared
 
-_PATIENCE = 4  # candidates judged in the hope of one that begins no new body
+_PATIENCE = 4  # candidates judged in the hope of one that begins no new component
 
-_ISLAND = 0.02  # share of a box that a body may have and be painted over
+_ISLAND = 0.02  # share of a box up to which a component may be painted over
 
 
 class CutPatch(NamedTuple):
-    """A candidate as it would come to lie."""
+    """A candidate, cut in."""
 
     at: int
     mismatch: int
     difference: int
     window: np.ndarray
-    why: str  # what speaks against it
-    growth: int  # bodies that it adds
-    strut: int = 0  # voxels of struts that were laid with it
+    why: str  # the reason against it
+    growth: int  # components that it adds
+    strut: int = 0  # voxels of its struts
 
 
 @dataclass
@@ -287,23 +295,23 @@ class PatchSite:
     ----------
     number : int
     old, of : (z, y, x) uint8 and int32
-        Its window, and the bodies in it.
+        Its window, and the components in it.
     query : Query
         The words of its overlap.
     asked : (k,) int64
         Its targets, as `Descriptors.scaled` gives them.
     pool : Pool
     before : two arrays
-        First voxels of the pieces laid before it, and how far it lies from them.
+        First voxels of the patches laid before it, and its offsets from them.
     refused : collection of int
-        Pieces that were taken back here.
+        Patches that were taken back here.
     """
 
     number: int
     old: np.ndarray
     numbers: np.ndarray
     query: OverlapQuery
-    asked: np.ndarray
+    target: np.ndarray
     pool: CandidatePool
     before: tuple[np.ndarray, np.ndarray]
     refused: Collection[int]
@@ -311,8 +319,8 @@ class PatchSite:
 
 @dataclass
 class _TriedCandidates:
-    """How many candidates of a place were judged, the best of those with something against them,
-    and how many had solid where.
+    """The judged candidates of a place: their number, how many of them have solid at each voxel,
+    and the best rejected one.
     """
 
     solid: np.ndarray
@@ -321,15 +329,15 @@ class _TriedCandidates:
 
 
 class PatchChooser:
-    """What the candidates of all places are judged by.
+    """Choice of a candidate at every place.
 
     Attributes
     ----------
-    bodies : Bodies or None
-        None where nothing is to hang together.
+    components : ComponentTracker or None
+        None where connectivity does not matter.
     window : three ints
         Shape of a place's window.
-    judge : Judge
+    check : ConnectivityCheck
     """
 
     def __init__(
@@ -357,12 +365,14 @@ class PatchChooser:
 
     @cached_property
     def strut_builder(self) -> StrutBuilder:
-        """What struts are like."""
+        """Return the builder of struts."""
         return StrutBuilder.build(self.library, self.config.feature)
 
     def choose(self, place: PatchSite, *, last_way: bool) -> tuple[CutPatch, int]:
-        """The best candidate that may stay, or else the best with what speaks against it; and how
-        many were judged. `last_way`: with struts, rather than against what is to hang together.
+        """Choose the best acceptable candidate, or else the best rejected one; return it and how
+        many were judged.
+
+        With `last_way` a rejected candidate gets struts rather than break connectivity.
         """
         config = self.config
         count = min(config.candidates, max(_FEWEST, round(config.share * len(place.pool.at))))
@@ -371,7 +381,7 @@ class PatchChooser:
             found = self.ranker.rank(
                 place.query,
                 place.pool,
-                place.asked,
+                place.target,
                 place=place.number,
                 count=count * _WIDER**wider,
                 before=place.before,
@@ -399,13 +409,15 @@ class PatchChooser:
     def _first_acceptable(
         self, place: PatchSite, found: RankedCandidates, tried: _TriedCandidates, failed: set[int]
     ) -> CutPatch | None:
-        """A candidate with nothing against it; if there is one soon, one that begins no new body."""
+        """Return a candidate with nothing against it; if there is one soon, one that begins no new
+        component.
+        """
         good: CutPatch | None = None
         for n, cut in self._by_seam(place, found):
             if good is not None and tried.count >= _PATIENCE:
                 break
             tried.count += 1
-            for keep in (LEAST, MOST, ALL):  # what is laid only where nothing was tears nothing
+            for keep in (LEAST, MOST, ALL):  # a patch laid on EMPTY alone tears nothing
                 window = cut if keep == LEAST else self._cut_in_at(place, int(found.at[n]), keep)[0]
                 patch = self._judge(place, found, n, window)
                 if not patch.why and patch.growth <= 0:
@@ -421,8 +433,8 @@ class PatchChooser:
     def _by_seam(
         self, place: PatchSite, found: RankedCandidates
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """The nearest candidates, so many at a time, of these the one with the least seam first;
-        and the windows they make.
+        """Yield the nearest candidates, so many at a time, of these the one with the least seam
+        first; and the windows they make.
         """
         left = self.config.tries
         while left > 0:
@@ -437,13 +449,13 @@ class PatchChooser:
                 yield int(batch[k]), windows[k]
 
     def _cut_in_at(self, place: PatchSite, at: int, keep: int) -> tuple[np.ndarray, int]:
-        """A candidate cut in along its seam, and what the cut costs."""
+        """Cut a candidate in along its seam; return the window and the cost of the cut."""
         return cut_in(place.old, self.margin, self.library.patch_at(at), keep=keep)
 
     def _judge(
         self, place: PatchSite, found: RankedCandidates, n: int, window: np.ndarray
     ) -> CutPatch:
-        """A candidate with what speaks against it."""
+        """Judge a candidate."""
         why, growth = "", 0
         if self.components is not None:
             if self.check.verdict(self.components, place.old, window, place.numbers) != FINE:
@@ -456,7 +468,7 @@ class PatchChooser:
         )
 
     def _thins(self, place: PatchSite, window: np.ndarray) -> bool:
-        """Whether a window has more that is too thin than it had."""
+        """Return whether a window has more thin voxels than before."""
         size = self.config.feature
         if size == 1:
             return False
@@ -466,8 +478,8 @@ class PatchChooser:
         )
 
     def _with_struts(self, place: PatchSite, tried: _TriedCandidates) -> CutPatch | None:
-        """The best candidate with struts, so that it may stay; cut in as it is best, or else laid
-        only where nothing was.
+        """Return the best candidate with struts that make it acceptable; cut in at its best seam,
+        or else laid only on voxels to make.
         """
         best = tried.fallback
         if self.components is None or best is None or best.why != "connectivity":

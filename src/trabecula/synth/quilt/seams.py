@@ -1,4 +1,18 @@
-"""SEAMS"""
+"""The join of a patch with its surroundings: a minimum cut through the overlap (section 3.3, step
+3), and struts where no patch keeps the structure connected.
+
+Voxels of the overlap are the nodes. With m(p) = 1 where old and new differ at p, separating
+neighbours p and q costs m(p) + m(q) (Kwatra et al. 2003, doi:10.1145/882262.882264, equation 1, for
+labels); a neighbour that only the old or only the new has differs as p does. The cut is exact:
+Dinic's algorithm (blocking flows along shortest paths) on whole numbers. Of all minimum cuts the
+one is taken that keeps least of the old, so that the new patch comes out as it is, unless that
+tears connected voxels apart.
+
+A component that a patch would close is within reach of voxels to make, or of a component that
+continues there: otherwise it would have been closed before. A strut follows the path through the
+box along which most of the judged candidates have the same class, so that it looks like a part of
+them; it is as thick as the exemplar's structures.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +35,7 @@ from trabecula.synth.quilt.patch_library import PatchLibrary, void_label
 _HELD = 1 << 28  # more than any cut
 
 LEAST, MOST, ALL = 0, 1, 2
-"""How much of the old a seam keeps: of all minimum cuts the least, or the most; or all of it,
+"""Parts of the old that a seam keeps: of all minimum cuts the least, or the most; or all of it,
 without a cut.
 """
 
@@ -29,7 +43,7 @@ without a cut.
 def cut_in(
     window: np.ndarray, margin: tuple[int, ...], patch: np.ndarray, *, keep: int = LEAST
 ) -> tuple[np.ndarray, int]:
-    """A window with a piece laid into its box, cut out along the cheapest seam.
+    """Cut a patch into the box of a window, along the cheapest seam.
 
     Parameters
     ----------
@@ -37,7 +51,7 @@ def cut_in(
         Labels, EMPTY, OUT; labels of measured voxels have FIXED added and stay.
     margin : three ints
         Voxels around the box.
-    piece : uint8, the box's shape
+    patch : uint8, the box's shape
         Labels.
     keep : {LEAST, MOST, ALL}
 
@@ -66,13 +80,16 @@ def cut_in(
 
 @inline
 def _differs(old, new):
+    """Return 1 where a voxel's old and new label differ."""
     return 1 if (old & (FIXED - 1)) != new else 0
 
 
 @kernel
 def _build_network(window, margin, patch, ways, from_source, to_sink):
-    """Capacities to the neighbours after and before along z, y, x, and to the terminals; returns
-    what flows from one terminal to the other through one node alone, which is taken off at once."""
+    """Compute capacities to the neighbours after and before along z, y, x, and to the terminals;
+    return the flow from one terminal to the other through one node alone, which is taken off at
+    once.
+    """
     depth, height, width = patch.shape
     steps = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     flow = 0
@@ -118,8 +135,8 @@ def _build_network(window, margin, patch, ways, from_source, to_sink):
 
 @kernel
 def max_flow(ways, from_source, to_sink, shape):
-    """The greatest flow through a grid; all capacities become what is left of them. Afterwards
-    `from_source` is -1 where a way with room leads from the source.
+    """Push the greatest flow through a grid; return it, and leave residual capacities. Afterwards
+    `from_source` is -1 where a residual path leads from the source.
 
     ways[p, 2 a + s]: capacity from p to its neighbour after (s = 0) or before (1) along axis a.
     """
@@ -153,8 +170,11 @@ def max_flow(ways, from_source, to_sink, shape):
 
 @inline
 def _levels(ways, from_source, to_sink, jumps, level, queue):
-    """Steps from the source to every node, -1 where none lead: how many to the nearest with room to
-    the sink (all nodes for none), and how many nodes were found, in their order in `queue`."""
+    """Compute the steps from the source to every node, -1 where no path leads.
+
+    Returns the steps to the nearest node with capacity to the sink (the number of nodes for none),
+    and how many nodes were found, in their order in `queue`.
+    """
     count = len(ways)
     level[:] = -1
     head = tail = 0
@@ -181,8 +201,9 @@ def _levels(ways, from_source, to_sink, jumps, level, queue):
 
 @inline
 def _shortest_path(ways, to_sink, jumps, level, reached, tried, path):
-    """The nodes of a shortest way from path[0] to the sink, written into `path`: how many, or 0 for
-    no way. What was tried without success is not tried again."""
+    """Find a shortest path from path[0] to the sink and write its nodes into `path`; return their
+    number, or 0. Failed steps are not tried again.
+    """
     length = 1
     while length > 0:
         p = path[length - 1]
@@ -206,7 +227,7 @@ def _shortest_path(ways, to_sink, jumps, level, reached, tried, path):
 
 @inline
 def _push_flow(ways, from_source, to_sink, jumps, tried, path, length):
-    """Send along a way what it has room for, and say how much."""
+    """Push as much flow along a path as fits, and return it."""
     root, end = path[0], path[length - 1]
     push = min(from_source[root], to_sink[end])
     for k in range(length - 1):
@@ -222,7 +243,7 @@ def _push_flow(ways, from_source, to_sink, jumps, tried, path, length):
 
 @kernel
 def _keep_most(ways, to_sink, from_source, shape):
-    """Mark with -1 in `from_source` every node from which no way with room leads to the sink."""
+    """Mark with -1 in `from_source` every node without a residual path to the sink."""
     jumps = (shape[1] * shape[2], -shape[1] * shape[2], shape[2], -shape[2], 1, -1)
     count = len(ways)
     queue = np.empty(count, np.int32)
@@ -245,7 +266,7 @@ def _keep_most(ways, to_sink, from_source, shape):
 
 @kernel
 def _lay_patch(window, margin, patch, from_source, made):
-    """The piece where it is new, and on its side of the cut."""
+    """Copy the patch to voxels to make, and to its side of the cut."""
     depth, height, width = patch.shape
     for z in range(depth):
         for y in range(height):
@@ -261,13 +282,12 @@ def _lay_patch(window, margin, patch, from_source, made):
 
 _MOST_STRUTS = 16  # struts of a place
 
-_DEAR, _CHEAP = 128, 8  # what a voxel costs where no piece has the class, and where all have
+_DEAR, _CHEAP = 128, 8  # cost of a voxel where no candidate has the class, and where all have
 
-# by how much less than this it differs by chance, so that of equal ways none along the axes is
-# taken
+# Random part of the cost, so that of equal paths none along the axes is taken.
 _CROOKED = 8
 
-_OPEN = 512  # what a strut costs that ends at voxels to make, instead of at what it is to join
+_OPEN = 512  # cost of a strut that ends at voxels to make, instead of at another component
 
 _FACES = 1.5  # faces of voxels over the area of the surface that they stand for
 
@@ -276,7 +296,7 @@ _NEVER = 1 << 30
 
 @dataclass(frozen=True)
 class StrutBuilder:
-    """What struts of a run are like.
+    """Labels and radius of the struts of a run.
 
     Attributes
     ----------
@@ -292,7 +312,7 @@ class StrutBuilder:
 
     @classmethod
     def build(cls, library: PatchLibrary, feature: int) -> StrutBuilder:
-        """As thick as plates of the exemplar's volume over surface, and no thinner than the least
+        """Derive the radius from the exemplar's volume over surface, at least half the smallest
         feature.
         """
         labels, void = library.stack[0], void_label(library.images[0].phases)
@@ -313,17 +333,17 @@ class StrutBuilder:
         numbers: np.ndarray,
         share: np.ndarray,
     ) -> np.ndarray | None:
-        """`new` with struts, so that it may stand; None where there is no way.
+        """Return `new` with struts that make it acceptable; None where there is no path.
 
         Parameters
         ----------
-        bodies, judge
+        components, check
         old, new : uint8
-            The window before and after a piece was laid.
+            The window before and after a patch was cut in.
         of : int32
             Bodies of `old`.
         share : (z, y, x) float32
-            Of the pieces tried, how many have solid at a voxel of the box, 0 .. 1.
+            Share of the judged candidates with solid at a voxel of the box, 0 .. 1.
         """
         new = new.copy()
         for _ in range(_MOST_STRUTS):
@@ -341,8 +361,8 @@ class StrutBuilder:
         new: np.ndarray,
         share: np.ndarray,
     ) -> bool:
-        """Lay a strut from the smallest body that would be shut and has a way; whether there is
-        one.
+        """Lay a strut from the smallest component that would be closed and has a path; return False
+        where there is none.
         """
         leaders, shut, kept = check.closing_components()
         z, y, x = np.indices(share.shape)
@@ -367,8 +387,8 @@ class StrutBuilder:
 
 @inline
 def _neighbour(at, way, shape):
-    """The neighbour of a voxel along one of six ways, or -1 where the window ends; voxels by their
-    number.
+    """Return the neighbour of a voxel in one of six directions, or -1 where the window ends; voxels
+    by their number.
     """
     depth, height, width = shape
     x, y, z = at % width, at // width % height, at // (width * height)
@@ -387,11 +407,11 @@ def _neighbour(at, way, shape):
 
 @kernel
 def _cheapest_path(window, leaders, kept, classes, kind, own, cost, far, came):
-    """The cheapest way from a part to another of its class, or to voxels to make: its last voxel,
-    or -1.
+    """Find the cheapest path from a part to another of its class, or to voxels to make; return its
+    last voxel, or -1.
 
-    Costs are paid in the box alone (elsewhere they are 0: nothing is laid there), and what has the
-    class already is free. Distances are put right until none changes, first come first served.
+    Costs are paid in the box alone (elsewhere they are 0: nothing is laid there), and voxels of the
+    class are free. Distances are corrected until none changes, first in, first out.
     """
     values, parts, price = window.ravel(), leaders.ravel(), cost.ravel()
     queue = np.empty(len(values) + 1, np.int32)
@@ -433,7 +453,7 @@ def _cheapest_path(window, leaders, kept, classes, kind, own, cost, far, came):
 
 @kernel
 def _fill_path(window, leaders, own, end, came, margin, label, radius):
-    """Give a way and what lies around it a label, within the box."""
+    """Set the label of a path and of the voxels around it, within the box."""
     depth, height, width = window.shape
     parts = leaders.ravel()
     p = end
