@@ -31,7 +31,7 @@ NONE = {"feedback": 0.0, "coupling": 0.0, "shares": False, "oblique": False, "fi
 
 
 def stripes(side=40, period=8):
-    """Blobs of two phases with a length of their own."""
+    """Return blobs of two phases with a length of their own."""
     rng = np.random.default_rng(1)
     noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) * _band(side, period)).real
     return tb.Image((noise > np.quantile(noise, 0.6)).astype(np.uint8), "labels")
@@ -48,7 +48,7 @@ def picture():
 
 
 def neighbours_of(site, axes, width, shape):
-    """All places that are in the neighbourhood of a site in any plane of a torus, in a set."""
+    """Return all places in the neighbourhood of a site in any plane of a torus, as a set."""
     return {
         tuple(int(p) for p in (np.array(site) + offset) % shape)
         for offset in union_offsets([plane_across(axis) for axis in axes], width)
@@ -149,8 +149,8 @@ def test_a_cell_is_marked_where_any_of_its_eight_is(shape):
         )
 
 
-def begun(model, lattice, coarse, slice_views, seed=1):
-    """The finest scale at its start, without couplings."""
+def start_finest(model, lattice, coarse, slice_views, seed=1):
+    """Start the finest scale, without couplings."""
     return start_relaxation(
         lattice,
         coarse,
@@ -165,19 +165,19 @@ def begun(model, lattice, coarse, slice_views, seed=1):
 
 
 def relaxation_of(image, shape, config, *, seed=1):
-    """One scale of three views at its start, and what its density is made of."""
+    """Return one scale of three views at its start, and its model."""
     model = tb.method("mrf", **config).fit(image)
     request = tb.Request(shape, seed=seed, periodic=True)
     lattice = build_lattices(request, model.content, 1, model.config.neighbourhood)[0]
     slice_views = [
         SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
     ]
-    return model, begun(model, lattice, None, slice_views, seed)
+    return model, start_finest(model, lattice, None, slice_views, seed)
 
 
 def literal_density(model, levels, site, weights, views=(0, 1, 2)):
-    """Equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64 of the
-    neighbours.
+    """Compute equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64
+    of the neighbours.
     """
     config, content = model.config, model.content
     neighbourhoods = extract_neighbourhoods(
@@ -199,7 +199,7 @@ def literal_density(model, levels, site, weights, views=(0, 1, 2)):
 
 
 def test_gibbs_draws_from_the_exact_conditional():
-    """Sites far apart in a known surrounding, all alike: their levels are draws from one
+    """Check sites far apart in a known surrounding, all alike: their levels are draws from one
     conditional.
     """
     image = tb.Image((np.random.default_rng(2).random((30, 30)) < 0.4).astype(np.uint8), "labels")
@@ -227,8 +227,8 @@ def test_gibbs_draws_from_the_exact_conditional():
 
 @pytest.mark.parametrize("kind", ["labels", "grey"])
 def test_icm_is_the_literal_loop(kind):
-    """The paper's figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small
-    lattice, site by site.
+    """Check figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice,
+    site by site.
     """
     rng = np.random.default_rng(5)
     values = (
@@ -306,7 +306,7 @@ def test_inherited_voxels_are_questioned_or_fixed(picture):
         slice_views = [
             SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
         ]
-        relaxation = begun(model, lattice, coarse, slice_views)
+        relaxation = start_finest(model, lattice, coarse, slice_views)
         assert np.array_equal(relaxation.lattice.levels[::2, ::2, ::2], coarse)
         relaxation.run()
         assert not relaxation.temperature[::2, ::2, ::2].any()
@@ -327,7 +327,7 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
         slice_views = [
             SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
         ]
-        levels = begun(model, lattice, coarse, slice_views).lattice.levels
+        levels = start_finest(model, lattice, coarse, slice_views).lattice.levels
         assert np.array_equal(levels[::2, ::2, ::2], coarse)
         agree = np.mean(levels == coarse.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:11])
         assert agree == 1 if way == "all" else agree < 0.75
@@ -342,7 +342,7 @@ def test_the_feedback_holds_shares_and_target(picture):
 
 
 def test_without_the_feedback_it_is_the_papers(picture):
-    """Nothing but the views' densities: the bias stays 0."""
+    """Check that the bias stays 0: nothing but the views' densities."""
     _, relaxation = relaxation_of(picture, (12, 12, 12), {"scales": 1, "sweeps": (2,), **NONE})
     relaxation.run()
     assert not relaxation.shifts.by_group.any() and not relaxation.shifts.by_level.any()
@@ -384,8 +384,8 @@ def test_tilted_patches_have_the_porosity(picture):
 
 
 def test_fixed_voxels_stay_and_the_material_goes_on(picture):
-    """The picture itself as the middle slice: unchanged, and the next slices agree with it far more
-    than by chance.
+    """Check the picture itself as the middle slice: unchanged, and the next slices agree with it
+    far more than by chance.
     """
     shape = (25, 40, 40)
     known = np.zeros(shape, bool)
@@ -426,7 +426,7 @@ def test_a_periodic_result_has_no_seam(picture):
 
 
 def test_two_pictures_rule_their_own_planes():
-    """Layers across z, seen across y and x; what is seen across z is left to them."""
+    """Check layers across z, seen across y and x; slices across z are left to them."""
     rng = np.random.default_rng(8)
     side = tb.Image(
         np.repeat((np.arange(36) % 6 < 3).astype(np.uint8)[:, None], 36, axis=1), "labels"

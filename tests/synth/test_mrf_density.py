@@ -50,7 +50,7 @@ def picture(kind, rng, side=24):
 
 
 def equation_7(found, weight, neighbourhoods, features, h):
-    """The share of every level (S, L), summed as it stands."""
+    """Sum the share of every level (S, L) literally."""
     features = features.astype(float)
     x, y, centre = (
         features[found],
@@ -69,7 +69,7 @@ def equation_7(found, weight, neighbourhoods, features, h):
     return total / total.sum(1, keepdims=True)
 
 
-def learnt(kind, rng, *, steps, products):
+def learn_picture(kind, rng, *, steps, products):
     content = number_levels([picture(kind, rng)], full=40, levels=256, colours=60)
     neighbourhoods = extract_neighbourhoods(content.pictures[0], scale=0, width=WIDTH, every=True)
     candidates = prepare_candidates(
@@ -100,10 +100,10 @@ def add_expected_levels(candidates, content, found, weight, steps):
 @pytest.mark.parametrize("kind", ["labels2", "labels3", "labels6", "grey", "colour"])
 @pytest.mark.parametrize("way", ["bits or plain", "products", "confidence"])
 def test_the_density_is_equation_7(kind, way):
-    """Every level; neighbours that are missing are left out; equation 9 where there is confidence."""
+    """Check every level; missing neighbours are left out; equation 9 where there is confidence."""
     rng = np.random.default_rng(4)
     steps = STEPS if way == "confidence" else 1
-    content, neighbourhoods, candidates = learnt(
+    content, neighbourhoods, candidates = learn_picture(
         kind, rng, steps=steps, products=way != "bits or plain"
     )
     levels = rng.integers(0, len(content.features), (5, 6, 7)).astype(np.uint8)
@@ -130,7 +130,7 @@ def test_the_density_is_equation_7(kind, way):
 
 def test_interior_sites_need_no_weights_and_agree():
     rng = np.random.default_rng(5)
-    content, _, candidates = learnt("grey", rng, steps=1, products=True)
+    content, _, candidates = learn_picture("grey", rng, steps=1, products=True)
     levels = rng.integers(0, len(content.features), (6, 6, 6)).astype(np.uint8)
     _, found, weight = neighbours(SiteLattice(levels), 0)
     assert weight.all()
@@ -158,7 +158,7 @@ def test_interior_sites_need_no_weights_and_agree():
 )
 @pytest.mark.parametrize("width", [7, 11, 15])
 def test_products_are_exact_in_float32(kind, relaxation, width):
-    """The largest sum of sizes that a product can meet is below 2^24."""
+    """Check that the largest sum of sizes in a product is below 2^24."""
     config = tb.method("mrf", relaxation=relaxation, neighbourhood=width).config
     full = largest_feature(kind, config)
     weight = STEPS if relaxation == "icm" else 1
@@ -243,7 +243,7 @@ def units(shares):
 
 
 def test_the_heuristics_on_densities_made_by_hand():
-    """Equations 12 to 15: three views, four levels of grey 0, 10, 20, 100."""
+    """Check equations 12 to 15: three views, four levels of grey 0, 10, 20, 100."""
     shares = [[[0.1, 0.2, 0.1, 0.6], [0.5, 0.2, 0.1, 0.2], [0.3, 0.25, 0.25, 0.2]]]
     log, features = units(shares), np.array([[0], [10], [20], [100]], np.int16)
     nothing, chosen = np.zeros(4, np.int64), np.empty(1, np.uint8)
@@ -284,8 +284,8 @@ def test_draws_have_the_density_to_a_power(heat):
 
 
 def test_proposals_are_accepted_as_the_paper_draws_them():
-    """Of two levels with ratio p, half of the visits propose the other: from the better it is
-    accepted with p t, else always.
+    """Check two levels with ratio p: half of the visits propose the other; from the better level it
+    is accepted with p t, otherwise always.
     """
     count, ratio, heat = 40_000, 0.4, 0.5
     score = np.tile(units([1.0, ratio]), (count, 1))

@@ -33,7 +33,7 @@ HEATS = (4.0, 1.0, 0.3, 1 / 64)
 
 
 def blobs(side=48, sigma=(2.0, 2.0), share=0.4, seed=1):
-    """A thresholded smooth field of two phases."""
+    """Return a thresholded smooth field of two phases."""
     fy, fx = np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side), indexing="ij")
     noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((side, side)))
     smooth = np.fft.ifft2(
@@ -46,7 +46,7 @@ def blobs(side=48, sigma=(2.0, 2.0), share=0.4, seed=1):
 
 
 def energies(score, groups, cold):
-    """Scores of the groups."""
+    """Return scores of the groups."""
     count, energy = len(score), np.empty((len(score), int(groups.max()) + 1), np.int64)
     nothing = np.zeros(len(groups), np.int64)
     group_scores(score, np.ones(count, bool), nothing, groups, cold, LOGS, POWERS, energy)
@@ -54,7 +54,7 @@ def energies(score, groups, cold):
 
 
 def group_shifts(score, groups, wanted, *, coldness, start):
-    """Of levels' scores."""
+    """Return shifts for levels' scores."""
     energy = np.full((len(score), len(wanted)), -(1 << 40), np.int64)  # what has no level
     found = energies(score, groups, coldness)
     energy[:, : found.shape[1]] = found
@@ -62,15 +62,15 @@ def group_shifts(score, groups, wanted, *, coldness, start):
 
 
 def softmax_shares(score, groups, shift, cold):
-    """Expected shares of the groups, in float64."""
+    """Return expected shares of the groups, in float64."""
     bits = (score + np.asarray(shift)[groups]) / UNIT * cold / COLD
     weight = np.exp2(bits - bits.max(1, keepdims=True))
     weight /= weight.sum(1, keepdims=True)
     return np.bincount(groups, weight.mean(0))
 
 
-def bisected(score, wanted, cold):
-    """The shift of level 1 over level 0 that gives it its share, in float64."""
+def bisect_shift(score, wanted, cold):
+    """Return the shift of level 1 over level 0 that gives it its share, in float64."""
     low, high = -1e12, 1e12
     while high - low > 1:
         middle = (low + high) / 2
@@ -79,8 +79,8 @@ def bisected(score, wanted, cold):
     return low
 
 
-def scaled(score, groups, wanted, cold, rounds=4000):
-    """Shifts of several groups by iterative scaling, in float64, the largest 0."""
+def scale_iteratively(score, groups, wanted, cold, rounds=4000):
+    """Return shifts of several groups by iterative scaling, in float64, the largest 0."""
     shift = np.zeros(len(wanted))
     for _ in range(rounds):
         shift += np.log2(wanted / softmax_shares(score, groups, shift, cold)) * UNIT * COLD / cold
@@ -88,7 +88,7 @@ def scaled(score, groups, wanted, cold, rounds=4000):
 
 
 def scores(spread, levels, seed=3, count=1500):
-    """Of sites, normal, `spread` bits wide, levels one below the other."""
+    """Draw normal scores of sites, `spread` bits wide, levels one below the other."""
     rng = np.random.default_rng(seed)
     bits = rng.normal(0, spread, (count, levels)) - spread * np.arange(levels) / 2
     return np.rint(bits * UNIT).astype(np.int32)
@@ -104,7 +104,7 @@ def test_two_groups_are_shifted_as_far_as_a_bisection_says(spread, heat):
         assert shift.max() == 0
         assert softmax_shares(score, groups, shift, cold)[1] == pytest.approx(share, abs=1e-3)
         if heat >= 0.3 and spread < 100:  # else the share is a staircase, and many shifts do
-            assert shift[1] - shift[0] == pytest.approx(bisected(score, share, cold), abs=400)
+            assert shift[1] - shift[0] == pytest.approx(bisect_shift(score, share, cold), abs=400)
 
 
 def test_two_groups_are_settled_at_once_from_any_start():
@@ -121,7 +121,7 @@ def test_two_groups_are_settled_at_once_from_any_start():
 @pytest.mark.parametrize("spread", [0.5, 6, 300])
 @pytest.mark.parametrize("heat", [2.0, 1.0, 0.4])
 def test_several_groups_come_to_the_shifts_of_iterative_scaling(spread, heat):
-    """From class to class: the shifts of each begin at those of the one before."""
+    """Check shifts from class to class: each begins at those of the class before."""
     score, cold = scores(spread, 6, count=600), coldness(heat)
     groups, wanted = np.array([0, 0, 1, 2, 2, 3], np.uint8), np.array([0.2, 0.1, 0.3, 0.4])
     shift = np.zeros(4, np.int64)
@@ -129,7 +129,9 @@ def test_several_groups_come_to_the_shifts_of_iterative_scaling(spread, heat):
         shift = group_shifts(score, groups, wanted, coldness=cold, start=shift)
     assert softmax_shares(score, groups, shift, cold) == pytest.approx(wanted, abs=4e-3)
     if spread < 100:
-        assert shift == pytest.approx(scaled(score, groups, wanted, cold), abs=0.03 * UNIT)
+        assert shift == pytest.approx(
+            scale_iteratively(score, groups, wanted, cold), abs=0.03 * UNIT
+        )
 
 
 @pytest.mark.parametrize("spread", [3, 500])
@@ -145,8 +147,8 @@ def test_at_the_coldest_the_mode_has_the_wanted_shares(levels, spread):
 
 
 def test_two_heaps_hundreds_of_bits_apart_are_divided_anywhere():
-    """Nine sites in ten are sure of 0 and one of 1: what is wanted lies in one heap or in the
-    other.
+    """Check nine sites in ten that are sure of 0 and one of 1: the target falls in one heap or in
+    the other.
     """
     rng = np.random.default_rng(0)
     lead = np.where(np.arange(2000) < 200, 350, -420) + rng.normal(0, 2, 2000)
@@ -212,7 +214,7 @@ def test_scores_of_groups_leads_and_expectations_are_numpys(seed, spread, heat):
 
 @pytest.mark.parametrize("heat", [1e-3, 1e-9, 1e-320])
 def test_next_to_no_heat_is_the_mode_and_holds_the_shares(heat):
-    """Not too cold for whole numbers of 64 bits."""
+    """Check a heat that is not too cold for whole numbers of 64 bits."""
     score, groups, wanted = scores(400, 2), np.array([0, 1], np.uint8), np.array([0.7, 0.3])
     shift = group_shifts(
         score, groups, wanted, coldness=coldness(heat), start=np.zeros(2, np.int64)
@@ -237,7 +239,7 @@ def couplings_of(
 
 
 def bins_by_offset(far, edges, shape):
-    """Every offset of a torus up to `far` away, and the bin it belongs to."""
+    """Yield every offset of a torus up to `far` away, and its bin."""
     found = {}
     sides = [range(-((side - 1) // 2), (side + 1) // 2) for side in shape]
     for offset in itertools.product(*sides):
@@ -249,9 +251,7 @@ def bins_by_offset(far, edges, shape):
 
 
 def sort_of(step):
-    """The axis that a step lies nearest to, and from 3 on where it is not within 22.5 degrees of
-    it.
-    """
+    """Return the axis nearest to a step, plus 3 where it is not within 22.5 degrees of it."""
     sideways = np.abs(step).max() < np.cos(np.pi / 8) * np.linalg.norm(step)
     return int(np.argmax(np.abs(step))) + 3 * int(sideways)
 
@@ -285,8 +285,8 @@ def test_the_field_is_the_sum_over_offsets_written_out(edges):
 
 
 def test_no_pair_counts_that_is_near_or_that_no_picture_holds():
-    """One picture seen across z: pairs along z are nobody's, and next neighbours are the
-    densities'.
+    """Check one picture seen across z: pairs along z are in no picture, and next neighbours are
+    left to the densities.
     """
     coupled = couplings_of([(0, blobs(30))], (12, 12, 12), reach=5)
     levels = np.random.default_rng(1).integers(0, 2, (12, 12, 12), np.uint8)
@@ -301,8 +301,8 @@ def test_no_pair_counts_that_is_near_or_that_no_picture_holds():
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_targets_are_the_autocorrelation_of_the_picture(axis):
-    """Of every phase on its own where there are three: offset by offset as `measure` has it, mean
-    over the pairs of a bin.
+    """Compare offset by offset with `measure`, of each phase where there are three: the mean over
+    the pairs of a bin.
     """
     picture = blobs(40, sigma=(4, 1.5)) + blobs(40, seed=5, share=0.2)
     rows, columns = (other for other in range(3) if other != axis)
@@ -324,8 +324,8 @@ def test_targets_are_the_autocorrelation_of_the_picture(axis):
 
 
 def test_the_misfit_is_of_pairs_that_are_there():
-    """Known by its definition: root mean square over the bins of the picture's autocorrelation less
-    the output's.
+    """Compare with the definition: root mean square over the bins of the picture's autocorrelation
+    less the output's.
     """
     shape, rng = (12, 13, 11), np.random.default_rng(6)
     pictures = [(axis, blobs(30, seed=axis)) for axis in range(3)]
@@ -350,7 +350,9 @@ def test_the_misfit_is_of_pairs_that_are_there():
 
 
 def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
-    """What was at distance r is found at 2 r, and half as strong; what lies between is between."""
+    """Check that strength at distance r is found at 2 r, half as strong, and interpolated
+    between.
+    """
     pictures = [(axis, blobs(48)) for axis in range(3)]
     fine = couplings_of(pictures, (24, 24, 24), reach=8)
     coarse = couplings_of(
@@ -371,7 +373,9 @@ def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
 
 
 def test_learning_drives_a_field_of_pairs_alone_to_the_pictures_autocorrelation():
-    """Spins with nothing but their couplings, drawn a third at a time by their conditional."""
+    """Check spins with nothing but their couplings, drawn a third at a time by their
+    conditional.
+    """
     picture, side, rng = blobs(64, sigma=(2, 2), share=0.5), 16, np.random.default_rng(4)
     coupled = couplings_of([(axis, picture) for axis in range(3)], (side,) * 3, reach=7, rate=2.0)
     levels, domain = rng.integers(0, 2, (side,) * 3, np.uint8), np.ones((side,) * 3, bool)
@@ -400,8 +404,8 @@ def test_a_plane_seen_from_behind_has_its_columns_the_other_way(plane):
     assert plane.mirror_image.mirror_image == plane
 
 
-def test_what_goes_by_turned_planes_sees_the_picture_from_behind_in_every_other_round():
-    """And what does not, never: its picture may lean one way."""
+def test_oblique_planes_see_the_picture_from_behind_in_every_other_round():
+    """Check that other sweeps never do: their picture may lean one way."""
     seen: list[bool] = []
     for oblique, wanted in ((True, [False] * 4 + [True] * 4), (False, [False] * 8)):
         model = tb.method(
@@ -454,8 +458,8 @@ def test_turned_planes_are_orthogonal_and_hold_diagonals(axis):
 @pytest.mark.parametrize("plane", [plane_across(1), *oblique_planes(0), *oblique_planes(2)])
 @pytest.mark.parametrize("width", [3, 7])
 def test_neighbours_and_the_pictures_pixels_are_equally_far(plane, width):
-    """In the order of offsets: a neighbour stands for the pixel at its own distance along rows and
-    columns, rounded.
+    """Check in the order of offsets: a neighbour stands for the pixel at its own distance along
+    rows and columns, rounded.
     """
     rows, columns = (pixels_along(width, wide) for wide in plane.diagonal)
     pixels = np.delete(
@@ -474,7 +478,7 @@ def test_neighbours_and_the_pictures_pixels_are_equally_far(plane, width):
 @pytest.mark.parametrize("diagonal", list(itertools.product([False, True], repeat=2)))
 @pytest.mark.parametrize("scale", [0, 1])
 def test_neighbourhoods_take_the_pixels_of_their_plane(diagonal, scale):
-    """Every pixel of the picture is another value, so that each neighbour tells where it was taken."""
+    """Check a picture whose pixels all differ, so that each neighbour shows its pixel."""
     picture = np.arange(16 * 15, dtype=np.uint8).reshape(16, 15)
     neighbourhoods = extract_neighbourhoods(
         picture, scale=scale, width=5, every=True, diagonal=diagonal
@@ -512,8 +516,10 @@ def test_sites_of_a_class_for_turned_planes_do_not_see_each_other(shape, width):
     assert np.array_equal(np.sort(np.concatenate(seen)), flat)
 
 
-def test_a_turned_sweep_of_width_7_needs_128_classes():
-    """A plane of two diagonals reaches 6 voxels along an axis: what lies 4 apart is told apart."""
+def test_an_oblique_sweep_of_width_7_needs_128_classes():
+    """Check planes of two diagonals, which reach 6 voxels along an axis: sites 4 apart are in
+    different classes.
+    """
     assert (
         len(SiteClasses(SiteLattice(np.zeros((16, 16, 16), np.uint8)), 7, oblique=True).names)
         == 128
@@ -544,9 +550,9 @@ def test_an_isotropic_picture_goes_by_turned_planes_and_a_striped_one_does_not()
     assert report(made(blobs(48), 10, oblique=False))["oblique"] is False
 
 
-def test_turned_planes_learn_what_diagonals_hold():
-    """The views of a sweep: three along the axes, then three about each axis, each learning from
-    its own pixels.
+def test_oblique_planes_learn_the_diagonals():
+    """Check the views of a sweep: three along the axes, then three about each axis, each learning
+    from its own pixels.
     """
     model = tb.method("mrf", neighbourhood=5, scales=1).fit(tb.Image(blobs(48), "labels"))
     view_sets = model._view_sets(model.candidate_sets[0])
@@ -568,8 +574,8 @@ def test_turned_planes_learn_what_diagonals_hold():
 
 @pytest.mark.parametrize("oblique", [False, True])
 def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
-    """Pairs far apart that shun each other: were their field that of the sweep before, domains
-    would change sides for ever.
+    """Check pairs far apart that repel: with the field of the sweep before, domains would flip for
+    ever.
     """
     noise = (np.random.default_rng(1).random((40, 40)) < 0.5).astype(np.uint8)
     model = tb.method(
@@ -611,7 +617,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
 
 
 def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
-    """Without them domains grow from sweep to sweep."""
+    """Check against a run without them, in which domains grow from sweep to sweep."""
     picture = blobs(64, sigma=(2.5, 2.5))
     wanted = np.mean(
         list(autocorrelation_lines(tb.Image(picture, "labels"), lags=9).values()), axis=0
@@ -625,8 +631,8 @@ def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
 
 
 def test_levels_of_a_group_come_to_their_shares_class_by_class():
-    """Grey: groups are settled at once, the levels within them over a few classes; none is lost for
-    good.
+    """Check grey: groups are solved at once, the levels within them over a few classes; none is
+    lost for good.
     """
     groups = np.repeat(np.arange(3, dtype=np.uint8), 4)
     wanted = np.random.default_rng(3).dirichlet(np.full(12, 2.0))

@@ -49,13 +49,13 @@ class Others:
 
 
 def as_if_large(monkeypatch):
-    """A class of few sites is done as one of many is."""
+    """Treat a class of few sites as one of many."""
     for name, value in (("_FEW", 1), ("_MANY", 0), ("_SMALL", 0)):
         monkeypatch.setattr(site_update, name, value)
 
 
-def parts_of(picture, names):
-    """The parts of a request."""
+def split_request(picture, names):
+    """Return the parts of a request."""
     form = np.hypot.outer(np.hypot.outer(np.arange(-5, 6), np.arange(-7, 7)), np.arange(-6, 7)) < 7
     known = np.zeros(SHAPE, bool)
     known[4, 2:10] = known[8:, 3, 5] = True
@@ -105,7 +105,7 @@ def test_in_scratch_files_the_voxels_are_the_same(
     kind, settings, parts, pictures, tmp_path, monkeypatch
 ):
     model = tb.method("mrf", **{"oblique": False, **settings}).fit(pictures[kind])
-    request = Request(SHAPE, seed=5, **parts_of(pictures[kind], parts))
+    request = Request(SHAPE, seed=5, **split_request(pictures[kind], parts))
     whole, told = model.make(request)
     monkeypatch.setattr(memmap, "LEAST", 1)
     as_if_large(monkeypatch)
@@ -129,7 +129,7 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
     model = tb.method("mrf", sweeps=(1,), scales=2, heuristic=heuristic, **settings).fit(
         pictures["labels"]
     )
-    request = Request(SHAPE, seed=5, **parts_of(pictures["labels"], ("mask",)))
+    request = Request(SHAPE, seed=5, **split_request(pictures["labels"], ("mask",)))
     whole = model.make(request)[0]
     as_if_large(monkeypatch)
     others = Others()
@@ -140,12 +140,12 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
 
 @pytest.mark.parametrize(("kind", "parts"), [("labels", ("mask",)), ("grey", ())])
 def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_path):
-    """Traced are NumPy's own arrays: four times as many planes take no more of them."""
+    """Trace NumPy's own arrays: four times as many planes take no more of them."""
     model = tb.method("mrf", sweeps=(1,), scales=2, candidates=128, reach=5, polish=0).fit(
         pictures[kind]
     )
     # so that loading kernels is not counted
-    model.make(Request(SHAPE, seed=1, **parts_of(pictures[kind], parts)))
+    model.make(Request(SHAPE, seed=1, **split_request(pictures[kind], parts)))
     peaks = []
     for depth in (22, 88):
         form = {"mask": np.ones((depth, 30, 34), bool)} if parts else {}

@@ -29,7 +29,7 @@ def model(cells):
 
 @pytest.fixture(scope="module")
 def section():
-    """A picture of three phases: layers of a binder around grains."""
+    """Return a picture of three phases: layers of a binder around grains."""
     rng = np.random.default_rng(3)
     field = ndimage.gaussian_filter(rng.random((90, 90)), 3)
     low, high = np.quantile(field, [0.45, 0.6])
@@ -85,8 +85,8 @@ def test_porosity_asks_for_the_same_as_volume_fraction(model):
 
 
 def test_all_neighbourhoods_with_their_own_fields_give_the_section_again(section):
-    """Figure 5: with the fields of the exemplar itself the pieces find their own places; without,
-    they do not.
+    """Check figure 5: with the fields of the exemplar itself the patches find their own places;
+    without, they do not.
     """
     from trabecula.fields.local import windowed
 
@@ -169,7 +169,7 @@ def test_what_is_to_hang_together_does(connected):
 
 
 def bars():
-    """Bars side by side: no two of them can become one body."""
+    """Return bars side by side: no two of them can be connected."""
     values = np.zeros((36, 36, 36), np.uint8)
     for z, y in ((4, 5), (6, 20), (16, 12), (18, 29), (28, 4), (30, 22)):
         values[z : z + 5, y : y + 5] = 1
@@ -199,8 +199,8 @@ def test_sparse_bone_is_one_piece(seed):
     assert ndimage.label(made.values)[1] == 1
 
 
-def test_where_there_is_no_way_it_says_so():
-    """A wall of void that is given: what lies on either side of it can never be one body."""
+def test_where_there_is_no_path_it_says_so():
+    """Check a wall of given void: its two sides can never be connected."""
     wall = np.zeros((30, 30, 44), bool)
     wall[:, :, 20:24] = True
     summary = []
@@ -215,7 +215,7 @@ def test_where_there_is_no_way_it_says_so():
 
 
 def thin(made):
-    """Voxels that lie in no 2-cube of solid; what lies beyond the volume may be solid."""
+    """Count voxels in no 2-cube of solid; beyond the volume may be solid."""
     beyond = np.pad(made == 1, 1, constant_values=True)
     opened = np.zeros(beyond.shape, bool)
     for at in np.ndindex(tuple(side - 1 for side in beyond.shape)):
@@ -226,8 +226,8 @@ def thin(made):
 
 
 def test_seams_leave_nothing_thin():
-    """Blocks of two voxels: pieces that meet at odd distances leave slivers unless they are
-    forbidden.
+    """Check blocks of two voxels: patches that meet at odd distances leave slivers unless they are
+    rejected.
     """
     blocks = reference(20).repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     made = {}

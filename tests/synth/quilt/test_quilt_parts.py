@@ -1,4 +1,4 @@
-"""Words, candidates, periods, bodies: each against a plain way to the same."""
+"""Words, candidates, periods, components: each against a plain way to the same."""
 
 import numpy as np
 import pytest
@@ -69,8 +69,10 @@ def test_a_part_of_a_query_counts_a_part_of_the_voxels(seed, nth):
     assert nth > 1 or np.array_equal(less, whole)
 
 
-def test_what_goes_on_exactly_passes_the_sieve():
-    """Of thousands of candidates the one that was cut out is found again by a part of its words."""
+def test_exact_continuations_pass_the_sieve():
+    """Find, among thousands of candidates, the one that was cut out again by a part of its
+    words.
+    """
     rng = np.random.default_rng(2)
     blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
     run = QuiltRun(
@@ -129,7 +131,9 @@ def test_candidates_are_taken_off_from_the_nearest(seed, count):
 
 
 def two_stubs():
-    """All is made but one box; two rods end at it, and a third lies elsewhere on a body of its own."""
+    """Return a canvas with one box to make; two rods end at it, and a third component is
+    elsewhere.
+    """
     canvas = np.zeros((9, 9, 15), np.uint8)
     canvas[4, 4, :5] = canvas[4, 4, 10:] = 1
     canvas[2:7, 2:7, 5:10] = EMPTY
@@ -274,8 +278,8 @@ def test_thin_solid_is_what_an_opening_takes_away(seed, size):
     )
 
 
-def laid(seed, connected, density):
-    """A volume laid box by box from random pieces, each only if the judge has nothing against it."""
+def lay_random(seed, connected, density):
+    """Lay a volume box by box from random patches, each only if the check accepts it."""
     rng = np.random.default_rng(seed)
     shape, patch, step = (14, 14, 21), (7, 7, 7), (5, 5, 5)
     canvas = np.full(shape, EMPTY, np.uint8)
@@ -292,13 +296,13 @@ def laid(seed, connected, density):
         grid.read_window(components.numbers, corner, numbers, 0)
         for _ in range(60):
             new = old.copy()
-            piece = (
+            labels = (
                 ndimage.gaussian_filter(rng.random(patch), 1.2)
                 < np.quantile(rng.random(9), density)
             ).astype(np.uint8)
             keep = (old[inner] >= OUT) if rng.random() < 0.5 else old[inner] == EMPTY
             new[inner] = np.where(
-                (old[inner] != OUT) & (keep | (rng.random() < 0.3)), piece, old[inner]
+                (old[inner] != OUT) & (keep | (rng.random() < 0.3)), labels, old[inner]
             )
             if check.verdict(components, old, new, numbers) == FINE:
                 break
@@ -313,9 +317,9 @@ def laid(seed, connected, density):
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.sampled_from(["solid", "void", "both"]), st.floats(0.3, 0.7))
 def test_pieces_that_pass_make_one_body(seed, connected, density):
-    canvas, components = laid(seed, connected, density)
+    canvas, components = lay_random(seed, connected, density)
     if canvas is None:
-        return  # no random piece would do
+        return  # no random patch was accepted
     if connected in ("solid", "both"):
         assert ndimage.label(canvas == 1)[1] <= 1
     if connected in ("void", "both"):
@@ -327,6 +331,6 @@ def test_pieces_that_pass_make_one_body(seed, connected, density):
     assert components.alive[0, SOLID] == 0 and components.alive[0, VOID] <= 1
 
 
-def test_random_pieces_do_pass_sometimes():
-    """So that the test above is not empty."""
-    assert sum(laid(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3
+def test_random_patches_do_pass_sometimes():
+    """Check that the test above is not empty."""
+    assert sum(lay_random(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3

@@ -48,8 +48,8 @@ def slabs(folder, memory=1 << 14):
 
 
 def same_in_slabs(model, request, folder):
-    """The values and the trace of a request, after a look whether they are the same in scratch
-    files.
+    """Return the values and the trace of a request, after a check that they are the same in
+    memory-mapped files.
     """
     values, trace = model.make_with_trace(request)
     with slabs(folder):
@@ -87,8 +87,8 @@ def test_repair(blobs, connected, tmp_path):
     assert trace.summary()["mismatch"]["max"] > 0
 
 
-def test_islands_and_pieces_taken_back(tmp_path, monkeypatch):
-    """The book grows on the way."""
+def test_islands_and_patches_taken_back(tmp_path, monkeypatch):
+    """Check islands and patches taken back while the table grows."""
     rng = np.random.default_rng(5)
     sparse = (ndimage.gaussian_filter(rng.random((48, 48, 48)), 1.2) > 0.54).astype(np.uint8)
     few = dict(tries=1, candidates=8, mismatch=1.0)
@@ -172,9 +172,9 @@ def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
 
 
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
-def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
-    """Ends are faces towards voxels to make; void that reaches a face of the volume, or what is
-    outside, is body 0.
+def test_given_voxels_begin_with_their_components(wraps, tmp_path):
+    """Check ends, faces towards voxels to make; void that reaches a face of the volume, or `OUT`,
+    is component 0.
     """
     rng = np.random.default_rng(7)
     canvas = (
@@ -257,7 +257,7 @@ def test_a_trace_sums_what_was_laid():
 
 @pytest.fixture(scope="module")
 def out_of_step():
-    """Cells of 7.25 voxels, laid every 6: every place has a phase of its own."""
+    """Fit cells of 7.25 voxels, laid every 6: every place has a phase of its own."""
     x = np.indices((40, 40, 40)) % 7.25 < 4
     return tb.method("quilt", patch=9, overlap=3, connected="none").fit(
         (x.sum(axis=0) > 1).astype(np.uint8)
@@ -286,7 +286,7 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
 
 
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
-    """But for a plane; what is left of the whole is what lies in scratch files."""
+    """Check that memory does not grow, except by a plane; the rest is memory-mapped."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
     assert lattice_model._plan_spilled(short) == lattice_model._plan_spilled(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak

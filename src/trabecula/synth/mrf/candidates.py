@@ -73,7 +73,7 @@ class ParzenCandidates:
         h, in features.
     marginal : (L,) int64
         Occurrences of each level.
-    joint : Joint
+    joint : JointHistogram
         Joint statistic of levels and the local sums around them.
     """
 
@@ -141,7 +141,7 @@ def prepare_candidates(
     bandwidth : float
         Times h_opt.
     steps : int
-        Steps of the weights of single neighbours (1: there or not).
+        Steps of the weights of single neighbours (1: present or not).
     products : bool
         Whether distances come from products also where bits would suffice.
     bins : int
@@ -392,7 +392,7 @@ def _weigh_by_products(
 
 
 _ROWS = 4096  # neighbourhoods that are summed at once
-_TABLES = 80_000  # bytes of the two tables of a source
+_TABLES = 80_000  # bytes of the two tables of the candidates of a view
 
 _SMALL = 100_000  # bytes of what does not depend on the picture
 
@@ -418,7 +418,7 @@ def learning_bytes(
             preparing = kept + _SMALL + max(6.3 * area * min(count, config.candidates), sums)
             peak = max(peak, held + area * count + round(max(before + 2 * area * count, preparing)))
             held += kept
-            # the neighbourhoods of the last picture go when the next ones are there
+            # the neighbourhoods of the last picture are freed once the next ones exist
             before = area * count
     return held, peak
 

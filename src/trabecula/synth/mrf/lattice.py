@@ -30,7 +30,7 @@ class SiteLattice:
         Present level of every voxel.
     free : (Z, Y, X) bool, or None
         Voxels to be made. Here and below None stands for all.
-    there : (Z, Y, X) bool, or None
+    domain : (Z, Y, X) bool, or None
         Voxels that count as neighbours: free and known ones; none outside a form.
     box : three int, or None
         Corner of the lattice that is the result, whose shares are controlled; a rim beyond it is
@@ -298,10 +298,11 @@ class SiteClasses:
 
     Parameters
     ----------
-    lattice : Lattice
+    lattice : SiteLattice
     width : int
         Of the neighbourhoods.
-    turned : bool
+    oblique : bool
+        Whether the planes are oblique.
     """
 
     def __init__(self, lattice: SiteLattice, width: int, *, oblique: bool = False) -> None:

@@ -247,7 +247,7 @@ class MrfModel(PictureModel):
         )
         lattices = build_lattices(request, self.content, self.count, self.config.neighbourhood)
         top = len(lattices) - 1
-        learnt: PairCouplings | None = None
+        learned: PairCouplings | None = None
         report: list[dict[str, Any]] = []
         begin, state = self._find_checkpoint(top)
         wanted = self._target_shares(porosity)
@@ -267,12 +267,12 @@ class MrfModel(PictureModel):
             )
             del coarse, lattices[scale + 1 :]
             if couplings is not None and state is None:
-                couplings.start(learnt, lattices[scale].levels, lattices[scale].domain)
-            learnt = couplings
+                couplings.start(learned, lattices[scale].levels, lattices[scale].domain)
+            learned = couplings
             report = relaxation.run(report, state)
             state = None
             del relaxation, couplings
-        del learnt
+        del learned
         return self._to_values(lattices[0].levels, request), {
             "scales": report,
             "oblique": self.oblique,
@@ -327,7 +327,7 @@ class MrfModel(PictureModel):
             [candidates for scale in self.candidate_sets for candidates in scale]
         )
         memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
-        if request.target:  # the pictures are learnt anew
+        if request.target:  # the pictures are learned anew
             memory["learning"] = learning_bytes(
                 self.exemplars, self.count, self.config, oblique=self.oblique
             )[1]

@@ -56,11 +56,11 @@ class Relaxation:
 
     Attributes
     ----------
-    frames : sequence of sequences of Face
+    view_sets : sequence of sequences of SliceView
         The views along the axes, and those that sweeps use in turn with them.
     wanted : (L,) float64
         Target shares of the levels in the output.
-    couplings : Couplings, optional
+    couplings : PairCouplings, optional
     temperature, held : (Z, Y, X) float32, bool
         Of equation 8, and where it must not change; empty unless the relaxation is "icm".
     """
@@ -279,14 +279,14 @@ class Relaxation:
 
     def _state(self) -> dict[str, np.ndarray]:
         """Return the arrays of a checkpoint."""
-        learnt = {} if self.couplings is None else {"strength": self.couplings.strength}
+        learned = {} if self.couplings is None else {"strength": self.couplings.strength}
         return {
             "levels": self.lattice.levels,
             "temperature": self.temperature,
             "shift": self.shifts.by_group,
             "fine": self.shifts.by_level,
             **self.bias_feedback.state(),
-            **learnt,
+            **learned,
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:

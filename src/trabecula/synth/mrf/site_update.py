@@ -224,15 +224,15 @@ def score_class(
 
     Parameters
     ----------
-    members : Members
-    frame : Frame
+    site_class : SiteClass
+    view_set : ViewSet
     heuristic : str
         Setting `heuristic`.
     bias : list of (C, B, G) int64
         Of the feedback, in units; empty for none.
     temperature : (Z, Y, X) float32
         Of equation 8; without entries for none.
-    couplings : Couplings, optional
+    couplings : PairCouplings, optional
     mirrored : bool
         Whether the pictures are seen from behind.
     """

@@ -104,9 +104,9 @@ class ViewSet:
 
     Parameters
     ----------
-    faces : sequence of Face
-    lattice : Lattice
-    content : Content
+    slice_views : sequence of SliceView
+    lattice : SiteLattice
+    content : PictureLevels
     width : int
         Of the neighbourhoods.
     correction : float

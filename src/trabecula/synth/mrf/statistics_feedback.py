@@ -134,7 +134,7 @@ class BiasFeedback:
 
     Parameters
     ----------
-    joints : sequence of Joint
+    joints : sequence of JointHistogram
         The statistics of every learner.
     views : int
         Views that act on a site at once.

@@ -284,7 +284,7 @@ class PlacementTrace:
 
     Attributes
     ----------
-    frame : Frame
+    grid : PatchGrid
         Where places are: entry (k, j, i) is the k-th along z, and so on.
     mismatch : float array, one entry per place along z, y, x
         Share of the overlap's voxels that differ from the chosen patch: d_N, 0 .. 1; NaN without an

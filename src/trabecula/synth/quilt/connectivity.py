@@ -72,7 +72,7 @@ class ComponentTracker:
 
     Attributes
     ----------
-    of : (Z, Y, X) int32
+    numbers : (Z, Y, X) int32
         A voxel's component; the root of its number in the table counts.
     alive : (2, 3) int64
         Components of every class that have ends, component 0 among them where void is followed;

@@ -46,7 +46,7 @@ class PatchLibrary:
     periods : three of float or None
     shifts : (S, 3) int64
         Voxels by which an exemplar's cells are shifted from the first one's.
-    words : Words
+    words : PackedLabels
     """
 
     images: tuple[Image, ...]

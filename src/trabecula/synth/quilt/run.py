@@ -84,7 +84,7 @@ class QuiltRun:
         Labels; EMPTY, OUT and FIXED + label as in `canvas`.
     placed : int32, one entry a place
         1 + where the patch begins in the stack; 0 without one.
-    trace : Trace
+    trace : PlacementTrace
     """
 
     def __init__(self, library: PatchLibrary, config: QuiltConfig, request: Request) -> None:
@@ -294,13 +294,13 @@ class PatchSite:
     Attributes
     ----------
     number : int
-    old, of : (z, y, x) uint8 and int32
+    old, numbers : (z, y, x) uint8 and int32
         Its window, and the components in it.
-    query : Query
+    query : OverlapQuery
         The words of its overlap.
-    asked : (k,) int64
-        Its targets, as `Descriptors.scaled` gives them.
-    pool : Pool
+    target : (k,) int64
+        Its targets, as `CandidateDescriptors.scale_targets` returns them.
+    pool : CandidatePool
     before : two arrays
         First voxels of the patches laid before it, and its offsets from them.
     refused : collection of int

@@ -340,8 +340,8 @@ class StrutBuilder:
         components, check
         old, new : uint8
             The window before and after a patch was cut in.
-        of : int32
-            Bodies of `old`.
+        numbers : int32
+            Components of `old`.
         share : (z, y, x) float32
             Share of the judged candidates with solid at a voxel of the box, 0 .. 1.
         """
