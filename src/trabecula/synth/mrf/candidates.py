@@ -4,6 +4,7 @@ prepared for distances, and weighed for the neighbours of sites.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -383,11 +384,8 @@ def _weigh_by_products(
         rows_with_weights(found, weight, features, rows)
     products = scratch[: len(rows), : columns.shape[1]]
     np.matmul(rows, columns, out=products)
-    table, shift = (
-        (candidates.table, candidates.shift)
-        if steps == 1
-        else (candidates.weighted_table, candidates.weighted_shift)
-    )
+    table = candidates.table if steps == 1 else candidates.weighted_table
+    shift = candidates.shift if steps == 1 else candidates.weighted_shift
     weights_from_products(products, candidates.centres, table, shift, view, bins)
 
 
@@ -428,13 +426,9 @@ def _count_neighbourhoods(shape: Sequence[int], scale: int, config: MrfConfig) -
     stride, edge = 2**scale, config.neighbourhood - 1
     corners = np.ndindex(stride, stride) if config.every else [(0, 0)]
     return sum(
-        int(
-            np.prod(
-                [
-                    max(0, -(-(side - first) // stride) - edge)
-                    for side, first in zip(shape, corner, strict=True)
-                ]
-            )
+        math.prod(
+            max(0, -(-(side - first) // stride) - edge)
+            for side, first in zip(shape, corner, strict=True)
         )
         for corner in corners
     )

@@ -170,21 +170,10 @@ class MrfConfig:
         )
         object.__setattr__(self, name, checked)
 
-    def feedback_of(self, sort: str) -> float:
-        """Return `feedback`, or its default for a sort of picture (`PictureLevels.sort`)."""
-        return _FEEDBACK[sort] if self.feedback is None else self.feedback
-
-    def coupling_of(self, sort: str) -> float:
-        """Return `coupling`, or its default for a sort of picture."""
-        return _COUPLING[sort] if self.coupling is None else self.coupling
-
-    def bandwidth_of(self, sort: str) -> float:
-        """Return `bandwidth`, or its default for a sort of picture."""
-        return _BANDWIDTH[sort] if self.bandwidth is None else self.bandwidth
-
-    def polish_of(self, sort: str) -> int:
-        """Return `polish`, or its default for a sort of picture."""
-        return _POLISH[sort] if self.polish is None else self.polish
+    def setting_for(self, name: str, sort: str) -> Any:
+        """Return a setting, or its default for a sort of picture (`PictureLevels.sort`)."""
+        given = getattr(self, name)
+        return _BY_SORT[name][sort] if given is None else given
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -192,10 +181,12 @@ class MrfConfig:
         return dict(_PRESETS[name])
 
 
-_FEEDBACK = {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0}
-_COUPLING = {"two phases": 0.75, "phases": 0.4, "grey": 0.4, "colour": 0.35}
-_POLISH = {"two phases": 2, "phases": 2, "grey": 0, "colour": 0}
-_BANDWIDTH = {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35}
+_BY_SORT: dict[str, dict[str, float]] = {
+    "feedback": {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0},
+    "coupling": {"two phases": 0.75, "phases": 0.4, "grey": 0.4, "colour": 0.35},
+    "polish": {"two phases": 2, "phases": 2, "grey": 0, "colour": 0},
+    "bandwidth": {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35},
+}
 
 _CHOICES = {
     "relaxation": ("gibbs", "icm", "annealing"),

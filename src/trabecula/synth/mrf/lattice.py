@@ -121,10 +121,8 @@ def coarsen_known(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np
     """Halve the resolution of known voxels (uint8 levels): a cell takes the first of its eight
     voxels that is known.
     """
-    result, found = (
-        memmap.zeros(half_shape(known.shape), values.dtype),
-        memmap.zeros(half_shape(known.shape), bool),
-    )
+    result = memmap.zeros(half_shape(known.shape), values.dtype)
+    found = memmap.zeros(half_shape(known.shape), bool)
 
     def work(first: int, last: int) -> None:
         for corner in np.ndindex(2, 2, 2):

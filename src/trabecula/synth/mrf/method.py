@@ -81,15 +81,9 @@ class Mrf(PictureMethod):
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         """Forecast the memory of learning, bytes."""
         config = self.config
-        three = len(config.views) in (0, 3)
-        oblique = (
-            _uses_oblique(config, exemplars, three=three)
-            if config.oblique is None
-            else config.oblique
-        )
-        kept, peak = learning_bytes(
-            exemplars, count_scales(exemplars, config), config, oblique=oblique
-        )
+        oblique = _uses_oblique(config, exemplars, three=len(config.views) in (0, 3))
+        count = count_scales(exemplars, config)
+        kept, peak = learning_bytes(exemplars, count, config, oblique=oblique)
         return Plan(
             {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
         )
@@ -119,10 +113,7 @@ class MrfModel(PictureModel):
             levels=config.levels,
             colours=config.colours,
         )
-        three = len(self.views) == 3
-        self.oblique = (
-            _uses_oblique(config, images, three=three) if config.oblique is None else config.oblique
-        )
+        self.oblique = _uses_oblique(config, images, three=len(self.views) == 3)
         self.count = count_scales(images, config)
         self.candidate_sets = [
             self._candidates_at(scale, None)
@@ -153,7 +144,7 @@ class MrfModel(PictureModel):
                     neighbourhoods,
                     content,
                     most=config.candidates,
-                    bandwidth=config.bandwidth_of(self.content.sort),
+                    bandwidth=config.setting_for("bandwidth", self.content.sort),
                     steps=STEPS if config.relaxation == "icm" else 1,
                     products=config.relaxation == "icm",
                     bins=config.cells,
@@ -184,7 +175,7 @@ class MrfModel(PictureModel):
 
     def _start_couplings(self, scale: int, lattice: SiteLattice) -> PairCouplings | None:
         """Return the couplings of a scale before the first sweep; None without."""
-        rate = self.config.coupling_of(self.content.sort)
+        rate = self.config.setting_for("coupling", self.content.sort)
         if not rate:
             return None
         stride = 2**scale
@@ -346,7 +337,7 @@ class MrfModel(PictureModel):
 
     def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
         """Return the pairs of a lattice that can be coupled; None without couplings."""
-        if not self.config.coupling_of(self.content.sort):
+        if not self.config.setting_for("coupling", self.content.sort):
             return None
         shortest = min(min(picture.shape) for picture in self.content.pictures)
         far = max(1, min(max(self.config.reach, 4), shortest // 2 - 1, min(shape) // 2 - 1))
@@ -354,7 +345,9 @@ class MrfModel(PictureModel):
 
 
 def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
-    """Return whether oblique planes are used by default."""
+    """Return whether oblique planes are used: the setting, or its default."""
+    if config.oblique is not None:
+        return config.oblique
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
 
 
@@ -458,7 +451,9 @@ class RunMemory:
         levels, channels = self.content.features.shape
         groups = int(self.content.groups.max()) + 1
         sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
-        rows = 4 * levels + self.views * channels * (self.config.feedback_of(self.content.sort) > 0)
+        rows = 4 * levels + self.views * channels * (
+            self.config.setting_for("feedback", self.content.sort) > 0
+        )
         return (8 + rows) * sites, self.config.shares * (
             rows + 8 * groups + _OF_A_SITE
         ) * sites - self.scratch

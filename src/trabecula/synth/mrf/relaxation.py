@@ -78,7 +78,7 @@ class Relaxation:
 
     def __post_init__(self) -> None:
         config = self.config
-        self._feedback = config.feedback_of(self.content.sort)
+        self._feedback = config.setting_for("feedback", self.content.sort)
         self._view_sets = [
             ViewSet(
                 slice_views,
@@ -177,11 +177,8 @@ class Relaxation:
         if config.shares and len(found.score):
             cold = step.rule == "icm" or step.heat == 0
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals use the density itself
-            shift = self.shifts.update(
-                site_class,
-                found.score,
-                COLDEST if cold else coldness(heat),
-            )
+            cooled = COLDEST if cold else coldness(heat)
+            shift = self.shifts.update(site_class, found.score, cooled)
         return site_class.sum_on_planes(
             lambda first, last: self._update_planes(
                 site_class, found, shift, view_set, step, first, last
@@ -202,11 +199,8 @@ class Relaxation:
         them meanwhile.
         """
         sites, start = site_class.sites(first, last), int(site_class.starts[0][first])
-        levels, tables, changed = (
-            self.lattice.levels.reshape(-1),
-            self.bias_feedback.empty_tables(),
-            0,
-        )
+        levels, changed = self.lattice.levels.reshape(-1), 0
+        tables = self.bias_feedback.empty_tables()
         for part in row_slices(len(sites)):
             asked, rows = sites[part], slice(start + part.start, start + part.stop)
             present = levels[asked]
@@ -235,12 +229,10 @@ class Relaxation:
         if config.relaxation == "annealing":
             heats = [1 - n / count for n in range(count)]
         else:
-            first, last = (
-                _at_scale(config.heat, self.scale),
-                _at_scale(config.final_heat, self.scale),
-            )
+            first = _at_scale(config.heat, self.scale)
+            last = _at_scale(config.final_heat, self.scale)
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
-        polish = config.polish_of(self.content.sort) if self.scale == 0 else 0
+        polish = config.setting_for("polish", self.content.sort) if self.scale == 0 else 0
         # An isotropic material has an isotropic mirror image: three views that lean one way would
         # confirm each other.
         ways = len(self._view_sets)

@@ -273,7 +273,8 @@ def _advice(name: str) -> str:
     return f"bring the field in, add an exemplar that holds it{thicken}"
 
 
-_WORST = 5
+_WORST = 5  # places that gave way, in the summary
+_RECORDS = ("mismatch", "difference", "tried", "strut", "gave_way")
 
 REASONS = ("", "connectivity", "feature size")
 """Reasons why a place gave way; `PlacementTrace.gave_way` has the position."""
@@ -331,11 +332,15 @@ class PlacementTrace:
 
     def summary(self) -> dict[str, Any]:
         """Return means and maxima, and the places that gave way, as plain JSON."""
+        distances = {
+            "mismatch": _mean_and_max(self.mismatch),
+            "descriptors": _mean_and_max(self.difference),
+        }
         summary: dict[str, Any] = {
             "places": _count_nonzero(self.tried),
             "taken_back": self.taken_back,
             "painted": self.painted,
-            **{name: summed for name, summed in self._distance_summaries() if summed},
+            **{name: found for name, found in distances.items() if found},
             "struts": _count_nonzero(self.strut),
             "strut_voxels": sum(int(layer.sum(dtype=np.int64)) for layer in _layers(self.strut)),
             "gave_way": _count_nonzero(self.gave_way),
@@ -343,13 +348,6 @@ class PlacementTrace:
         if summary["gave_way"]:
             summary["gave_way_at"] = list(self._first_gave_way())
         return summary
-
-    def _distance_summaries(self) -> tuple[tuple[str, dict[str, float]], ...]:
-        """Return mean and maximum of both distances."""
-        return (
-            ("mismatch", _mean_and_max(self.mismatch)),
-            ("descriptors", _mean_and_max(self.difference)),
-        )
 
     def _first_gave_way(self) -> Iterator[dict[str, Any]]:
         """Yield the first places that gave way."""
@@ -364,15 +362,12 @@ class PlacementTrace:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of a checkpoint."""
-        held = {
-            name: getattr(self, name)
-            for name in ("mismatch", "difference", "tried", "strut", "gave_way")
-        }
+        held = {name: getattr(self, name) for name in _RECORDS}
         return {**held, "taken_back": np.array(self.taken_back)}
 
     def load_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the arrays of a checkpoint."""
-        for name in ("mismatch", "difference", "tried", "strut", "gave_way"):
+        for name in _RECORDS:
             setattr(self, name, arrays[name])
         self.taken_back = int(arrays["taken_back"])
 
