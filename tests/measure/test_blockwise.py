@@ -12,7 +12,12 @@ import trabecula as tb
 from trabecula.engine.lazy_volume import Slabs, depth_within, slabs_of
 from trabecula.engine.plan import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
-from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
+from trabecula.measure.blockwise import (
+    count_slabs,
+    describe_slabs,
+    forecast,
+    names_without_slabs,
+)
 from trabecula.measure.labelling import label_components
 from trabecula.measure.streaming import Cubes, Pieces
 
@@ -21,7 +26,7 @@ SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
 
 @st.composite
 def volumes(draw, phases=2):
-    """Labels of any shape; of one probability, so that all is solid as often as all is void."""
+    """Draw labels of any shape and probability: all is solid as often as all is void."""
     shape = draw(SHAPES)
     share = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0]))
     noise = np.random.default_rng(draw(st.integers(0, 2**32))).random(shape)
@@ -131,7 +136,8 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
     found = describe_slabs(volume, depth=5)
     assert set(found) == set(describe(values))
     assert all(
-        found[name] is None and any(name in note for note in found["notes"]) for name in LEFT_OUT
+        found[name] is None and any(name in note for note in found["notes"])
+        for name in names_without_slabs()
     )
     with pytest.raises(tb.errors.InputError, match="depth"):
         describe_slabs(volume, depth=0)

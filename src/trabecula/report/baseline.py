@@ -14,8 +14,8 @@ LARGEST = 128
 
 
 def gaussian_field(exemplar: Image) -> Image:
-    """One field, always of the same seed, as large as the exemplar but for `LARGEST`; of a 2-D
-    exemplar a 2-D one.
+    """Generate a field, always of the same seed, as large as the exemplar but for `LARGEST`; of a
+    2-D exemplar a 2-D one.
     """
     flat = exemplar.ndim == 2
     lifted = (

@@ -1,12 +1,14 @@
-"""An inspection as text for a terminal."""
+"""An inspection in words: a table for a terminal, and where the fields of a scan come from."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from trabecula.core.image import Image, default_phases
 
 SEPARATE, WEAK = 0.8, 0.7
 """Otsu's share of the variance from which two classes are apart, and below which a normal
@@ -24,9 +26,11 @@ DIRECTED = 0.2
 """
 WIDTH, HEAD = 110, 14
 
+FIELDS = ("kind", "phases", "spacing", "unit")
+
 
 def table(found: Any) -> str:
-    """The findings of an `Inspection`, a topic a row: at most 40 lines."""
+    """Return the findings of an `Inspection`, a topic a row: at most 40 lines."""
     rows = [
         ("scan", _scan(found)),
         *_phase_rows(found),
@@ -142,7 +146,10 @@ def _correlation(found: Any) -> str:
 def _decidable(decidable: Any) -> str:
     if not decidable.anything:
         return "nothing"
-    return f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} voxels"
+    return (
+        f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} "
+        "voxels"
+    )
 
 
 def _direction_rows(found: Any) -> Iterator[tuple[str, str]]:
@@ -151,7 +158,10 @@ def _direction_rows(found: Any) -> Iterator[tuple[str, str]]:
         word = f"longest along {found.longest}" if directed else "alike in all directions"
         hint = ""
         if directed and len(found.shape) == 2:
-            hint = "; one picture cannot tell the third axis: give further pictures, or --set views=yx,zx"
+            hint = (
+                "; one picture cannot show the third axis: give further pictures, or --set "
+                "views=yx,zx"
+            )
         yield "direction", f"anisotropy {found.anisotropy:.2f} of mean intercepts: {word}{hint}"
 
 
@@ -192,13 +202,17 @@ def _stationarity(found: Any) -> str:
         else f"all but {names[0]}"
     )
     trends = [
-        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} ({trend.errors:.1f} standard errors)"
+        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} "
+        f"({trend.errors:.1f} standard errors)"
         for trend in state.trends
         if trend.found
     ]
     if trends:
         return f"no: {'; '.join(trends)}"
-    return f"no trend along the axes or from centre to rim ({state.windows} windows of {_size(state.edge)} voxels)"
+    return (
+        f"no trend along the axes or from centre to rim ({state.windows} windows of "
+        f"{_size(state.edge)} voxels)"
+    )
 
 
 def _along(name: str) -> str:
@@ -233,3 +247,70 @@ def _size(shape: Sequence[int]) -> str:
 
 def _axes(shape: Sequence[int]) -> str:
     return "zyx"[3 - len(shape) :]
+
+
+def origins_of(image: Image) -> dict[str, str]:
+    """Return the origin of each field, from the recipe: given, stated by the file, found in the
+    content, or the default.
+    """
+    found = {name: _unknown(image, name) for name in FIELDS}
+    for step in image.recipe.steps:
+        found.update(_of_step(step, image))
+    return (
+        found
+        if image.kind == "labels"
+        else {name: value for name, value in found.items() if name != "phases"}
+    )
+
+
+def _unknown(image: Image, name: str) -> str:
+    if name == "phases" and image.phases == default_phases(len(image.phases)):
+        return "default names"
+    if (name == "spacing" and set(image.spacing) == {1.0}) or (
+        name == "unit" and image.unit == "voxel"
+    ):
+        return "default: nothing states it"
+    return "given with the array"
+
+
+def _of_step(step: Mapping[str, Any], image: Image) -> dict[str, str]:
+    """Return the origins of the fields that a step of a recipe sets."""
+    verb = step["verb"]
+    if verb == "sample":
+        return dict.fromkeys(FIELDS, "the sample")
+    if verb == "declare":
+        return dict.fromkeys(step.get("fields", {}), "given")
+    if verb == "segment":
+        how = step.get("found_by", "given")
+        threshold = step["threshold"]
+        text = (
+            ", ".join(f"{number:g}" for number in threshold)
+            if isinstance(threshold, list)
+            else f"{threshold:g}"
+        )
+        found = {"kind": f"segmented at {text} ({'given' if how == 'given' else f'found: {how}'})"}
+        return found | {"phases": "default names" if image.phases == ("void", "solid") else "given"}
+    if verb == "generate":
+        return dict.fromkeys(FIELDS, "its exemplar")
+    if verb != "read":
+        return {}
+    found = dict.fromkeys(step.get("stated", ()), "stated in the file")
+    if "kind" not in found:
+        levels = step.get("levels")
+        found["kind"] = (
+            "the file's levels " + ", ".join(f"{level:g}" for level in levels)
+            if levels
+            else "few levels"
+            if image.kind == "labels"
+            else "more than 8 levels"
+            if image.kind == "grey"
+            else "three channels"
+        )
+    if "spacing_from" in step:
+        found |= dict.fromkeys(("spacing", "unit"), step["spacing_from"])
+    found |= dict.fromkeys((name for name in step.get("options", {}) if name in FIELDS), "given")
+    if "ignored" in step:
+        found["spacing"] = (
+            f"{found.get('spacing', _unknown(image, 'spacing'))} (ignored: {step['ignored']})"
+        )
+    return found

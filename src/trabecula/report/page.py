@@ -1,25 +1,28 @@
-"""The certificate as one page: no script, no remote asset, readable without colour, made to be
-printed.
-"""
+"""The certificate as one page: no script, no remote asset, readable without colour, printable."""
 
 from __future__ import annotations
 
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from html import escape
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine.files import replacing
 from trabecula.measure.correlation import covariance_form
-from trabecula.report.metric import Certificate, group_verdicts
-from trabecula.report.metrics import GROUPS, figure_of
+from trabecula.measure.registry import DESCRIPTORS, GROUPS, select
+from trabecula.report.metrics import find_descriptor, group_verdicts
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
 from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences
+
+if TYPE_CHECKING:
+    from trabecula.report.verdict import Certificate
 
 Pictures = Iterable[tuple[str, str | Path | bytes]]
 
@@ -42,48 +45,9 @@ _CURVES = {
     "autocorrelation_x": "Autocorrelation along x",
 }
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #1c1b19; background: #fff; max-width:
-1180px;
-  margin: 2rem auto; padding: 0 1.5rem; }
-h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.1rem; margin: 2.2rem 0 .6rem; }
-.verdict { border: 2px solid #1c1b19; border-left-width: 14px; padding: .7rem 1rem; margin: 1rem 0; font-size: 1.1rem; }
-.verdict b { display: inline-block; min-width: 4.5rem; font-size: 1.35rem; letter-spacing: .04em; }
-.verdict.pass { border-color: #2b6b4f; } .verdict.fail { border-color: #a3341f; border-left-style: double; }
-.verdict.open { border-style: dashed; border-color: #8a5a00; }
-.maps { display: flex; flex-wrap: wrap; gap: 1rem 2rem; margin: .8rem 0; } .maps svg { image-rendering: pixelated; }
-.about { color: #55524b; margin: .1rem 0; } .notes li { margin: .25rem 0; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th { text-align: left; font-weight: 600; border-bottom: 2px solid #1c1b19; }
-th, td { padding: .28rem .7rem .28rem 0; vertical-align: middle; } td { border-bottom: 1px solid #dedbd3; }
-.n { text-align: right; white-space: nowrap; } td.FAIL { font-weight: 700; background: #faf1ee; }
-td.FAIL::before { content: "✗ "; } tr.group th { border-bottom: 1px solid #1c1b19; padding-top: .9rem; }
-.groups { width: auto; } .groups td, .groups th { padding-right: 2rem; } .soft { color: #6d695f; }
-.verdict ul { margin: .4rem 0 0; padding-left: 1.2rem; font-size: .95rem; }
-code { font-size: .82rem; color: #6d695f; font-weight: 400; } .unit { color: #6d695f; font-weight: 400; }
-.figures { display: grid; grid-template-columns: repeat(3, 1fr); gap: 1rem; }
-figure { margin: 0; } figure img { width: 100%; border: 1px solid #dedbd3; } figcaption { color: #55524b; font-size:
-.9rem; } svg { max-width: 100%; vertical-align: middle; } svg text { font: 11px system-ui, "DejaVu Sans", sans-serif;
-fill: #1c1b19; } svg .title { font-weight: 600; font-size: 12.5px; } svg .tick { fill: #55524b; } .grid { stroke:
-#dedbd3; stroke-width: 1; } .band { fill: url(#hatch); stroke: #b9b4a6; stroke-width: .6; } .dot { fill: #14507d; }
-.own { stroke: #1c1b19; stroke-width: 1.6; } polyline { fill: none; } .line0 { stroke: #1c1b19; stroke-width: 1.5; }
-.line1 { stroke: #14507d; stroke-width: 2.4; stroke-dasharray: 7 4; }
-.line2 { stroke: #8a5a00; stroke-width: 2.2; stroke-dasharray: 2 3; }
-.line3 { stroke: #2b6b4f; stroke-width: 2; stroke-dasharray: 9 3 2 3; }
-.line4 { stroke: #7a2a5e; stroke-width: 2; stroke-dasharray: 4 2 1 2 1 2; }
-.baseline { stroke: #8d8a82; stroke-width: 1.2; stroke-dasharray: 12 3; }
-svg .mark { fill: #fff; font-size: 9px; font-weight: 600; }
-.key span { margin-right: 1.6rem; white-space: nowrap; }
-details { margin: .6rem 0; } summary { cursor: pointer; } pre { background: #f6f5f1; padding: .8rem; overflow-x: auto;
-  font-size: .8rem; white-space: pre-wrap; overflow-wrap: anywhere; }
-@media (max-width: 800px) { .figures { grid-template-columns: 1fr; } .place { display: none; } }
-@media print { body { margin: 0; max-width: none; font-size: 11px; } .verdict, tr, figure { break-inside: avoid; } }
-"""
-
 
 def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str:
-    """One self-contained page for one or more certificates of the same exemplar.
+    """Build one self-contained page for one or more certificates of the same exemplar.
 
     Parameters
     ----------
@@ -119,10 +83,15 @@ def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Certificate</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style></head>\n<body>{hatching()}\n"
+        f"<style>{_style()}</style></head>\n<body>{hatching()}\n"
         + "\n".join(body)
         + "\n</body></html>\n"
     )
+
+
+@cache
+def _style() -> str:
+    return resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
 
 
 def write_page(html: str, path: str | Path) -> None:
@@ -141,7 +110,7 @@ def _front(certificates: Sequence[Certificate]) -> str:
 
 
 def _box(certificate: Certificate) -> str:
-    """The verdict in words; a box that passes also says what was not examined."""
+    """Return the verdict in words, and what the level did not examine."""
     kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "NOT DECIDED")}[
         certificate.passed
     ]
@@ -152,40 +121,36 @@ def _box(certificate: Certificate) -> str:
         (": NOT DECIDED, though", ":"),
     ):
         sentence = sentence.replace(verdict, short)
-    items = [
-        *sentences(certificate),
-        *([_unexamined(certificate)] if _unexamined(certificate) else []),
-    ]
-    told = "".join(f"<li>{escape(text)}</li>" for text in items)
-    return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{f"<ul>{told}</ul>" if told else ""}</div>'
+    items = [text for text in (*sentences(certificate), _gaps(certificate)) if text]
+    listed = "".join(f"<li>{escape(text)}</li>" for text in items)
+    reasons = f"<ul>{listed}</ul>" if listed else ""
+    return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{reasons}</div>'
 
 
-def _unexamined(certificate: Certificate) -> str:
-    """What the level left out."""
+def _gaps(certificate: Certificate) -> str:
+    """Return what the level left out."""
     return {
-        "quick": "Not examined: thickness, pore size, phases one by one, clusters, copying, transport, stiffness.",
+        "quick": "Not examined: thickness, pore size, phases one by one, clusters, copying, "
+        "transport, stiffness.",
         "default": "Not examined: transport and stiffness (--full).",
     }.get(str(certificate.about.get("level")), "")
 
 
 def summary_html(certificate: Certificate) -> str:
-    """Return the verdict and the groups of a certificate for a notebook; nothing in it depends on a
-    page's style.
-    """
+    """Return the verdict and the groups of a certificate for a notebook, free of a page's style."""
     border = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}[
         certificate.passed
     ]
-    told = "".join(
-        f"<li>{escape(text)}</li>"
-        for text in [*sentences(certificate), _unexamined(certificate)]
-        if text
+    listed = "".join(
+        f"<li>{escape(text)}</li>" for text in (*sentences(certificate), _gaps(certificate)) if text
     )
     rows = "".join(
         f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>"
         for group, passed in certificate.groups.items()
     )
     return (
-        f'<div style="border:{border};padding:.5em 1em"><b>{escape(headline(certificate))}</b><ul>{told}</ul></div>'
+        f'<div style="border:{border};padding:.5em 1em">'
+        f"<b>{escape(headline(certificate))}</b><ul>{listed}</ul></div>"
         f"<table>{rows}</table>"
     )
 
@@ -200,7 +165,7 @@ def _about(name: str, about: Mapping[str, Any] | None) -> str:
 
 
 def _group_table(certificates: Sequence[Certificate]) -> str:
-    """What passes, group by group, images side by side and the baseline last."""
+    """Tabulate the verdicts group by group, images side by side and the baseline last."""
     columns = {certificate.name: certificate.groups for certificate in certificates}
     baseline = certificates[0].baseline
     if baseline:
@@ -212,7 +177,10 @@ def _group_table(certificates: Sequence[Certificate]) -> str:
         + "</tr>"
         for group in certificates[0].groups
     )
-    return f'<table class="groups"><thead><tr><th></th>{head}</tr></thead><tbody>{rows}</tbody></table>'
+    return (
+        f'<table class="groups"><thead><tr><th></th>{head}</tr></thead>'
+        f"<tbody>{rows}</tbody></table>"
+    )
 
 
 def _verdict_cell(passed: bool | None, text: str, classes: str = "") -> str:
@@ -222,7 +190,7 @@ def _verdict_cell(passed: bool | None, text: str, classes: str = "") -> str:
 
 
 def _figure_table(certificates: Sequence[Certificate]) -> str:
-    """Every figure of every image beside the exemplar's, the band and the baseline's."""
+    """Tabulate the figures of every image beside the exemplar's, band and baseline."""
     first = certificates[0]
     names = [certificate.name for certificate in certificates]
     marks = (
@@ -234,7 +202,7 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
     head = "".join(f'<th class="n">{escape(text)}</th>' for text in heads)
     rows, group = [], None
     for name in first.metrics:
-        figure = figure_of(name)
+        figure = find_descriptor(name)
         if figure.group != group:
             group = figure.group
             rows.append(
@@ -242,13 +210,15 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
             )
         rows.append(_row(name, certificates))
     return (
-        f'<h2>Figures</h2><table><thead><tr><th>Figure</th>{head}<th class="place">place</th></tr></thead>'
+        f"<h2>Figures</h2><table><thead><tr><th>Figure</th>{head}"
+        '<th class="place">place</th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table>"
     )
 
 
 def _row(name: str, certificates: Sequence[Certificate]) -> str:
-    figure, unit = figure_of(name), certificates[0].about.get("image", {}).get("unit", "voxel")
+    figure = find_descriptor(name)
+    unit = certificates[0].about.get("image", {}).get("unit", "voxel")
     suffix = {
         0: "",
         1: unit,
@@ -276,13 +246,14 @@ def _row(name: str, certificates: Sequence[Certificate]) -> str:
         )
         place = place_plot([metric.value for metric in shown], first.real_band, first.exemplar)
     return (
-        f'<tr><td>{escape(figure.title)} <span class="unit">{escape(suffix[figure.power])}</span><br>'
+        f"<tr><td>{escape(figure.title)} "
+        f'<span class="unit">{escape(suffix[figure.power])}</span><br>'
         f'<code>{escape(name)}</code></td>{"".join(cells)}<td class="place">{place}</td></tr>'
     )
 
 
 def _maps(certificates: Sequence[Certificate]) -> str:
-    """The local fraction in middle planes of the exemplar and of every image, in one scale."""
+    """Draw the local fraction in middle planes of exemplar and images, in one scale."""
     first = certificates[0]
     rows = {"exemplar": first.local_fractions.get("exemplar", {})}
     rows |= {one.name: one.local_fractions.get("image", {}) for one in certificates}
@@ -299,15 +270,14 @@ def _maps(certificates: Sequence[Certificate]) -> str:
         drawn.append('<div class="maps">')
         for axis, plane in maps.items():
             svg = density_map(plane, low=low, high=high, side=170 * max(plane.shape) / largest)
-            drawn.append(
-                f"<figure>{svg}<figcaption>{escape(who)}, middle across {axis}</figcaption></figure>"
-            )
+            caption = f"{escape(who)}, middle across {axis}"
+            drawn.append(f"<figure>{svg}<figcaption>{caption}</figcaption></figure>")
         drawn.append("</div>")
     of = first.about["exemplar"]["phases"]
     what = f"fraction of {of[-1]}" if of else "mean value"
     return (
-        f'<h2>Where it is dense</h2><p class="soft">Local {escape(what)} over windows of medium size: {low:.2g} (white) to '
-        f"{high:.2g} (dark), one scale for all.</p>{''.join(drawn)}"
+        f'<h2>Where it is dense</h2><p class="soft">Local {escape(what)} over windows of medium '
+        f"size: {low:.2g} (white) to {high:.2g} (dark), one scale for all.</p>{''.join(drawn)}"
     )
 
 
@@ -325,7 +295,7 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     lines = {name: _with_covariance(curves) for name, curves in lines.items()}
     parts = [_with_covariance(part) for part in first.curves["parts"]]
     figures = []
-    for name, title in (_CURVES | _phase_curves(lines["exemplar"])).items():
+    for name, title in _curve_titles(lines["exemplar"]).items():
         if name in lines["exemplar"]:
             spread = np.array([part[name] for part in parts])
             figures.append(
@@ -338,23 +308,29 @@ def _curves(certificates: Sequence[Certificate]) -> str:
                     baseline=baseline,
                 )
             )
-    told = f"spread of {len(parts)} parts of the exemplar" if parts else None
-    return f'<h2>Curves</h2>{key(list(lines), band=told, baseline=baseline)}<div class="figures">{"".join(figures)}</div>'
+    spread_of = f"spread of {len(parts)} parts of the exemplar" if parts else None
+    return (
+        f"<h2>Curves</h2>{key(list(lines), band=spread_of, baseline=baseline)}"
+        f'<div class="figures">{"".join(figures)}</div>'
+    )
 
 
-def _phase_curves(curves: Mapping[str, Any]) -> dict[str, str]:
-    """Titles of the curves of single phases and of pairs of them, without those along an axis."""
+def _curve_titles(curves: Mapping[str, Any]) -> dict[str, str]:
+    """Return the titles of the curves that are drawn; of single phases and pairs without those
+    along an axis.
+    """
     stems = {
-        "two_point": "Two-point function",
-        "lineal_path": "Lineal path",
-        "cross": "Cross-correlation",
+        "two_point": DESCRIPTORS["two_point"].title,
+        "lineal_path": DESCRIPTORS["lineal_path"].title,
+        "cross": DESCRIPTORS["cross_correlation"].title,
     }
-    found = {}
+    single = {one.name: one.title for one in select(source="") if one.curve}
+    found = _CURVES | {name: title for name, title in single.items() if name in curves}
     for name in curves:
         stem = next((known for known in stems if name.startswith(f"{known}_")), None)
         if (
             stem
-            and name not in _CURVES
+            and name not in found
             and "_axis_" not in name
             and name[-2:] not in ("_z", "_y", "_x")
         ):
@@ -395,7 +371,7 @@ def _section(certificate: Certificate) -> str:
 
 
 def _physics(certificate: Certificate) -> str:
-    """Whether the solvers converged, and what halving the voxel changes."""
+    """Tabulate whether the solvers converged, and what halving the voxel changes."""
     details = certificate.about.get("physics")
     if not details:
         return ""
@@ -418,8 +394,9 @@ def _physics(certificate: Certificate) -> str:
     heads = ("Image", "Property", "converged", "flux differs by", "halving the voxel changes it by")
     head = "".join(f"<th>{text}</th>" for text in heads)
     return (
-        f"<details><summary>{escape(certificate.name)}: how far to trust transport and stiffness</summary>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></details>"
+        f"<details><summary>{escape(certificate.name)}: how far to trust transport and stiffness"
+        f"</summary><table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+        "</details>"
     )
 
 
@@ -454,16 +431,19 @@ def _json(summary: str, value: Any) -> str:
 
 def _reading(certificates: Sequence[Certificate]) -> str:
     baseline = (
-        f"The {BASELINE} is the baseline: noise, filtered and cut so that fractions and two-point function are the "
-        "exemplar's. Where it passes as well, a figure says little about the material. "
+        f"The {BASELINE} is the baseline: noise, filtered and cut so that fractions and two-point "
+        "function are the exemplar's. Where it passes as well, a figure says little about the "
+        "material. "
         if certificates[0].baseline
         else ""
     )
     return (
-        "<h2>How to read this</h2><p>The real band of a figure is where another sample of the material, as large as the image, "
-        "lies 99 times in 100: the spread of equal parts of the exemplar, extrapolated to the image's size, with the exemplar's "
-        "own uncertainty. Distances fail above the band, and loose parts only where there are more of them than in the "
-        f"exemplar; counts are scaled to the volume. {VERDICTS[None]!r} means that there is nothing to judge by. "
-        "NOT DECIDED means that no figure failed, and that this proves nothing: the reasons stand in the box. "
+        "<h2>How to read this</h2><p>The real band of a figure is where another sample of the "
+        "material, as large as the image, lies 99 times in 100: the spread of equal parts of the "
+        "exemplar, extrapolated to the image's size, with the exemplar's own uncertainty. "
+        "Distances fail above the band, and loose parts only where there are more of them than in "
+        f"the exemplar; counts are scaled to the volume. {VERDICTS[None]!r} means that there is "
+        "nothing to judge by. NOT DECIDED means that no figure failed, and that this proves "
+        "nothing: the reasons stand in the box. "
         f"{baseline}</p>"
     )
