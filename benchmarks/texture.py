@@ -17,7 +17,7 @@ from common import pictures, table
 from descriptors import scans
 from trabecula.core.seeds import generator
 from trabecula.report.descriptors import LabelDescriptors
-from trabecula.report.evenness import shared_windows
+from trabecula.report.evenness import choose_windows
 from trabecula.report.metrics import Metric
 from trabecula.report.reference import Reference
 from trabecula.synth.texture import CAPABILITIES
@@ -72,7 +72,7 @@ def has_setting(name: str) -> bool:
 def reference_of(exemplar: tb.Image) -> Reference:
     """What `tb.verify` holds an image against, measured once for all images of a table."""
     reach = min(50, min(exemplar.shape) // 2 - 1)
-    windows = shared_windows(exemplar, [exemplar])
+    windows = choose_windows(exemplar, [exemplar])
     return Reference(
         exemplar, LabelDescriptors(r_max=reach, level="default", windows=windows), copying=True
     )

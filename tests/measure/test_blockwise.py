@@ -12,12 +12,7 @@ import trabecula as tb
 from trabecula.engine.lazy_volume import Slabs, depth_within, slabs_of
 from trabecula.engine.plan import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
-from trabecula.measure.blockwise import (
-    count_slabs,
-    describe_slabs,
-    forecast,
-    names_without_slabs,
-)
+from trabecula.measure.blockwise import count_slabs, describe_slabs, forecast, names_without_slabs
 from trabecula.measure.labelling import label_components
 from trabecula.measure.streaming import Cubes, Pieces
 

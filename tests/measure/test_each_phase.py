@@ -278,7 +278,7 @@ def test_flat_names_for_lists_of_figures(three):
     )
     assert "two_point_void" not in curves
     assert set(curves) - set(phase_curves(three, r_max=5, cross=False)) == {
-        *("cross_void_active", "cross_void_binder", "cross_active_binder"),
+        *("cross_void_active", "cross_void_binder", "cross_active_binder")
     }
 
 

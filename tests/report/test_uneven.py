@@ -10,11 +10,11 @@ from trabecula.measure import signed_distance
 from trabecula.measure.evenness import depth_of
 from trabecula.measure.streaming.cells import cells_of
 from trabecula.report.evenness import (
+    choose_windows,
     evenness_bands,
     evenness_numbers,
     measure_evenness,
     phases_of,
-    shared_windows,
 )
 
 SIDE = 96
@@ -57,7 +57,7 @@ def fakes(image: tb.Image, amount: float) -> dict[str, tb.Image]:
 
 def list_failures(exemplar: tb.Image, image: tb.Image) -> list[str]:
     """List the figures that fail, by the functions that the certificate calls."""
-    windows = shared_windows(exemplar, [image])
+    windows = choose_windows(exemplar, [image])
     found = [
         measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each))
         for each in (exemplar, image)

@@ -61,7 +61,7 @@ REPORTED = "reported"
 
 # Passes that measure several descriptors together
 PLANES = "planes"
-"""One pass over the planes: `streaming.Numbers`."""
+"""One pass over the planes, see `measure.streaming`."""
 SIZES = "sizes"
 """Largest spheres and mean intercepts, which share their distances."""
 CURVES = "curves"

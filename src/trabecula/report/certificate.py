@@ -34,7 +34,7 @@ from trabecula.report.descriptors import (
     Measurements,
     TextureDescriptors,
 )
-from trabecula.report.evenness import Windows, local_fractions, shared_windows
+from trabecula.report.evenness import Windows, choose_windows, local_fractions
 from trabecula.report.metrics import Metric
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
@@ -203,7 +203,7 @@ def verify(
     reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
     fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
     reach = max(1, min(reach, fits))
-    windows = shared_windows(exemplar, others)
+    windows = choose_windows(exemplar, others)
     descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
     thorough = level != "quick" and exemplar.kind == "labels"
     reference = Reference(exemplar, descriptors, copying=thorough)

@@ -261,7 +261,7 @@ def _segment_scan(image: Image, grey: Grey | None) -> Image | None:
 
 
 def _recommend_for(image: Image, labels: Image | None) -> Recommendation:
-    """Recommend a method for the labels where there are any: a grey volume is segmented first."""
+    """Choose a method for the labels where there are any: a grey volume is segmented first."""
     if image.kind == "grey" and labels is not None:
         found = recommend(labels)
         threshold = labels.recipe.steps[-1]["threshold"]

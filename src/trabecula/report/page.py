@@ -165,7 +165,7 @@ def _about(name: str, about: Mapping[str, Any] | None) -> str:
 
 
 def _group_table(certificates: Sequence[Certificate]) -> str:
-    """Tabulate the verdicts group by group, images side by side and the baseline last."""
+    """Build the table of verdicts, group by group, images side by side and the baseline last."""
     columns = {certificate.name: certificate.groups for certificate in certificates}
     baseline = certificates[0].baseline
     if baseline:
@@ -190,7 +190,7 @@ def _verdict_cell(passed: bool | None, text: str, classes: str = "") -> str:
 
 
 def _figure_table(certificates: Sequence[Certificate]) -> str:
-    """Tabulate the figures of every image beside the exemplar's, band and baseline."""
+    """Build the table of figures: every image, the exemplar, band and baseline."""
     first = certificates[0]
     names = [certificate.name for certificate in certificates]
     marks = (
@@ -371,7 +371,7 @@ def _section(certificate: Certificate) -> str:
 
 
 def _physics(certificate: Certificate) -> str:
-    """Tabulate whether the solvers converged, and what halving the voxel changes."""
+    """Build the table of the solvers: convergence, and the change on halving the voxel."""
     details = certificate.about.get("physics")
     if not details:
         return ""

@@ -29,7 +29,7 @@ from trabecula.report.descriptors import (
     TextureDescriptors,
     flat_numbers,
 )
-from trabecula.report.evenness import local_fractions, shared_windows
+from trabecula.report.evenness import choose_windows, local_fractions
 from trabecula.report.metrics import VOLUME, Metric, in_order, stem
 from trabecula.report.notes import exemplar_notes, span_note
 from trabecula.report.planes import (
@@ -107,7 +107,7 @@ class _Judge:
         self.own, picture = own, own.picture
         labels = picture.kind == "labels"
         cuts = [take_slices(image, plane, 1)[0] for image in images for plane in own.planes]
-        windows = shared_windows(picture, cuts)
+        windows = choose_windows(picture, cuts)
         inner: Any = TextureDescriptors(picture, lags=min(r_max, 32), windows=windows)
         if labels:
             inner = LabelDescriptors(
