@@ -177,10 +177,8 @@ def count_slabs(
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:
     """Count every phase in one pass over all planes, where no phase is named void."""
-    each, counts = (
-        _each_phase(volume, _radial(volume, r_max)),
-        np.zeros(len(volume.phases), np.int64),
-    )
+    each = _each_phase(volume, _radial(volume, r_max))
+    counts = np.zeros(len(volume.phases), np.int64)
     for slab in _iterate_slabs(volume, depth):
         counts += np.bincount(slab.values.ravel(), minlength=len(counts))
         each.add(slab)

@@ -94,11 +94,8 @@ def describe(
         found = describe_numbers(image, level=level) | describe_curves(
             image, r_max=r_max, level=level
         )
-        found |= (
-            describe_physics(image, box=box, halving=True)
-            if level == "full"
-            else dict.fromkeys(PHYSICS)
-        )
+        full = level == "full"
+        found |= describe_physics(image, box=box, halving=True) if full else dict.fromkeys(PHYSICS)
     else:
         counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
         found = outline_without_solid(image, counts, r_max=r_max)
@@ -189,10 +186,8 @@ def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
         bones["DA"] = anisotropy(image) if both else None
         thick, pore = bones["Tb.Th"], bones["Tb.Sp"]
     else:
-        thick, pore = (
-            (None if solid.all() else thickness(image)),
-            (pore_size(image) if solid.any() else None),
-        )
+        thick = None if solid.all() else thickness(image)
+        pore = pore_size(image) if solid.any() else None
     return {
         "pore_size": pore,
         "thickness": thick,

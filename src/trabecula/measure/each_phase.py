@@ -147,11 +147,8 @@ def redundant_beside_solid(image_phases: Sequence[str]) -> Sequence[str]:
     """Return the phases that repeat another's figures in `describe`, which reports the solid's: of
     two, both.
     """
-    return (
-        image_phases
-        if len(image_phases) == 2 and "void" in image_phases
-        else redundant_phases(image_phases, None)
-    )
+    with_void = len(image_phases) == 2 and "void" in image_phases
+    return image_phases if with_void else redundant_phases(image_phases, None)
 
 
 def as_labels(image: Image | ArrayLike, level: str) -> Image:

@@ -176,11 +176,7 @@ def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
     count = len(values)
     # Some distances are of a single number, and scatter like a folded normal: the two-sided
     # quantile covers them as well.
-    further = (
-        student(count - 1, (1 + CONFIDENCE) / 2)
-        * float(np.std(values, ddof=1))
-        * math.sqrt(1 + 1 / count)
-    )
+    further = _reach_of_draw(count, float(np.std(values, ddof=1)))
     whole = sizes.variance(sizes.whole)
     scale = math.sqrt((sizes.variance(sizes.image) + whole) / (1 - whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
@@ -200,13 +196,14 @@ def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
     """
     count = len(values)
     excess = np.abs(np.asarray(values) - own)
-    further = (
-        student(count - 1, (1 + CONFIDENCE) / 2)
-        * float(excess.std(ddof=1))
-        * math.sqrt(1 + 1 / count)
-    )
+    further = _reach_of_draw(count, float(excess.std(ddof=1)))
     scale = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
     return own + scale * (float(excess.mean()) + further)
+
+
+def _reach_of_draw(count: int, deviation: float) -> float:
+    """Return how far one more draw lies from the mean of `count`, which have that deviation."""
+    return student(count - 1, (1 + CONFIDENCE) / 2) * deviation * math.sqrt(1 + 1 / count)
 
 
 def draw_limit(values: Sequence[float], noise: float) -> float:

@@ -158,11 +158,8 @@ def verify(
     The baseline is a thresholded Gaussian field with the exemplar's fraction and two-point function
     (`noise`): where it passes as well, a figure says little.
     """
-    pictures: list[Any] = (
-        list(exemplar)
-        if isinstance(exemplar, (list, tuple)) and _are_images(exemplar)
-        else [exemplar]
-    )
+    several = isinstance(exemplar, (list, tuple)) and _are_images(exemplar)
+    pictures: list[Any] = list(cast(Sequence, exemplar)) if several else [exemplar]
     exemplars = [as_image(picture, name="exemplar") for picture in pictures]
     exemplar = exemplars[0]
     check_name(level, LEVELS, name="level")
@@ -227,11 +224,9 @@ def _level_for(images: Sequence[Any], names: Sequence[str], level: str) -> tuple
     large = [name for image, name in zip(images, names, strict=True) if isinstance(image, Slabs)]
     if not large:
         return level, None
-    left_out = (
-        f": {', '.join(names_without_slabs())}, copying and the baseline were left out"
-        if level != "quick"
-        else ""
-    )
+    left_out = ""
+    if level != "quick":
+        left_out = f": {', '.join(names_without_slabs())}, copying and the baseline were left out"
     return (
         "quick",
         f'Measured slab by slab, at level "quick", for the size of {", ".join(large)}{left_out}.',

@@ -82,9 +82,8 @@ def find_decidable(image: Image, lengths: Sequence[float], stationarity: Station
             f"real material differs by: a side of {2 * LEAST_PART} is the least"
         )
         return Decidable(1, image.shape, "nothing", (reason,))
-    figures = (
-        "textures" if image.kind != "labels" else "fractions, correlations, sizes and connectivity"
-    )
+    figures = "fractions, correlations, sizes and connectivity"
+    figures = figures if image.kind == "labels" else "textures"
     part = tuple(each.stop - each.start for each in boxes[0])
     limits = tuple(_limits(image, lengths, stationarity, len(boxes)))
     return Decidable(len(boxes), part, figures + (" in slices" if image.ndim == 2 else ""), limits)
@@ -141,11 +140,8 @@ def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Ite
             exemplar.spacing
         )
         if shortest < LONG_RANGE * length:
-            reach = (
-                f"over {length:.0f} voxels"
-                if np.isfinite(length)
-                else "further than the curves run"
-            )
+            known = np.isfinite(length)
+            reach = f"over {length:.0f} voxels" if known else "further than the curves run"
             yield (
                 f"{what} is correlated {reach} and only {shortest:.0f} wide: it may be no typical "
                 "part of its material"

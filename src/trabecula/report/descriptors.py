@@ -126,7 +126,7 @@ class LabelDescriptors:
             _curves_of(curves) | lines.curves(image.shape) | each_curves,
             component_sizes(image) / image.values.size,
             physics,
-            self._evenness(local, image),
+            _evenness(local, self.windows, image),
             local,
         )
 
@@ -146,14 +146,9 @@ class LabelDescriptors:
             _curves_of(found) | lines.curves(volume.shape),
             components.sizes() / math.prod(volume.shape),
             {},
-            self._evenness(local, volume),
+            _evenness(local, self.windows, volume),
             local,
         )
-
-    def _evenness(self, local: CellMeans | None, image: Image | Slabs) -> dict[str, Evenness]:
-        if local is None or self.windows is None:
-            return {}
-        return measure_evenness(local, self.windows, phases_of(image))
 
     def distances(self, image: Measurements, exemplar: Measurements) -> dict[str, float]:
         """Return raw, relative and covariance-normalised distances of the curves, and of the
@@ -243,11 +238,9 @@ class TextureDescriptors:
     def __init__(self, exemplar: Image, *, lags: int, windows: Windows | None = None) -> None:
         self.lags, self.windows = lags, windows
         self.bytes = exemplar.values.dtype == np.uint8
-        low, high = (
-            (0.0, 256.0)
-            if self.bytes
-            else (float(exemplar.values.min()), float(exemplar.values.max()))
-        )
+        low, high = 0.0, 256.0
+        if not self.bytes:
+            low, high = float(exemplar.values.min()), float(exemplar.values.max())
         self.edges = np.linspace(low, high if high > low else low + 1, BINS + 1)
 
     def measure(self, image: Image, *, part: bool = False) -> Measurements:
@@ -273,9 +266,7 @@ class TextureDescriptors:
             curves | {f"autocorrelation_{axis}": line for axis, line in lines.items()},
             np.empty(0),
             {},
-            {}
-            if local is None or self.windows is None
-            else measure_evenness(local, self.windows, phases_of(image)),
+            _evenness(local, self.windows, image),
             local,
         )
 
@@ -326,6 +317,14 @@ def flat_numbers(
             numbers[name] = float(np.mean(list(axes.values())))
             numbers |= {f"{name}_{axis}": value for axis, value in axes.items()}
     return numbers
+
+
+def _evenness(
+    local: CellMeans | None, windows: Windows | None, image: Image | Slabs
+) -> dict[str, Evenness]:
+    if local is None or windows is None:
+        return {}
+    return measure_evenness(local, windows, phases_of(image))
 
 
 def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -210,11 +210,8 @@ def inspect(
         )
     image = as_image(image)
     # Of the centre of a larger volume nothing is a margin.
-    margins = (
-        Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
-        if whole
-        else find_margins(image)
-    )
+    none = Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
+    margins = none if whole else find_margins(image)
     inner = crop_margins(image) if margins else image
     structure = measure_structure(inner)
     grey = None if image.kind == "labels" else _grey(inner, structure)
@@ -275,12 +272,9 @@ def _grey(image: Image, structure: Structure) -> Grey:
     values = grey_values(image)
     own = image.values
     low, high = float(values.min()), float(values.max())
-    ends = (
-        (np.iinfo(own.dtype).min, np.iinfo(own.dtype).max)
-        if own.dtype.kind in "iu"
-        else (own.min(), own.max())
-    )
-    saturated = np.count_nonzero((own == ends[0]) | (own == ends[1])) / own.size
+    ends = np.iinfo(own.dtype) if own.dtype.kind in "iu" else None
+    first, last = (ends.min, ends.max) if ends else (own.min(), own.max())
+    saturated = np.count_nonzero((own == first) | (own == last)) / own.size
     noise = float(values.std(dtype=np.float64)) * structure.noise**0.5
     threshold, share = (None, 0.0) if low == high else _otsu(image, values)
     return Grey(8 * own.dtype.itemsize, low, high, saturated, threshold, share, noise)
@@ -307,13 +301,10 @@ def _phases(image: Image) -> dict[str, Phase]:
             continue
         sizes = label_components(inside)[1]
         part = box == number
-        thick = (
-            thickness(part.astype(np.uint8))
-            if part.any() and not part.all() and min(part.shape) > 1
-            else None
-        )
+        mean = None
+        if part.any() and not part.all() and min(part.shape) > 1:
+            mean = float(thickness(part.astype(np.uint8)))
         through = percolates(inside.astype(np.uint8))
-        mean = None if thick is None else float(thick)
         share = float(sizes.max() / sizes.sum())
         found[name] = Phase(
             np.count_nonzero(inside) / inside.size, mean, len(sizes), share, through

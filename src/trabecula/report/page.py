@@ -67,16 +67,9 @@ def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str
     """
     if not certificates:
         raise InputError("a page needs at least one certificate")
-    body = [
-        _front(certificates),
-        _group_table(certificates),
-        _gallery(pictures),
-        _maps(certificates),
-        _curves(certificates),
-        _figure_table(certificates),
-        *(_section(certificate) for certificate in certificates),
-        _reading(certificates),
-    ]
+    body = [_front(certificates), _group_table(certificates), _gallery(pictures)]
+    body += [_maps(certificates), _curves(certificates), _figure_table(certificates)]
+    body += [*map(_section, certificates), _reading(certificates)]
     about = certificates[0].about.get("exemplar")
     if about:
         body.append(_json("Exemplar: fields and recipe", about))
@@ -101,56 +94,44 @@ def write_page(html: str, path: str | Path) -> None:
 
 
 def _front(certificates: Sequence[Certificate]) -> str:
-    boxes = [_box(certificate) for certificate in certificates]
-    lines = [_about("Exemplar", certificates[0].about.get("exemplar"))]
-    lines += [
-        _about(certificate.name, certificate.about.get("image")) for certificate in certificates
-    ]
-    return "<h1>Is it the same material?</h1>" + "".join(boxes) + "".join(lines)
+    lines = [*map(_box, certificates), _about("Exemplar", certificates[0].about.get("exemplar"))]
+    lines += [_about(one.name, one.about.get("image")) for one in certificates]
+    return "<h1>Is it the same material?</h1>" + "".join(lines)
 
 
 def _box(certificate: Certificate) -> str:
     """Return the verdict in words, and what the level did not examine."""
-    kind, word = {True: ("pass", "PASS"), False: ("fail", "FAIL"), None: ("open", "NOT DECIDED")}[
-        certificate.passed
-    ]
-    sentence = headline(certificate)
-    for verdict, short in (
-        (": PASS, ", ": "),
-        (": FAIL in ", ": outside the band in "),
-        (": NOT DECIDED, though", ":"),
-    ):
-        sentence = sentence.replace(verdict, short)
-    items = [text for text in (*sentences(certificate), _gaps(certificate)) if text]
-    listed = "".join(f"<li>{escape(text)}</li>" for text in items)
-    reasons = f"<ul>{listed}</ul>" if listed else ""
+    kind, word, long, short = {
+        True: ("pass", "PASS", ": PASS, ", ": "),
+        False: ("fail", "FAIL", ": FAIL in ", ": outside the band in "),
+        None: ("open", "NOT DECIDED", ": NOT DECIDED, though", ":"),
+    }[certificate.passed]
+    sentence, items = headline(certificate).replace(long, short), _items(certificate)
+    reasons = f"<ul>{items}</ul>" if items else ""
     return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{reasons}</div>'
 
 
-def _gaps(certificate: Certificate) -> str:
-    """Return what the level left out."""
-    return {
+def _items(certificate: Certificate) -> str:
+    """Return the verdict in words as a list, and what the level left out."""
+    left_out = {
         "quick": "Not examined: thickness, pore size, phases one by one, clusters, copying, "
         "transport, stiffness.",
         "default": "Not examined: transport and stiffness (--full).",
-    }.get(str(certificate.about.get("level")), "")
+    }.get(str(certificate.about.get("level")))
+    texts = [*sentences(certificate), *([left_out] if left_out else [])]
+    return "".join(f"<li>{escape(text)}</li>" for text in texts)
 
 
 def summary_html(certificate: Certificate) -> str:
     """Return the verdict and the groups of a certificate for a notebook, free of a page's style."""
-    border = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}[
-        certificate.passed
-    ]
-    listed = "".join(
-        f"<li>{escape(text)}</li>" for text in (*sentences(certificate), _gaps(certificate)) if text
-    )
+    borders = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}
     rows = "".join(
         f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>"
         for group, passed in certificate.groups.items()
     )
     return (
-        f'<div style="border:{border};padding:.5em 1em">'
-        f"<b>{escape(headline(certificate))}</b><ul>{listed}</ul></div>"
+        f'<div style="border:{borders[certificate.passed]};padding:.5em 1em">'
+        f"<b>{escape(headline(certificate))}</b><ul>{_items(certificate)}</ul></div>"
         f"<table>{rows}</table>"
     )
 
@@ -193,21 +174,17 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
     """Build the table of figures: every image, the exemplar, band and baseline."""
     first = certificates[0]
     names = [certificate.name for certificate in certificates]
-    marks = (
-        names
-        if len(names) == 1
-        else [f"{place} {name}" for place, name in enumerate(names, start=1)]
-    )
-    heads = [*marks, "exemplar", "real band", *([BASELINE] if first.baseline else [])]
+    if len(names) > 1:
+        names = [f"{place} {name}" for place, name in enumerate(names, start=1)]
+    heads = [*names, "exemplar", "real band", *([BASELINE] if first.baseline else [])]
     head = "".join(f'<th class="n">{escape(text)}</th>' for text in heads)
     rows, group = [], None
     for name in first.metrics:
         figure = find_descriptor(name)
         if figure.group != group:
             group = figure.group
-            rows.append(
-                f'<tr class="group"><th colspan="{len(heads) + 2}">{GROUPS[group]}</th></tr>'
-            )
+            head_cell = f'<th colspan="{len(heads) + 2}">{GROUPS[group]}</th>'
+            rows.append(f'<tr class="group">{head_cell}</tr>')
         rows.append(_row(name, certificates))
     return (
         f"<h2>Figures</h2><table><thead><tr><th>Figure</th>{head}"
@@ -219,35 +196,25 @@ def _figure_table(certificates: Sequence[Certificate]) -> str:
 def _row(name: str, certificates: Sequence[Certificate]) -> str:
     figure = find_descriptor(name)
     unit = certificates[0].about.get("image", {}).get("unit", "voxel")
-    suffix = {
-        0: "",
-        1: unit,
-        2: f"{unit}\u00b2",
-        -1: f"1/{unit}",
-        -2: f"1/{unit}\u00b2",
-        -3: f"1/{unit}\u00b3",
-    }
+    power = unit + {1: "", 2: "\u00b2", 3: "\u00b3"}.get(abs(figure.power), "")
+    suffix = "" if figure.power == 0 else power if figure.power > 0 else f"1/{power}"
     metrics = [certificate.metrics[name] for certificate in certificates]
     first, baseline = metrics[0], certificates[0].baseline
     cells = [_verdict_cell(metric.passed, number(metric.value), "n") for metric in metrics]
     cells += [f'<td class="n">{number(first.exemplar)}</td>', f'<td class="n">{band(first)}</td>']
     if baseline:
         other = baseline.get(name)
-        cells.append(
-            _verdict_cell(other.passed, number(other.value), "n soft") if other else "<td></td>"
-        )
+        own = _verdict_cell(other.passed, number(other.value), "n soft") if other else "<td></td>"
+        cells.append(own)
     place = ""
     if first.real_band is not None:
         # Counts are scaled to each image's volume: the first image's place alone.
-        shown = (
-            metrics
-            if all(metric.real_band == first.real_band for metric in metrics)
-            else metrics[:1]
-        )
-        place = place_plot([metric.value for metric in shown], first.real_band, first.exemplar)
+        alike = all(metric.real_band == first.real_band for metric in metrics)
+        values = [metric.value for metric in (metrics if alike else metrics[:1])]
+        place = place_plot(values, first.real_band, first.exemplar)
     return (
         f"<tr><td>{escape(figure.title)} "
-        f'<span class="unit">{escape(suffix[figure.power])}</span><br>'
+        f'<span class="unit">{escape(suffix)}</span><br>'
         f'<code>{escape(name)}</code></td>{"".join(cells)}<td class="place">{place}</td></tr>'
     )
 
@@ -260,18 +227,15 @@ def _maps(certificates: Sequence[Certificate]) -> str:
     planes = [plane for maps in rows.values() for plane in maps.values()]
     if not planes:
         return ""
-    low, high = (
-        min(float(plane.min()) for plane in planes),
-        max(float(plane.max()) for plane in planes),
-    )
+    low = min(float(plane.min()) for plane in planes)
+    high = max(float(plane.max()) for plane in planes)
     largest = max(max(plane.shape) for plane in planes)
     drawn = []
     for who, maps in rows.items():
         drawn.append('<div class="maps">')
         for axis, plane in maps.items():
             svg = density_map(plane, low=low, high=high, side=170 * max(plane.shape) / largest)
-            caption = f"{escape(who)}, middle across {axis}"
-            drawn.append(f"<figure>{svg}<figcaption>{caption}</figcaption></figure>")
+            drawn.append(_figure(svg, f"{escape(who)}, middle across {axis}"))
         drawn.append("</div>")
     of = first.about["exemplar"]["phases"]
     what = f"fraction of {of[-1]}" if of else "mean value"
@@ -285,10 +249,8 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     first = certificates[0]
     if not first.curves:
         return ""
-    lines = {
-        "exemplar": first.curves["exemplar"],
-        **{c.name: c.curves["image"] for c in certificates},
-    }
+    lines = {"exemplar": first.curves["exemplar"]}
+    lines |= {one.name: one.curves["image"] for one in certificates}
     baseline = BASELINE if "baseline" in first.curves else None
     if baseline:
         lines[baseline] = first.curves["baseline"]
@@ -319,21 +281,14 @@ def _curve_titles(curves: Mapping[str, Any]) -> dict[str, str]:
     """Return the titles of the curves that are drawn; of single phases and pairs without those
     along an axis.
     """
-    stems = {
-        "two_point": DESCRIPTORS["two_point"].title,
-        "lineal_path": DESCRIPTORS["lineal_path"].title,
-        "cross": DESCRIPTORS["cross_correlation"].title,
-    }
+    stems = {name: DESCRIPTORS[name].title for name in ("two_point", "lineal_path")}
+    stems["cross"] = DESCRIPTORS["cross_correlation"].title
     single = {one.name: one.title for one in select(source="") if one.curve}
     found = _CURVES | {name: title for name, title in single.items() if name in curves}
     for name in curves:
         stem = next((known for known in stems if name.startswith(f"{known}_")), None)
-        if (
-            stem
-            and name not in found
-            and "_axis_" not in name
-            and name[-2:] not in ("_z", "_y", "_x")
-        ):
+        along_axis = "_axis_" in name or name[-2:] in ("_z", "_y", "_x")
+        if stem and name not in found and not along_axis:
             found[name] = f"{stems[stem]} of {name[len(stem) + 1 :]}"
     return found
 
@@ -358,12 +313,10 @@ def _step(name: str, spacing: Sequence[float]) -> float:
 
 def _section(certificate: Certificate) -> str:
     notes = "".join(f"<li>{escape(note)}</li>" for note in certificate.notes)
+    if notes:
+        notes = f'<h2>{escape(certificate.name)}: notes</h2><ul class="notes">{notes}</ul>'
     return (
-        (
-            f'<h2>{escape(certificate.name)}: notes</h2><ul class="notes">{notes}</ul>'
-            if notes
-            else ""
-        )
+        notes
         + _physics(certificate)
         + _json(f"{certificate.name}: figures as JSON", certificate.to_json())
         + _json(f"{certificate.name}: fields and recipe", certificate.about.get("image", {}))
@@ -381,16 +334,10 @@ def _physics(certificate: Certificate) -> str:
         for what, axes in (details[who].get("physics") or {}).items():
             for axis, result in axes.items():
                 halving = "" if result["halving"] is None else f"{result['halving']:+.1%}"
-                cells = (
-                    name,
-                    f"{what} {axis}",
-                    "yes" if result["converged"] else "NO",
-                    f"{result['imbalance']:.2%}",
-                    halving,
-                )
-                rows.append(
-                    "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
-                )
+                settled = "yes" if result["converged"] else "NO"
+                cells = (name, f"{what} {axis}", settled, f"{result['imbalance']:.2%}", halving)
+                row = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+                rows.append(f"<tr>{row}</tr>")
     heads = ("Image", "Property", "converged", "flux differs by", "halving the voxel changes it by")
     head = "".join(f"<th>{text}</th>" for text in heads)
     return (
@@ -405,8 +352,12 @@ def _gallery(pictures: Pictures) -> str:
     for caption, source in pictures:
         text = base64.b64encode(_png(source)).decode()
         image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{text}">'
-        figures.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
+        figures.append(_figure(image, escape(caption)))
     return f'<h2>Side by side</h2><div class="figures">{"".join(figures)}</div>' if figures else ""
+
+
+def _figure(content: str, caption: str) -> str:
+    return f"<figure>{content}<figcaption>{caption}</figcaption></figure>"
 
 
 def _png(source: str | Path | bytes) -> bytes:
@@ -434,9 +385,9 @@ def _reading(certificates: Sequence[Certificate]) -> str:
         f"The {BASELINE} is the baseline: noise, filtered and cut so that fractions and two-point "
         "function are the exemplar's. Where it passes as well, a figure says little about the "
         "material. "
-        if certificates[0].baseline
-        else ""
     )
+    if not certificates[0].baseline:
+        baseline = ""
     return (
         "<h2>How to read this</h2><p>The real band of a figure is where another sample of the "
         "material, as large as the image, lies 99 times in 100: the spread of equal parts of the "

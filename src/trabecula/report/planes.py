@@ -54,11 +54,9 @@ def slice_planes(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[S
     found = find_views(pictures, views)
     numbers = [0] * len(views) if len(pictures) == 1 else list(range(len(views)))
     # A view's own picture is turned already; here slices are turned as the picture lies.
-    named = (
-        list(zip(views, numbers, strict=True))
-        if views
-        else [(view.plane, view.picture) for view in found]
-    )
+    named = [(view.plane, view.picture) for view in found]
+    if views:
+        named = list(zip(views, numbers, strict=True))
     faces = []
     for number, picture in enumerate(pictures):
         planes = tuple(plane for plane, of in named if of == number)

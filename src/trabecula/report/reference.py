@@ -137,11 +137,8 @@ class Reference:
     def _judge_local(
         self, own: Evenness, image: Evenness, suffix: str, whats: Sequence[str]
     ) -> dict[str, Metric]:
-        bands = (
-            evenness_bands(own, image, suffix, whats=whats)
-            if len(self.parts) >= LEAST_COUNT
-            else {}
-        )
+        enough = len(self.parts) >= LEAST_COUNT
+        bands = evenness_bands(own, image, suffix, whats=whats) if enough else {}
         known = evenness_numbers(own, suffix, whats=whats)
         found = {}
         for name, value in evenness_numbers(image, suffix, whats=whats).items():
@@ -179,14 +176,10 @@ class Reference:
             return Metric(value, None, holds if self.parts else None, own)
         # Counts grow with the volume: their density is judged, and shown for the volume of the
         # image.
-        volumes = (
-            [np.prod(part.shape) for part in self.parts]
-            if rule == COUNT
-            else [1.0] * len(self.parts)
-        )
-        scale, whole = (
-            (np.prod(measured.shape), np.prod(self.exemplar.shape)) if rule == COUNT else (1.0, 1.0)
-        )
+        counted = rule == COUNT
+        volumes = [np.prod(part.shape) if counted else 1.0 for part in self.parts]
+        scale = np.prod(measured.shape) if counted else 1.0
+        whole = np.prod(self.exemplar.shape) if counted else 1.0
         numbers = [part.numbers.get(name) for part in self.parts]
         known = [n / volume for n, volume in zip(numbers, volumes, strict=True) if n is not None]
         shown = None if own is None else own * scale / whole

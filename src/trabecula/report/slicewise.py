@@ -84,10 +84,8 @@ def judge_volumes(
         if details:
             about["physics"] = {"exemplar": {}, "image": details}
         ordered = {name: metrics[name] for name in in_order(metrics)}
-        notes = (
-            *(note for judge in judges for note in judge.notes()),
-            *_volume_notes(ordered, details),
-        )
+        own_notes = (note for judge in judges for note in judge.notes())
+        notes = (*own_notes, *_volume_notes(ordered, details))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
         reasons = [reason for judge in judges for reason in judge.reasons(level)]
         reasons += [picture_reason()] if images[0].kind == "labels" else []

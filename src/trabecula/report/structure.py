@@ -146,11 +146,9 @@ def _first_below(curve: np.ndarray) -> float:
 def _last_below(curve: np.ndarray) -> float:
     """Return where a curve falls below 1/e for good, between its samples."""
     r = int(np.flatnonzero(curve >= np.exp(-1))[-1])
-    return (
-        float("inf")
-        if r == len(curve) - 1
-        else float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
-    )
+    if r == len(curve) - 1:
+        return float("inf")
+    return float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
 
 
 def _order(

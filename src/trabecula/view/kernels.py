@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.view.rays import FAR, hit
+from trabecula.view.rays import FAR, hit, point
 from trabecula.view.shading import DEPTH, add_reflection, openness, way_through
 
 
@@ -64,11 +64,7 @@ def march(
                     for c in range(3):
                         out[row, column, c] += share * palette[0, c]
                     continue
-                x, y, z = (
-                    origin[0] + t * direction[0],
-                    origin[1] + t * direction[1],
-                    origin[2] + t * direction[2],
-                )
+                x, y, z = point(origin, direction, t)
                 phase = _label(labels, x, y, z, normal)
                 nx, ny, nz = normal[0] / stretch[0], normal[1] / stretch[1], normal[2] / stretch[2]
                 way = way_through(

@@ -22,6 +22,16 @@ FAR = 1e30
 
 
 @inline
+def point(origin, direction, t):
+    """Return the point of a ray at length t."""
+    return (
+        origin[0] + t * direction[0],
+        origin[1] + t * direction[1],
+        origin[2] + t * direction[2],
+    )
+
+
+@inline
 def sample(field, x, y, z):
     """Interpolate trilinearly, edge values repeated."""
     u = min(max(x - 0.5, 0.0), field.shape[2] - 1.0)
@@ -29,11 +39,8 @@ def sample(field, x, y, z):
     w = min(max(z - 0.5, 0.0), field.shape[0] - 1.0)
     i, j, k = int(u), int(v), int(w)
     fu, fv, fw = u - i, v - j, w - k
-    i1, j1, k1 = (
-        min(i + 1, field.shape[2] - 1),
-        min(j + 1, field.shape[1] - 1),
-        min(k + 1, field.shape[0] - 1),
-    )
+    i1, j1 = min(i + 1, field.shape[2] - 1), min(j + 1, field.shape[1] - 1)
+    k1 = min(k + 1, field.shape[0] - 1)
     low = (field[k, j, i] * (1 - fu) + field[k, j, i1] * fu) * (1 - fv) + (
         field[k, j1, i] * (1 - fu) + field[k, j1, i1] * fu
     ) * fv
@@ -132,11 +139,7 @@ def _first_inside(field, occupied, origin, direction, start, stop):
     before = start
     t = start
     while t < stop:
-        x, y, z = (
-            origin[0] + t * direction[0],
-            origin[1] + t * direction[1],
-            origin[2] + t * direction[2],
-        )
+        x, y, z = point(origin, direction, t)
         jump = _skip(occupied, x, y, z, direction)
         if jump > 0:
             before = t
@@ -146,11 +149,7 @@ def _first_inside(field, occupied, origin, direction, start, stop):
             inside = t
             for _ in range(6):
                 middle = (before + inside) / 2
-                x, y, z = (
-                    origin[0] + middle * direction[0],
-                    origin[1] + middle * direction[1],
-                    origin[2] + middle * direction[2],
-                )
+                x, y, z = point(origin, direction, middle)
                 if sample(field, x, y, z) >= ISO:
                     inside = middle
                 else:
@@ -179,11 +178,7 @@ def _gradient(field, x, y, z, stretch, normal):
 @inline
 def _in_plane(field, origin, direction, t):
     """Return whether a ray that comes through a plane at `t` is in the solid there."""
-    x, y, z = (
-        origin[0] + t * direction[0],
-        origin[1] + t * direction[1],
-        origin[2] + t * direction[2],
-    )
+    x, y, z = point(origin, direction, t)
     return sample(field, x, y, z) >= ISO
 
 
@@ -214,11 +209,7 @@ def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal)
             return first, True
         t = _first_inside(field, occupied, origin, direction, first, last - 1e-6)
         if t < FAR:
-            x, y, z = (
-                origin[0] + t * direction[0],
-                origin[1] + t * direction[1],
-                origin[2] + t * direction[2],
-            )
+            x, y, z = point(origin, direction, t)
             if not _gradient(field, x, y, z, stretch, normal):
                 normal[:] = viewer
             return t, False

@@ -158,9 +158,8 @@ class Scene:
     ) -> tuple[np.ndarray, float]:
         """Return (H, W, 3) uint8 with its scale bar, and the edge of a pixel."""
         view = self.camera(angles, pixel)
-        return _with_bar(
-            to_srgb(self.light(view)), view.pixel, self.image.unit, self.look, self.margin
-        ), view.pixel
+        light = to_srgb(self.light(view))
+        return _with_bar(light, view.pixel, self.image.unit, self.look, self.margin), view.pixel
 
     def light(self, view: Camera) -> np.ndarray:
         """Compute the linear light, (H, W, 3)."""
@@ -175,30 +174,9 @@ class Scene:
         strength = np.array([LAMP_STRENGTH, AMBIENCE, FILL])
         palette = _palette(self.image, self.look)
         finishes = np.array([self.look.finish] * len(self.image.phases))
-        volume = self.volume
-        scene = (
-            volume.field,
-            volume.labels,
-            volume.occupied,
-            volume.pyramid,
-            volume.offsets,
-            volume.shapes,
-        )
-        stage = (
-            view.in_voxels(self.edges),
-            stretch,
-            self.cut.box,
-            self.cut.plane,
-            all_round(),
-            lights,
-            strength,
-        )
-        for_slabs(
-            lambda first, last: kernels.march(
-                *scene, *stage, palette, finishes, SAMPLING, first, last, light
-            ),
-            len(light),
-        )
+        rays = (view.in_voxels(self.edges), stretch, self.cut.box, self.cut.plane, all_round())
+        given = (*self.volume, *rays, lights, strength, palette, finishes, SAMPLING)
+        for_slabs(lambda first, last: kernels.march(*given, first, last, light), len(light))
         return light
 
 

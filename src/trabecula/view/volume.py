@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ LEVELS = 6
 WEIGHTS = np.array([3, 51, 148, 51, 3], np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(NamedTuple):
     """Arrays for `kernels.march`; see there."""
 
     field: np.ndarray

@@ -102,8 +102,8 @@ def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> st
     """
     style, script = _asset("page.css"), _script()
     policy = (
-        f"default-src 'none'; script-src 'sha256-{_hash(script)}'; style-src "
-        f"'sha256-{_hash(style)}'; "
+        f"default-src 'none'; script-src 'sha256-{_hash(script)}'; "
+        f"style-src 'sha256-{_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     tables = {

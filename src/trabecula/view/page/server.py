@@ -152,20 +152,15 @@ def serve(
     """
     with PageServer(html, port=port) as server:
         if browser and has_display() and webbrowser.open(server.url):
-            line = (
-                f"the page is open in your browser, from {HOST}:{server.server_port}; Ctrl-C ends "
-                "it"
-            )
+            place = f"{HOST}:{server.server_port}"
+            line = f"the page is open in your browser, from {place}; Ctrl-C ends it"
         elif tell is None:
             raise InputError(
                 "no browser was found on this machine: save(path) writes the page as a file"
             )
         else:
             found = "no browser was found on this machine: open" if browser else "open"
-            line = (
-                f"{found} {server.url} (works once; Ctrl-C ends it; --html FILE writes a file "
-                "instead)"
-            )
+            line = f"{found} {server.url} (works once; Ctrl-C ends it; --html FILE writes a file)"
         if tell is not None:
             tell(line)
         with contextlib.suppress(KeyboardInterrupt):

@@ -171,12 +171,10 @@ def _phases(image: Image) -> list[dict[str, Any]]:
 def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
     unit = "voxels" if image.unit == "voxel" else image.unit
     sides = [f"{side * edge:.4g}" for side, edge in zip(image.shape, image.spacing, strict=True)]
+    axes = "(z, y, x)" if image.ndim == 3 else "(y, x)"
     facts = [
         ["Kind", image.kind],
-        [
-            "Voxels",
-            " x ".join(map(str, image.shape)) + (" (z, y, x)" if image.ndim == 3 else " (y, x)"),
-        ],
+        ["Voxels", f"{' x '.join(map(str, image.shape))} {axes}"],
         ["Voxel", " x ".join(f"{edge:g}" for edge in image.spacing) + f" {image.unit}"],
         ["Size", " x ".join(sides) + f" {unit}"],
     ]
@@ -185,9 +183,8 @@ def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
         facts.append(["Phases", ", ".join(shares)])
     made = next((step for step in reversed(image.recipe.steps) if "method" in step), None)
     if made is not None:
-        facts.append(
-            ["Made by", f"{made['method']}" + (f", seed {made['seed']}" if "seed" in made else "")]
-        )
+        seed = f", seed {made['seed']}" if "seed" in made else ""
+        facts.append(["Made by", f"{made['method']}{seed}"])
     return facts
 
 
@@ -234,16 +231,11 @@ def _rows(certificate: Any) -> list[list[str]]:
             "certificate: give what tb.verify returns, or what `trabecula verify --json` prints"
         )
     key = {one.name for one in DESCRIPTORS.values() if one.key}
-    shown = [name for name in metrics if name in key or metrics[name].get("pass") is False]
     verdicts = {True: "pass", False: "fail", None: ""}
     return [
-        [
-            name,
-            _number(metrics[name].get("value")),
-            _band(metrics[name].get("real_band")),
-            verdicts[metrics[name].get("pass")],
-        ]
-        for name in shown
+        [name, _number(one.get("value")), _band(one.get("real_band")), verdicts[one.get("pass")]]
+        for name, one in metrics.items()
+        if name in key or one.get("pass") is False
     ]
 
 
