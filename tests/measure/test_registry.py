@@ -84,6 +84,12 @@ def height(image: tb.Image, *, phase: str = "solid") -> float:
     return float(np.nonzero(inside)[0].mean() * image.spacing[0])
 
 
+def reach(image: tb.Image) -> dict[str, float]:
+    """Return the mean place of the solid along every axis: a toy."""
+    places = np.nonzero(image.values == 1)
+    return {axis: float(along.mean()) for axis, along in zip("zyx", places, strict=True)}
+
+
 def decay(image: tb.Image, *, r_max: int) -> np.ndarray:
     """Return a toy curve."""
     return np.arange(r_max + 1) * height(image)
@@ -93,6 +99,9 @@ TOYS = (
     Descriptor(
         name="toy_height", title="Toy height", group="shape", measure=height, power=1,
         level="default", each=("phase",), meaning="Mean height of the solid.",
+    ),
+    Descriptor(
+        name="toy_reach", title="Toy reach", group="shape", measure=reach, power=1, by_axis=True,
     ),
     Descriptor(name="toy_decay", title="Toy decay", measure=decay, curve=True),
     Descriptor(
@@ -120,7 +129,7 @@ def test_a_new_entry_is_described_and_judged_and_shown_and_documented(foam, toys
     assert describe(foam, level="quick")["toy_height"] is None
     slabs = describe_slabs(slabs_of(foam))
     assert set(slabs) == set(found) and slabs["toy_height"] is None
-    assert any("toy_height, toy_decay" in note for note in slabs["notes"])
+    assert any("toy_height, toy_reach, toy_decay" in note for note in slabs["notes"])
 
     exemplar, image = (tb.Image(smooth(n, (50, 50, 50)) > 0, "labels") for n in (1, 2))
     certificate = verify(exemplar, image, r_max=10)
@@ -129,6 +138,8 @@ def test_a_new_entry_is_described_and_judged_and_shown_and_documented(foam, toys
     assert metrics["toy_height_void"]["pass"] in (True, False)
     assert metrics["toy_distance"]["value"] > 0 and metrics["toy_distance"]["real_band"][0] == 0
     assert json.loads(json.dumps(certificate.to_json(), allow_nan=False))
+    assert metrics["toy_reach_x"]["value"] == reach(image)["x"]
+    assert metrics["toy_reach"]["value"] == np.mean(list(reach(image).values()))
     assert "toy_height" not in verify(exemplar, image, level="quick").metrics
     html = page([certificate])
     assert "Toy height of void" in html and "<code>toy_distance</code>" in html

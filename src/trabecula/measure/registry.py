@@ -117,7 +117,7 @@ class Descriptor:
     each: tuple[str, ...] = ()
     """Measured of every "phase", "pair" or "triple" of phases as well."""
     by_axis: bool = False
-    """One value for each axis; the certificate adds their mean."""
+    """One value for each axis, by its name; the certificate adds their mean."""
     curve: bool = False
     """A function of the distance (then `measure` takes `r_max=`) or a histogram, not a number."""
     compares: str = ""

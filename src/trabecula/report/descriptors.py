@@ -25,7 +25,7 @@ from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten
 from trabecula.measure.orientation import orientation
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.phases import as_inside, indicator
-from trabecula.measure.registry import DESCRIPTORS, PHYSICS, measure_one_by_one, select
+from trabecula.measure.registry import AXES, DESCRIPTORS, PHYSICS, measure_one_by_one, select
 from trabecula.measure.streaming import Lines
 from trabecula.measure.streaming.cells import CellMeans, CellSums, cells_of
 from trabecula.measure.streaming.lines import Crossings
@@ -310,8 +310,11 @@ def flat_numbers(
     numbers["percolating_fraction"] = float(np.mean(list(found["percolating_fraction"].values())))
     if found["morphometry"]:
         numbers["trabecular_number"] = found["morphometry"]["Tb.N"]
-    for name in (one.name for one in select(source=PHYSICS) if one.group):
-        axes = physics.get(name)
+    by_axis = {one.name: physics.get(one.name) for one in select(source=PHYSICS) if one.group}
+    for one in select(source="", kind="labels"):
+        if one.by_axis and one.rule != AXES:
+            by_axis[one.name] = numbers.pop(one.name, None)
+    for name, axes in by_axis.items():
         if axes:
             axes = axes["moduli"] if name == "stiffness" else axes
             numbers[name] = float(np.mean(list(axes.values())))
