@@ -26,8 +26,8 @@ def test_importing_the_package_loads_nothing():
 def test_every_public_name_is_there():
     assert loaded(
         "import trabecula as tb\nfor name in tb.__all__: getattr(tb, name)",
-        ("trabecula.pipeline.demo",),
-    ) == ["trabecula.pipeline.demo"]
+        ("trabecula.pipeline.outputs",),
+    ) == ["trabecula.pipeline.outputs"]
 
 
 def test_the_nouns_need_numpy_alone():

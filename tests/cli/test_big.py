@@ -1,4 +1,4 @@
-"""Runs in blocks as a user types them: killed and gone on with, cut in any way, forecast, refused."""
+"""Runs in blocks as a user types them: killed and resumed, divided in any way, forecast, refused."""
 
 import importlib.util
 import json
@@ -145,7 +145,7 @@ def test_the_blocks_of_another_run_are_not_lost(interrupted):
     [
         (
             ("nothing.zarr",),
-            "nothing to go on from: no run that makes nothing.zarr was interrupted",
+            "nothing to resume: no run that makes nothing.zarr was interrupted",
         ),
         (("big.zarr", "--shape", "9"), "--shape beside --resume"),
         (("big.zarr", "--seed", "0"), "--seed beside --resume"),
@@ -172,7 +172,7 @@ def test_a_part_that_says_nothing_is_left_alone(place):
     for make in (lambda path: path.write_bytes(b"mine"), lambda path: path.mkdir()):
         part = Path("x.zarr.part")
         make(part)
-        assert "does not tell what run left it" in refused("generate", "--resume", "x.zarr")
+        assert "does not say which run left it" in refused("generate", "--resume", "x.zarr")
         assert part.exists()
         shutil.rmtree(part) if part.is_dir() else part.unlink()
 

@@ -9,7 +9,8 @@ import pytest
 import trabecula as tb
 from commands import SMALL, refused, trabecula
 from trabecula.finish import OPERATIONS
-from trabecula.pipeline.demo import load_mask, replay
+from trabecula.pipeline.inputs import load_mask
+from trabecula.pipeline.replay import replay
 
 
 def ball(side):

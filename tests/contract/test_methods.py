@@ -28,7 +28,8 @@ from trabecula.errors import (
     RequestError,
     UnknownNameError,
 )
-from trabecula.pipeline.demo import generate_to, replay
+from trabecula.pipeline.generate import generate_to
+from trabecula.pipeline.replay import replay
 from trabecula.synth.api.registry import methods
 
 SPECS = methods()

@@ -17,7 +17,8 @@ from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
 from trabecula.engine.multiscale import halved
 from trabecula.engine.storage.location import Folder, Remote, is_address, located, place_of
 from trabecula.errors import FileError, MemoryBudgetError, MissingExtraError
-from trabecula.pipeline.generate import generate_to, plan_to
+from trabecula.pipeline.generate import generate_to
+from trabecula.pipeline.plan import plan_to
 
 SHAPE = (70, 33, 40)
 FIELDS = {

@@ -36,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what was found. A part that would be refused is a result, not an error: status 0."""
     from trabecula.finish import print_check
+    from trabecula.io.lengths import with_lengths
     from trabecula.io.units import to_metres
     from trabecula.mesh.sizes import say_size
-    from trabecula.pipeline.demo import with_lengths
 
     limits = shared.settings(options.set)
     image = with_lengths(

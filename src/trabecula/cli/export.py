@@ -32,12 +32,13 @@ def run(options: argparse.Namespace) -> int:
     from pathlib import Path
 
     from trabecula.io.files import read, write
+    from trabecula.io.lengths import with_lengths
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
-    from trabecula.pipeline.demo import check_target, with_lengths
+    from trabecula.pipeline.outputs import check_target
 
     check_target(options.out, surfaces=True)
     volume = _too_large(options)
@@ -71,8 +72,8 @@ def _too_large(options: argparse.Namespace) -> Any:
     """The volume in slabs, where its surface would not fit into memory and can be written so."""
     from pathlib import Path
 
+    from trabecula.io.lazy import slabs_if_large
     from trabecula.mesh.slabs import in_core_bytes
-    from trabecula.pipeline.demo import slabs_if_large
 
     if Path(options.out).suffix.lower() != ".stl":
         return None
@@ -81,8 +82,8 @@ def _too_large(options: argparse.Namespace) -> Any:
 
 def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     """Write the surface slab by slab. A check would need all of it at once."""
+    from trabecula.io.lengths import with_lengths
     from trabecula.mesh.slabs import export_slabs
-    from trabecula.pipeline.demo import with_lengths
 
     volume = with_lengths(volume, **shared.lengths(options))
     found = export_slabs(volume, options.out, phase=options.phase, memory=options.memory)

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the field and write it."""
     from trabecula.io.files import write
-    from trabecula.pipeline.demo import check_target
+    from trabecula.pipeline.outputs import check_target
 
     check_target(options.out)
     field = _MAKERS[options.made](options)
@@ -200,7 +200,7 @@ def _add_picture(parser: argparse.ArgumentParser) -> None:
 
 def _picture(options: argparse.Namespace) -> Any:
     from trabecula import fields
-    from trabecula.pipeline.demo import load
+    from trabecula.pipeline.inputs import load
 
     given = _grid(options)
     ends: dict[str, Any] = {
@@ -231,7 +231,7 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
 
 def _interpolate(options: argparse.Namespace) -> Any:
     from trabecula import fields
-    from trabecula.pipeline.demo import load
+    from trabecula.pipeline.inputs import load
 
     points = [shared.numbers(words, name="--point") for words in options.point]
     where, values = [words[:-1] for words in points], [words[-1] for words in points]

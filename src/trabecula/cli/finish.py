@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do the operations asked for, each on the result of the one before."""
     from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import check_target
+    from trabecula.pipeline.outputs import check_target
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     if not steps:
         words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
         raise InputError(f"nothing to do: give --connect, or another of {words}")
-    check_target(options.out, goes_on=True)
+    check_target(options.out, resumes=True)
     text, done = (
         _in_slabs(steps, options) if _is_too_large(steps, options) else _in_core(steps, options)
     )
@@ -121,7 +121,8 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
     """Read, finish and write the whole; the result in a line, and the steps of its recipe."""
     from trabecula.finish import OPERATIONS
     from trabecula.io.files import read, write
-    from trabecula.pipeline.demo import load_like, with_lengths
+    from trabecula.io.lengths import with_lengths
+    from trabecula.pipeline.inputs import load_like
 
     given = shared.lengths(options)
     scale = given.pop("scale")
@@ -147,7 +148,8 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     from trabecula.core.progress import notify
     from trabecula.engine.storage.location import located
     from trabecula.finish import mask_steps
-    from trabecula.pipeline.demo import form_of, load_mask
+    from trabecula.pipeline.inputs import load_mask
+    from trabecula.pipeline.replay import form_of
 
     if not (options.prune or options.connect) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
@@ -182,7 +184,7 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     from trabecula.core.errors import MemoryBudgetError
     from trabecula.engine.plan import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
-    from trabecula.pipeline.demo import volume_shape
+    from trabecula.io.lazy import volume_shape
 
     shape = volume_shape(options.file, level=options.level)
     names = [name for name, _ in steps]
@@ -210,7 +212,7 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
     from trabecula.finish import mask_steps
     from trabecula.finish.slabs import finish_slabs
     from trabecula.io.lazy import open_slabs
-    from trabecula.pipeline.demo import with_lengths
+    from trabecula.io.lengths import with_lengths
 
     notify(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
     if options.mask is not None:

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
 def _check_place(out: str) -> None:
     """Raise before any work is done where the model cannot be written."""
     from trabecula.core.errors import FileError
-    from trabecula.pipeline.demo import check_folder
+    from trabecula.pipeline.outputs import check_folder
 
     if Path(out).is_dir():
         raise FileError(f"cannot write {out}: a folder of that name is there; choose another name")

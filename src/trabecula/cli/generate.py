@@ -226,7 +226,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _made(options: argparse.Namespace) -> Any:
     from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import check_target, generate_to, plan_to
+    from trabecula.pipeline.generate import generate_to
+    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.plan import plan_to
 
     if options.out is None:
         raise InputError("the place of the result is not given: add --out FILE")
@@ -234,7 +236,7 @@ def _made(options: argparse.Namespace) -> Any:
         raise InputError(
             "--exemplar is for --resume and rerun: name the exemplar without an option"
         )
-    check_target(options.out, goes_on=True)
+    check_target(options.out, resumes=True)
     cluster = _cluster(options)
     job = prepare(options)
     model = job.fitted(memory=options.memory)
@@ -245,7 +247,7 @@ def _made(options: argparse.Namespace) -> Any:
         if cluster is None
         else model.plan(job.request).disk
     )
-    check_target(options.out, size=size, goes_on=True)
+    check_target(options.out, size=size, resumes=True)
     return generate_to(
         model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
     )
@@ -256,7 +258,7 @@ _MOVED = ("exemplar", "mask", "fixed", "known", "model")
 
 def _resumed(options: argparse.Namespace) -> Any:
     from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import resume
+    from trabecula.pipeline.resume import resume
 
     kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}
     given = [

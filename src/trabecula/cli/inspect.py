@@ -40,7 +40,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _loaded(options: argparse.Namespace) -> Any:
     """The scan; a grey one stays grey unless a threshold is given."""
-    from trabecula.pipeline.demo import load, slabs_if_large
+    from trabecula.io.lazy import slabs_if_large
+    from trabecula.pipeline.inputs import load
 
     if options.threshold in (None, "none"):
         volume = slabs_if_large(

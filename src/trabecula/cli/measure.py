@@ -50,8 +50,8 @@ def _described(options: argparse.Namespace) -> dict[str, Any]:
     """Of the whole where that fits into memory, else slab by slab; of a crop of what does not fit
     only that is read.
     """
+    from trabecula.io.lazy import slabs_if_large
     from trabecula.measure.blockwise import describe_slabs, in_core_bytes
-    from trabecula.pipeline.demo import slabs_if_large
 
     volume = None
     if options.threshold in (None, "auto", "none"):

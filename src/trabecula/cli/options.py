@@ -152,7 +152,7 @@ def load_parts(
     are.
     """
     from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import load_fixed, load_mask, voxels_of
+    from trabecula.pipeline.inputs import load_fixed, load_mask, voxels_of
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
     exemplar = exemplars[0]
@@ -190,7 +190,7 @@ def load_parts(
 def load_targets(pairs: list[str]) -> dict[str, Any]:
     """`NAME=VALUE` words, where the value is a number or the file of a field."""
     from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import load
+    from trabecula.pipeline.inputs import load
 
     found: dict[str, Any] = {}
     for pair in pairs:
@@ -244,7 +244,7 @@ def add_phase(parser: argparse.ArgumentParser) -> None:
 
 def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     """The exemplar as the options say; a grey one is segmented."""
-    from trabecula.pipeline.demo import load
+    from trabecula.pipeline.inputs import load
 
     return load(
         source, crop=crop_of(options), threshold=threshold(options.threshold), **reading(options)

@@ -61,7 +61,7 @@ def _time(seconds: float | None) -> str:
 
 def _making(job: Job, options: argparse.Namespace) -> Any:
     from trabecula.engine.parallel import thread_count, threads
-    from trabecula.pipeline.demo import plan_to
+    from trabecula.pipeline.plan import plan_to
 
     with threads(options.threads if options.threads is not None else thread_count()):
         model = job.fitted(memory=options.memory)

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
-    from trabecula.pipeline.demo import check_folder, check_target
+    from trabecula.pipeline.outputs import check_folder, check_target
     from trabecula.view.scene import forecast
     from trabecula.view.still import render, turntable
 

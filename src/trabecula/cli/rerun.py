@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the voxels again and compare their SHA-256."""
     from trabecula.core.recipe import digest
-    from trabecula.pipeline.demo import rerun
+    from trabecula.pipeline.replay import rerun
 
     moved = {
         name: getattr(options, name)

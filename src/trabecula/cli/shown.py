@@ -43,7 +43,7 @@ def _box(source: str, options: argparse.Namespace) -> Any:
     from dataclasses import replace
     from math import prod
 
-    from trabecula.pipeline.demo import slabs_if_large
+    from trabecula.io.lazy import slabs_if_large
 
     if options.threshold not in (None, "auto", "none"):
         return None

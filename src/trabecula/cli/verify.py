@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an
     error: status 0.
     """
-    from trabecula.pipeline.demo import check_page, write_page
+    from trabecula.pipeline.certificate_page import check_page, write_page
     from trabecula.report.certificate import verify
 
     if options.report:
@@ -93,7 +93,7 @@ def _result(file: str, exemplars: list[Any], views: list[str], options: argparse
     labels.
     """
     from trabecula.measure.blockwise import in_core_bytes
-    from trabecula.pipeline.demo import load_like, slabs_like_if_large, voxels_of
+    from trabecula.pipeline.inputs import load_like, slabs_like_if_large, voxels_of
 
     exemplar, volume = exemplars[0], None
     if exemplar.kind == "labels" and exemplar.ndim == 3:

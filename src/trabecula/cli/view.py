@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the page; write it, or serve it until interrupted."""
     from trabecula.cli import terminal
-    from trabecula.pipeline.demo import check_page
+    from trabecula.pipeline.certificate_page import check_page
     from trabecula.view.page import server, view
     from trabecula.view.page.fitting import forecast
 
