@@ -17,8 +17,8 @@ from trabecula.core import display
 
 __version__ = "0.1.0"
 
-# Public name -> the module that holds it. `__init__.pyi` says the same to type checkers and editors:
-# `python tests/types/stub.py` writes it from these two tables.
+# Public name -> the module that holds it. `__init__.pyi` says the same to type checkers:
+# `python tests/types/public_stub.py` writes it from these two tables.
 _NAMES = {
     "Image": "trabecula.core.image",
     "labels": "trabecula.core.image",

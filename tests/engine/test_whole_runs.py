@@ -75,7 +75,7 @@ def test_a_run_begun_in_blocks_goes_on_with_more_memory(model, sha256, tmp_path)
     path = tmp_path / "x.zarr"
     said = stopped(model, path, 12, chunks=16)
     assert [line for line in said if "--resume" in line] == [
-        "interrupted: the same run goes on from x.zarr.part (generate --resume x.zarr)"
+        "interrupted: the same run resumes from x.zarr.part (generate --resume x.zarr)"
     ]
     assert generate_to(model, REQUEST, path).sha256 == sha256
     assert names(tmp_path) == ["x.zarr"]
@@ -173,7 +173,7 @@ def test_a_disk_that_fills_keeps_the_state(model, sha256, tmp_path, monkeypatch)
     monkeypatch.setattr(memmap, "LEAST", 256)
     with monkeypatch.context() as patch:
         patch.setattr(memmap, "_allocate", full)
-        with pytest.raises(FileError, match=r"No space left.*--scratch; the same run goes on"):
+        with pytest.raises(FileError, match=r"No space left.*--scratch; the same run resumes"):
             generate_to(model, REQUEST, path, chunks=16)
     assert "state" in names(tmp_path / "x.zarr.scratch")
     assert not list((tmp_path / "x.zarr.scratch").glob("*.raw"))
