@@ -159,7 +159,7 @@ def test_what_cannot_be_gone_on_with(interrupted, words, message):
 
 
 def test_an_exemplar_beside_resume_is_told_its_option(interrupted):
-    assert "--exemplar tells where it lies now" in refused(
+    assert "--exemplar gives its place now" in refused(
         "generate", "scan.npy", "--resume", "big.zarr"
     )
     assert "--exemplar is for --resume" in refused(

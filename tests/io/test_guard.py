@@ -1,7 +1,5 @@
 """A mistake in code is never called a damaged file: not in ours, and not in a library's."""
 
-import importlib
-
 import numpy as np
 import pytest
 import tifffile
@@ -10,20 +8,20 @@ from io_images import same
 import trabecula as tb
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
-from trabecula.io.formats import FORMATS, SLICES
-from trabecula.io.guard import damaged, library_of
+from trabecula.io.formats import SLICES, suffixes
+from trabecula.io.guard import report_damage, library_of
 from trabecula.pipeline.replay import replay
 
 LABELS = np.random.default_rng(3).integers(0, 2, (4, 6, 7)).astype(np.uint8)
-NAMES = {**{f"x{suffix}": form for suffix, form in FORMATS.items()}, "x/": SLICES}
+NAMES = {**{f"x{suffix}": form for suffix, form in suffixes().items()}, "x/": SLICES}
 
 
 def written(name, folder):
     """A file of the format, and the module that reads it."""
-    flat = NAMES[name].home == "raster"
+    flat = NAMES[name].ndim == (2,)
     values = np.dstack([LABELS[0] * 200] * 3) if flat else LABELS
     tb.write(tb.Image(values, "colour" if flat else "labels"), f"{folder}/{name}")
-    return f"{folder}/{name}", importlib.import_module(f"trabecula.io.{NAMES[name].home}")
+    return f"{folder}/{name}", NAMES[name].load()
 
 
 def mistake_in(package):
@@ -61,14 +59,14 @@ def test_a_mistake_of_a_library_blames_no_file(name, tmp_path, monkeypatch):
     "error", [TypeError, NameError, ImportError, AssertionError, NotImplementedError]
 )
 def test_other_mistakes_of_ours_come_through(error, tmp_path):
-    with pytest.raises(error), damaged(tmp_path, "TIFF"):
+    with pytest.raises(error), report_damage(tmp_path, "TIFF"):
         exec("raise error('mine')", {"__name__": "trabecula.io.tiff", "error": error})
 
 
 def test_where_types_are_not_checked_both_readings_are_said(tmp_path):
     with (
         pytest.raises(FileError, match="changed by other hands, or trabecula has a defect"),
-        damaged(tmp_path, "a model", checked=False),
+        report_damage(tmp_path, "a model", checked=False),
     ):
         exec("None.shape", {"__name__": "trabecula.synth.api.serialize"})
 
@@ -83,7 +81,7 @@ def test_frames_of_the_standard_library_are_their_callers():
 
 def test_a_recipe_is_not_called_damaged_for_a_mistake_of_ours(tmp_path, monkeypatch):
     path = tb.write(tb.crop(tb.sample("bone"), 8), tmp_path / "x.npy")
-    monkeypatch.setattr("trabecula.pipeline.replay._model_again", mistake_in("trabecula"))
+    monkeypatch.setattr("trabecula.pipeline.replay._make_model", mistake_in("trabecula"))
     recipe = Recipe(({**tb.read(path).recipe.steps[0], "verb": "generate"},))
     with pytest.raises(InputError, match=r"damaged, or trabecula has a defect.*get_axes"):
         replay(recipe, folder=tmp_path)

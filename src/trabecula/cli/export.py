@@ -10,7 +10,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file and the target."""
+    """Add the file and the target."""
     parser.add_argument("file", metavar="FILE", help="volume")
     parser.add_argument(
         "--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format"
@@ -19,16 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phase", help="phase whose surface is taken (default: every phase but void)"
     )
     shared.add_lengths(parser)
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); the .stl of a .zarr that needs more is written in slabs",
-    )
+    shared.add_memory(parser, "the .stl of a .zarr that needs more is written in slabs")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the surface or the voxels; for a surface, print what a check of it says."""
+    """Write the surface or the voxels; of a surface, print a check of it."""
     from pathlib import Path
 
     from trabecula.io.files import read, write
@@ -58,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _size(extent: Any, unit: str, out: str) -> str:
-    """The size in millimetres, and the unit that is in the file where it is another."""
+    """Return the size in millimetres, and the unit in the file where it is another."""
     from pathlib import Path
 
     from trabecula.mesh.sizes import size_text
@@ -69,7 +64,9 @@ def _size(extent: Any, unit: str, out: str) -> str:
 
 
 def _too_large(options: argparse.Namespace) -> Any:
-    """The volume in slabs, where its surface would not fit into memory and can be written so."""
+    """Open the volume in slabs where its surface would not fit into memory and the format allows
+    it.
+    """
     from pathlib import Path
 
     from trabecula.io.lazy import slabs_if_large

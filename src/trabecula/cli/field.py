@@ -12,8 +12,8 @@ from trabecula.cli import terminal
 
 KINDS = {
     "measure": "of an image: a descriptor of the window around every voxel",
-    "ramp": "even from one face to the opposite one",
-    "radial": "even from a middle outwards",
+    "ramp": "linear from one face to the opposite one",
+    "radial": "linear from a middle outwards",
     "formula": "by a formula in z y x (positions) and Z Y X (sides)",
     "picture": "drawn: black is --low, white is --high",
     "interpolate": "from values at points, by inverse distance",
@@ -22,7 +22,7 @@ KINDS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The kinds of field, each with its own options."""
+    """Add the kinds of field, each with its own options."""
     kinds = parser.add_subparsers(
         metavar="KIND", dest="made", required=True, parser_class=type(parser)
     )
@@ -48,19 +48,20 @@ def run(options: argparse.Namespace) -> int:
     check_target(options.out)
     field = _MAKERS[options.made](options)
     write(field, options.out)
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "out": options.out,
         "shape": field.shape,
         "unit": field.unit,
         "spacing": field.spacing,
     }
-    told |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
-    told |= {"most": float(field.values.max())}
+    report |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
+    report |= {"most": float(field.values.max())}
     if options.json:
-        terminal.show_json({**told, "recipe": field.recipe.to_json()})
+        terminal.show_json({**report, "recipe": field.recipe.to_json()})
     else:
         print(
-            f"{options.out}: {field!r}\n{told['least']:.4g} .. {told['most']:.4g}, mean {told['mean']:.4g}"
+            f"{options.out}: {field!r}\n{report['least']:.4g} .. {report['most']:.4g}, mean "
+            f"{report['mean']:.4g}"
         )
     return 0
 
@@ -221,7 +222,8 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="N",
-        help="position (z y x or y x, in the unit of the spacing, from the first corner) and value there; repeatable",
+        help="position (z y x or y x, in the unit of the spacing, from the first corner) and value "
+        "there; repeatable",
     )
     parser.add_argument("--power", default="4", metavar="P", help="of the distance (default 4)")
     parser.add_argument(

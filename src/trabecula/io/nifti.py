@@ -13,7 +13,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
@@ -65,7 +65,7 @@ def read(path: Path) -> Content:
     import nibabel
 
     families = (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError)
-    with damaged(path, "NIfTI", also=families), _quiet(nibabel.imageglobals.logger):
+    with report_damage(path, "NIfTI", also=families), _quiet(nibabel.imageglobals.logger):
         picture: Any = nibabel.load(path)
         header, proxy = picture.header, picture.dataobj
         size = path.stat().st_size
@@ -87,13 +87,13 @@ def read(path: Path) -> Content:
             colour=bool(colour),
             spacing=zooms if all(zooms) else None,
             unit=None if unit == "unknown" else unit,
-            fields=_own(header.extensions),
+            fields=_read_fields(header.extensions),
         )
 
 
 @contextmanager
 def _quiet(logger: Any) -> Iterator[None]:
-    """Nothing on the screen about fields that nibabel mends while it reads."""
+    """Stop nibabel's notices of fields that it repairs while it reads."""
     was, logger.disabled = logger.disabled, True
     try:
         yield
@@ -101,7 +101,7 @@ def _quiet(logger: Any) -> Iterator[None]:
         logger.disabled = was
 
 
-def _own(extensions: Any) -> dict[str, Any] | None:
+def _read_fields(extensions: Any) -> dict[str, Any] | None:
     for extension in extensions:
         if extension.get_code() == _COMMENT:
             content = extension.get_content()

@@ -11,7 +11,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
@@ -92,7 +92,7 @@ def read(path: Path) -> Content:
     """Read .nrrd (see `trabecula.io.files.read`)."""
     import nrrd
 
-    with damaged(path, "NRRD", also=(nrrd.NRRDError, StopIteration)), path.open("rb") as file:
+    with report_damage(path, "NRRD", also=(nrrd.NRRDError, StopIteration)), path.open("rb") as file:
         header = nrrd.read_header(file)
         shape = tuple(reversed([int(side) for side in header["sizes"]]))
         dtype = _dtype(header["type"])
@@ -108,7 +108,8 @@ def read(path: Path) -> Content:
         colour = kinds[0] in _COLOUR
         if any(kind in _NOT_SPACE for kind in kinds[colour:]):
             raise InputError(
-                f"{path} holds axes of {', '.join(kinds)}: only grey, labels and RGB in the fastest axis can be read"
+                f"{path} holds axes of {', '.join(kinds)}: only grey, labels and RGB in the "
+                "fastest axis can be read"
             )
         spacing, unit = _calibration(header, kinds)
         return Content(
@@ -124,7 +125,7 @@ def _dtype(name: str) -> np.dtype:
 def _calibration(
     header: dict[str, Any], kinds: list[str]
 ) -> tuple[tuple[float, ...] | None, str | None]:
-    """Spacing along (z, y, x) and its unit."""
+    """Return the spacing along (z, y, x) and its unit."""
     in_space = [axis for axis, kind in enumerate(kinds) if kind not in _NOT_SPACE]
     if "spacings" in header:
         edges = [abs(float(header["spacings"][axis])) for axis in in_space]

@@ -289,7 +289,7 @@ def load_fixed(
     Raises
     ------
     InputError
-        Neither corner nor known, or both; a scan that does not lie inside the shape; as `load`.
+        Neither corner nor known, or both; a scan that is not inside the shape; as `load`.
     """
     if (corner is None) == (known is None):
         raise InputError(

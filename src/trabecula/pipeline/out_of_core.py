@@ -1,5 +1,5 @@
-"""Volumes that their method makes as a whole and that do not fit into memory: made in scratch files,
-then read box by box.
+"""Volumes that are made as a whole and do not fit into memory: made in scratch files, then read box
+by box.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Results made again from their recipe: every step is repeated, and its voxels are compared with the
-recorded digest.
+"""Results made again from their recipe: every step is repeated, and its voxels are compared with
+the recorded digest.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from trabecula.io import files
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
 from trabecula.mesh.voxels import scaled, voxelise
-from trabecula.models import shipped
+from trabecula.models import shipped_models
 from trabecula.synth.api.method import Model
 from trabecula.synth.api.registry import method
 from trabecula.synth.api.serialize import load_model
@@ -40,7 +40,7 @@ PARTS = ("mask", "fixed", "known")
 
 @dataclass(frozen=True)
 class RecipeFiles:
-    """The present files_of of the files that a recipe names: beside the result, or as given by option.
+    """Places of the files that a recipe names: beside the result, or as given by option.
 
     Attributes
     ----------
@@ -79,7 +79,8 @@ class RecipeFiles:
             if Path(candidate).exists():
                 return candidate
         raise FileError(
-            f"the recipe starts from {source}, which is not here: give its place with --{self.option}"
+            f"the recipe starts from {source}, which is not here: give its place with "
+            f"--{self.option}"
         )
 
 
@@ -220,17 +221,17 @@ def model_and_request(
     """
     if step.get("verb") != "generate":
         raise InputError(f"there is nothing to generate in a step {step.get('verb')!r}")
-    files_of = _recipe_files(folder, exemplar, parts)
+    sources = _recipe_files(folder, exemplar, parts)
     with _report_damage("generate"):
-        return _make_model(step, files_of), _make_request(step, files_of)
+        return _make_model(step, sources), _make_request(step, sources)
 
 
-def _replay_steps(recipe: Recipe, files_of: RecipeFiles) -> Image:
+def _replay_steps(recipe: Recipe, sources: RecipeFiles) -> Image:
     image: Image | None = None
     for step in recipe.steps:
         check_name(step["verb"], _STEPS, name="step of a recipe")
         with _report_damage(step["verb"]):
-            image = _STEPS[step["verb"]](image, step, files_of)
+            image = _STEPS[step["verb"]](image, step, sources)
             same = digest(image.values) == step["sha256"]
         if not same:
             raise NotReproducedError(_explain_difference(step))
@@ -250,30 +251,30 @@ def _explain_difference(step: Mapping[str, Any]) -> str:
     )
 
 
-def _repeat_read(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
-    return files.read(files_of.find(step["source"]), **step["options"])
+def _repeat_read(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    return files.read(sources.find(step["source"]), **step["options"])
 
 
-def _repeat_array(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
-    if files_of.replacement is None:
+def _repeat_array(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    if sources.replacement is None:
         raise InputError(
             f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): "
-            f"give it as a file with --{files_of.option}"
+            f"give it as a file with --{sources.option}"
         )
-    return files.read(files_of.replacement)
+    return files.read(sources.replacement)
 
 
-def _repeat_voxelise(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
-    surface = _make_surface(step["mesh"], files_of)
+def _repeat_voxelise(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    surface = _make_surface(step["mesh"], sources)
     return voxelise(surface, spacing=step["spacing"], shape=step["shape"], origin=step["origin"])
 
 
-def _make_surface(steps: Sequence[Mapping[str, Any]], files_of: RecipeFiles) -> Mesh:
+def _make_surface(steps: Sequence[Mapping[str, Any]], sources: RecipeFiles) -> Mesh:
     if not steps or steps[0]["verb"] != "read_mesh":
         raise InputError(
             "the recipe voxelises a surface that was in memory: it cannot be made again"
         )
-    surface = read_mesh(files_of.find(steps[0]["source"]), unit=steps[0]["unit"])
+    surface = read_mesh(sources.find(steps[0]["source"]), unit=steps[0]["unit"])
     if digest(surface.vertices) != steps[0]["sha256"]:
         raise NotReproducedError(_explain_difference(steps[0]))
     for step in steps[1:]:
@@ -282,24 +283,24 @@ def _make_surface(steps: Sequence[Mapping[str, Any]], files_of: RecipeFiles) -> 
     return surface
 
 
-def _repeat_generate(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
-    return _make_model(step, files_of).generate(_make_request(step, files_of))
+def _repeat_generate(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    return _make_model(step, sources).generate(_make_request(step, sources))
 
 
-def _make_model(step: Mapping[str, Any], files_of: RecipeFiles) -> Model:
+def _make_model(step: Mapping[str, Any], sources: RecipeFiles) -> Model:
     """Return the model: from its file where learning took long, else learned again."""
     named = step.get("model")
     if named is not None:
-        path = _model_file(named, files_of.inside("model"))
+        path = _model_file(named, sources.inside("model"))
         if path is not None:
             return _check_model(load_model(path), named["sha256"], f"the model {path} is another")
         notify("the model was never in a file: learning again")
-    sources = [
-        _replay_steps(Recipe.from_json(steps), files_of.inside("exemplar", number))
+    exemplars = [
+        _replay_steps(Recipe.from_json(steps), sources.inside("exemplar", number))
         for number, steps in enumerate(step["exemplars"])
     ]
     learner: Any = method(step["method"], **step["settings"])
-    model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(sources)
+    model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(exemplars)
     if named is not None:
         _check_model(
             model,
@@ -309,16 +310,16 @@ def _make_model(step: Mapping[str, Any], files_of: RecipeFiles) -> Model:
     return model
 
 
-def _model_file(named: Mapping[str, Any], files_of: RecipeFiles) -> AnyPath | None:
+def _model_file(named: Mapping[str, Any], sources: RecipeFiles) -> AnyPath | None:
     """Return the file of a model: as given, beside the result, or shipped; None where it was never
     in a file.
     """
-    if files_of.replacement is not None:
-        return files_of.replacement
+    if sources.replacement is not None:
+        return sources.replacement
     if named["name"] is None:
         return None
-    beside = files_of.folder / Path(named["name"]).name
-    if beside.exists() or named["name"] in shipped():
+    beside = sources.folder / Path(named["name"]).name
+    if beside.exists() or named["name"] in shipped_models():
         return beside if beside.exists() else named["name"]
     raise FileError(
         f"the recipe needs the model {named['name']} (SHA-256 {named['sha256'][:12]}), "
@@ -335,13 +336,13 @@ def _check_model(model: Model, sha256: str, otherwise: str) -> Model:
     return model
 
 
-def _make_request(step: Mapping[str, Any], files_of: RecipeFiles) -> Request:
+def _make_request(step: Mapping[str, Any], sources: RecipeFiles) -> Request:
     request = dict(step["request"])
     for name in PARTS:
         if name in request:
-            request[name] = _replay_steps(Recipe.from_json(request[name]), files_of.inside(name))
+            request[name] = _replay_steps(Recipe.from_json(request[name]), sources.inside(name))
     request["target"] = {
-        name: _replay_steps(Recipe.from_json(value), files_of.inside("target"))
+        name: _replay_steps(Recipe.from_json(value), sources.inside("target"))
         if isinstance(value, list)
         else value
         for name, value in dict(request.get("target", {})).items()
@@ -349,16 +350,16 @@ def _make_request(step: Mapping[str, Any], files_of: RecipeFiles) -> Request:
     return Request(**request)
 
 
-def _repeat_finish(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
+def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
     settings = dict(step["settings"])
     for steps in step.get("exemplars", ()):
-        settings["exemplar"] = _replay_steps(Recipe.from_json(steps), files_of.inside("exemplar"))
+        settings["exemplar"] = _replay_steps(Recipe.from_json(steps), sources.inside("exemplar"))
     if "mask" in step:
-        settings["mask"] = _replay_steps(Recipe.from_json(step["mask"]), files_of.inside("mask"))
+        settings["mask"] = _replay_steps(Recipe.from_json(step["mask"]), sources.inside("mask"))
     return finish.OPERATIONS[step["operation"]](_require(image), **settings)
 
 
-def _repeat_field(image: Image | None, step: Mapping[str, Any], files_of: RecipeFiles) -> Image:
+def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
     settings = dict(step["settings"])
     if step["make"] in fields.FROM_AN_IMAGE:
         return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
@@ -375,30 +376,26 @@ def _require(image: Image | None) -> Image:
 _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image]] = {
     "read": _repeat_read,
     "array": _repeat_array,
-    "sample": lambda image, step, files_of: sample(step["name"]),
+    "sample": lambda image, step, sources: sample(step["name"]),
     "voxelise": _repeat_voxelise,
-    "crop": lambda image, step, files_of: crop(
-        _require(image), step["size"], corner=step["corner"]
-    ),
-    "slice": lambda image, step, files_of: _require(image)[indexing.from_json(step["index"])],
-    "place": lambda image, step, files_of: place(
+    "crop": lambda image, step, sources: crop(_require(image), step["size"], corner=step["corner"]),
+    "slice": lambda image, step, sources: _require(image)[indexing.from_json(step["index"])],
+    "place": lambda image, step, sources: place(
         _require(image),
         step["shape"],
         corner=step["corner"],
         plane=step.get("plane"),
         across=step.get("across", 1.0),
     ),
-    "block": lambda image, step, files_of: block(
-        step["size"], step["shape"], corner=step["corner"]
-    ),
-    "declare": lambda image, step, files_of: declared(_require(image), **step["fields"]),
-    "segment": lambda image, step, files_of: segment(
+    "block": lambda image, step, sources: block(step["size"], step["shape"], corner=step["corner"]),
+    "declare": lambda image, step, sources: declared(_require(image), **step["fields"]),
+    "segment": lambda image, step, sources: segment(
         _require(image), step["threshold"], phases=step["phases"]
     ),
     "generate": _repeat_generate,
     "finish": _repeat_finish,
     "field": _repeat_field,
-    "render": lambda image, step, files_of: render(
+    "render": lambda image, step, sources: render(
         _require(image),
         **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")},
     ),

@@ -1,5 +1,5 @@
-"""The method of an exemplar where none is named, and what is said where the one that is named
-cannot learn from it.
+"""The method of an exemplar where none is named, and the error where a named one cannot learn from
+it.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from trabecula.cli import options as shared
 
 
 def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
-    """The method that `inspect` recommends, and a line that says so, empty where there is nothing
-    to say.
+    """Return the method that `inspect` recommends, and a line that reports it, empty where there is
+    nothing to report.
 
     Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
     by `texture`: so they were meant before there was a choice.
@@ -27,7 +27,7 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     from trabecula.report.recommend import recommend
     from trabecula.synth.api.registry import method
 
-    preset, settings = shared.configured(options)
+    preset, settings = shared.preset_and_settings(options)
     plain = preset is None and not settings
     if not plain and exemplars[0].ndim == 3:
         return method("texture", preset=preset, **settings), ""
