@@ -143,10 +143,7 @@ def test_the_blocks_of_another_run_are_not_lost(interrupted):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ("nothing.zarr",),
-            "nothing to resume: no run that makes nothing.zarr was interrupted",
-        ),
+        (("nothing.zarr",), "nothing to resume: no run that makes nothing.zarr was interrupted"),
         (("big.zarr", "--shape", "9"), "--shape beside --resume"),
         (("big.zarr", "--seed", "0"), "--seed beside --resume"),
         (("big.zarr", "--set", "reach=4"), "--set beside --resume"),

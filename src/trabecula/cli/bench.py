@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from trabecula.core.errors import InputError
+
 _PARTS = {
     "only": "of the cases named image: exemplars by name (default: all)",
     "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named "
@@ -53,7 +55,6 @@ def run(options: argparse.Namespace) -> int:
 def _script() -> Path:
     """Return the benchmarks of the checkout that the package is installed from."""
     import trabecula
-    from trabecula.core.errors import InputError
 
     found = Path(trabecula.__file__).resolve().parents[2] / "benchmarks" / "run.py"
     if not found.is_file():

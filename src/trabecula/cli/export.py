@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -24,8 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the surface or the voxels; of a surface, print a check of it."""
-    from pathlib import Path
-
     from trabecula.io.files import read, write
     from trabecula.io.lengths import with_lengths
     from trabecula.mesh.check import check
@@ -54,8 +53,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _size(extent: Any, unit: str, out: str) -> str:
     """Return the size in millimetres, and the unit in the file where it is another."""
-    from pathlib import Path
-
     from trabecula.mesh.sizes import size_text
 
     # STL is in millimetres, 3MF names its unit; the others leave it to their reader.
@@ -67,8 +64,6 @@ def _too_large(options: argparse.Namespace) -> Any:
     """Open the volume in slabs where its surface would not fit into memory and the format allows
     it.
     """
-    from pathlib import Path
-
     from trabecula.io.lazy import slabs_if_large
     from trabecula.mesh.slabs import in_core_bytes
 

@@ -42,11 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make the field and write it."""
+    from trabecula import fields
     from trabecula.io.files import write
     from trabecula.pipeline.outputs import check_target
 
     check_target(options.out)
-    field = _MAKERS[options.made](options)
+    field = _MAKERS[options.made](fields, options)
     write(field, options.out)
     report: dict[str, Any] = {
         "out": options.out,
@@ -115,9 +116,7 @@ def _add_measure(parser: argparse.ArgumentParser) -> None:
     shared.add_reading(parser)
 
 
-def _measure(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _measure(fields: Any, options: argparse.Namespace) -> Any:
     image = shared.load_exemplar(options.file, options)
     return fields.measure(
         image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase
@@ -135,9 +134,7 @@ def _add_ramp(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _ramp(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _ramp(fields: Any, options: argparse.Namespace) -> Any:
     ends: dict[str, Any] = {
         "start": _number(options.start, "--from"),
         "end": _number(options.end, "--to"),
@@ -162,9 +159,7 @@ def _add_radial(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _radial(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _radial(fields: Any, options: argparse.Namespace) -> Any:
     return fields.radial(
         **_grid(options),
         inside=_number(options.inside, "--inside"),
@@ -182,9 +177,7 @@ def _add_formula(parser: argparse.ArgumentParser) -> None:
     _add_grid(parser)
 
 
-def _formula(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _formula(fields: Any, options: argparse.Namespace) -> Any:
     given = _grid(options)
     return fields.formula(given.pop("shape"), options.formula, **given)
 
@@ -199,8 +192,7 @@ def _add_picture(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _picture(options: argparse.Namespace) -> Any:
-    from trabecula import fields
+def _picture(fields: Any, options: argparse.Namespace) -> Any:
     from trabecula.pipeline.inputs import load
 
     given = _grid(options)
@@ -231,8 +223,7 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _interpolate(options: argparse.Namespace) -> Any:
-    from trabecula import fields
+def _interpolate(fields: Any, options: argparse.Namespace) -> Any:
     from trabecula.pipeline.inputs import load
 
     points = [shared.numbers(words, name="--point") for words in options.point]
@@ -278,9 +269,7 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
     _add_edges(parser)
 
 
-def _simp(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _simp(fields: Any, options: argparse.Namespace) -> Any:
     given = {
         name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")
     }

@@ -8,6 +8,8 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError, MemoryBudgetError, TrabeculaError
+from trabecula.core.progress import notify
 
 Step = tuple[str, dict[str, Any]]
 """Name of an operation and its settings."""
@@ -21,9 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="FILE", help="volume to write")
     group = parser.add_argument_group("what to do, in this order whatever the order of the words")
     group.add_argument(
-        "--prune",
-        action="store_true",
-        help="remove short struts with a free end, extend long ones",
+        "--prune", action="store_true", help="remove short struts with a free end, extend long ones"
     )
     group.add_argument(
         "--connect",
@@ -70,9 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "of a .zarr that needs more --connect, --floaters and --fill go slab by slab, into a .zarr",
     )
     group.add_argument(
-        "--scratch",
-        metavar="DIR",
-        help="folder for the scratch files (default: that of --out)",
+        "--scratch", metavar="DIR", help="folder for the scratch files (default: that of --out)"
     )
     group.add_argument(
         "--level",
@@ -85,7 +83,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the operations that were chosen, each on the result of the one before."""
-    from trabecula.core.errors import InputError
     from trabecula.pipeline.outputs import check_target
 
     if options.like is not None and not options.prune:
@@ -144,8 +141,6 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     """Return the form that a volume fills: as given, or as its recipe names it and its file is
     there; else None.
     """
-    from trabecula.core.errors import TrabeculaError
-    from trabecula.core.progress import notify
     from trabecula.engine.storage.location import located
     from trabecula.finish import mask_steps
     from trabecula.pipeline.inputs import load_mask
@@ -182,7 +177,6 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     MemoryBudgetError
         It does not, and one of the steps needs it so, or what is written.
     """
-    from trabecula.core.errors import MemoryBudgetError
     from trabecula.engine.plan import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
     from trabecula.io.lazy import volume_shape
@@ -210,8 +204,6 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
 
 def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
     """Finish a store into a store; return the result in a line, and the steps of its recipe."""
-    from trabecula.core.errors import InputError
-    from trabecula.core.progress import notify
     from trabecula.finish import mask_steps
     from trabecula.finish.slabs import finish_slabs
     from trabecula.io.lazy import open_slabs

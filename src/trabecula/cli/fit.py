@@ -11,6 +11,7 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.core.errors import FileError, InputError
 
 _SHORT = ("minutes", "device", "run")
 """Options that are settings, of the methods that have them."""
@@ -82,7 +83,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_place(out: str) -> None:
     """Raise before any work is done where the model cannot be written."""
-    from trabecula.core.errors import FileError
     from trabecula.pipeline.outputs import check_folder
 
     if Path(out).is_dir():
@@ -92,8 +92,6 @@ def _check_place(out: str) -> None:
 
 def _check_no_short(options: argparse.Namespace) -> None:
     """Raise where an option of some methods is given and no method is."""
-    from trabecula.core.errors import InputError
-
     for name in _SHORT:
         if getattr(options, name) is not None:
             raise InputError(
@@ -104,7 +102,6 @@ def _check_no_short(options: argparse.Namespace) -> None:
 
 def _preset_and_settings(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
     """Return the preset and the settings, given by --set or by an option of their own."""
-    from trabecula.core.errors import InputError
     from trabecula.synth.api.registry import method
 
     preset, found = shared.preset_and_settings(options)

@@ -13,6 +13,7 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,7 +122,6 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
     first.
     """
     from trabecula.core.checks import as_seed, as_shape
-    from trabecula.core.errors import InputError
     from trabecula.core.request import Request
     from trabecula.synth.api.exemplar_info import without_exemplar
 
@@ -151,8 +151,6 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:
     """Return the voxel size of a result without an exemplar."""
-    from trabecula.core.errors import InputError
-
     given = [name for name in ("kind", "phases", "threshold", "crop") if getattr(options, name)]
     if given:
         raise InputError(
@@ -171,7 +169,6 @@ def _source(options: argparse.Namespace) -> tuple[Any, Any]:
     """Return the method that will learn, or the model that has learned; neither where the exemplar
     chooses the method.
     """
-    from trabecula.core.errors import InputError
     from trabecula.synth.api.registry import method
     from trabecula.synth.api.serialize import load_model
 
@@ -229,7 +226,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _generate(options: argparse.Namespace) -> Any:
-    from trabecula.core.errors import InputError
     from trabecula.pipeline.generate import generate_to
     from trabecula.pipeline.outputs import check_target
     from trabecula.pipeline.plan import plan_to
@@ -261,7 +257,6 @@ _MOVED = ("exemplar", "mask", "fixed", "known", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:
-    from trabecula.core.errors import InputError
     from trabecula.pipeline.resume import resume
 
     kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}

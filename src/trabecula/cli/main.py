@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from trabecula.cli import terminal
+from trabecula.core.errors import TrabeculaError, UnnamedVoidError
 
 VERBS = {
     "demo": "run the main job on an embedded sample, start to end",
@@ -79,7 +80,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from trabecula.core.errors import TrabeculaError, UnnamedVoidError
 
     if words and not words[0].startswith("-") and words[0] not in VERBS:
         near = difflib.get_close_matches(words[0], VERBS, n=1)

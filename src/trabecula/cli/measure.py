@@ -9,6 +9,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError
 
 EACH = ("phases", "pairs", "triples")
 CURVES = ("two_point", "lineal_path", "cross_correlation")
@@ -27,8 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print every descriptor, or those of one phase or of each."""
-    from trabecula.core.errors import InputError
-
     if options.phase is not None and options.level == "full":
         raise InputError(
             "--full solves transport and stiffness of the whole material: leave out --full, or "

@@ -8,6 +8,7 @@ import argparse
 from typing import Any
 
 from trabecula.cli import options as shared
+from trabecula.core.errors import InputError
 
 
 def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
@@ -22,7 +23,6 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     InputError
         No method can learn from the exemplar.
     """
-    from trabecula.core.errors import InputError
     from trabecula.exemplar.margins import crop_margins
     from trabecula.report.recommend import recommend
     from trabecula.synth.api.registry import method
@@ -43,7 +43,6 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
 
 def check_fits(method: Any, exemplars: list[Any]) -> None:
     """Raise where a method that was named cannot learn from an exemplar, and name one that can."""
-    from trabecula.core.errors import InputError
     from trabecula.report.recommend import misfit
 
     for image in exemplars:

@@ -7,6 +7,8 @@ import json
 import math
 from typing import Any
 
+from trabecula.core.errors import InputError
+
 
 def add_reading(parser: argparse.ArgumentParser) -> None:
     """Add the options for reading an exemplar."""
@@ -150,8 +152,6 @@ def periodic(words: list[str] | None) -> tuple[bool, ...]:
     """Return for each axis if it repeats: none where the option is not given, all where it has no
     word.
     """
-    from trabecula.core.errors import InputError
-
     if words is None:
         return (False,) * 3
     named = set("".join(words).lower()) if words else set("zyx")
@@ -172,7 +172,6 @@ def load_parts(
     """Load mask, fixed, known and target of a request from their files; `views` are the planes of
     pictures.
     """
-    from trabecula.core.errors import InputError
     from trabecula.pipeline.inputs import load_fixed, load_mask, voxels_of
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
@@ -210,7 +209,6 @@ def load_parts(
 
 def load_targets(pairs: list[str]) -> dict[str, Any]:
     """Load the targets of `NAME=VALUE` words; a value is a number or the file of a field."""
-    from trabecula.core.errors import InputError
     from trabecula.pipeline.inputs import load
 
     found: dict[str, Any] = {}
@@ -288,8 +286,6 @@ def box_of(options: argparse.Namespace, file: str) -> list[int]:
     InputError
         "auto", for which all of it would have to be read.
     """
-    from trabecula.core.errors import InputError
-
     sides = crop_of(options)
     if isinstance(sides, list):
         return sides
@@ -326,8 +322,6 @@ def threshold(text: str | None) -> Any:
 
 def numbers(words: list[str], *, name: str) -> list[float]:
     """Parse words as floats."""
-    from trabecula.core.errors import InputError
-
     try:
         return [float(word) for word in words]
     except ValueError:
@@ -338,8 +332,6 @@ def numbers(words: list[str], *, name: str) -> list[float]:
 
 def integer(word: str, *, name: str) -> int:
     """Parse a word as an integer; its range is checked where it is used."""
-    from trabecula.core.errors import InputError
-
     try:
         return int(word)
     except ValueError:
@@ -359,8 +351,6 @@ def gibibytes(word: str) -> int:
 
 def integers(words: list[str], *, name: str) -> list[int]:
     """Parse words as integers; the values are checked where they are used."""
-    from trabecula.core.errors import InputError
-
     try:
         return [int(word) for word in words]
     except ValueError:
@@ -371,8 +361,6 @@ def integers(words: list[str], *, name: str) -> list[int]:
 
 def preset_and_settings(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
     """Return the preset, given as --preset NAME or as --set preset=NAME, and the settings."""
-    from trabecula.core.errors import InputError
-
     found = settings(options.set)
     named = found.pop("preset", options.preset)
     if options.preset not in (None, named):
@@ -382,8 +370,6 @@ def preset_and_settings(options: argparse.Namespace) -> tuple[str | None, dict[s
 
 def settings(pairs: list[str]) -> dict[str, Any]:
     """Parse `key=value` words; a value is JSON where it is valid (0.5, true, [4,6]), else text."""
-    from trabecula.core.errors import InputError
-
     found: dict[str, Any] = {}
     for pair in pairs:
         name, sign, value = pair.partition("=")
@@ -400,8 +386,6 @@ def settings(pairs: list[str]) -> dict[str, Any]:
 
 def _finite(text: str) -> float:
     """Parse a finite number of JSON."""
-    from trabecula.core.errors import InputError
-
     if not math.isfinite(float(text)):
         raise InputError(f"--set: {text} is not a finite number")
     return float(text)

@@ -9,10 +9,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the file, and the places of files of its recipe that have moved."""
     parser.add_argument("file", metavar="FILE", help="a file that this package wrote")
     parser.add_argument(
-        "--exemplar",
-        nargs="+",
-        metavar="FILE",
-        help="the recipe's first files, if they have moved",
+        "--exemplar", nargs="+", metavar="FILE", help="the recipe's first files, if they have moved"
     )
     for part in ("mask", "fixed", "known", "target"):
         parser.add_argument(

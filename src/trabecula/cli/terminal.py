@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from trabecula.core.progress import listen
+
 _WIDTH = 30
 
 
@@ -50,8 +52,6 @@ class Bar:
 @contextmanager
 def progress_shown() -> Iterator[None]:
     """Show the progress of what runs inside the block."""
-    from trabecula.core.progress import listen
-
     bar = Bar()
     try:
         with listen(bar):

@@ -9,6 +9,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import view_input
+from trabecula.core.errors import FileError, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +72,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _certificate(path: str) -> Any:
-    from trabecula.core.errors import FileError, InputError
 
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))

@@ -138,10 +138,7 @@ FORMATS = (
         "text header with .raw voxels beside it",
     ),
     Format(
-        "MetaImage",
-        (".mha",),
-        "trabecula.io.metaimage",
-        "header and compressed voxels in one file",
+        "MetaImage", (".mha",), "trabecula.io.metaimage", "header and compressed voxels in one file"
     ),
     Format("NRRD", (".nrrd",), "trabecula.io.nrrd", "gzip"),
     Format("NIfTI", (".nii",), "trabecula.io.nifti", "as medical tools read it"),

@@ -43,13 +43,7 @@ _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
         "int64",
         "int64_t",
     ),
-    "uint64": (
-        "ulonglong",
-        "unsigned long long",
-        "unsigned long long int",
-        "uint64",
-        "uint64_t",
-    ),
+    "uint64": ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"),
     "float32": ("float",),
     "float64": ("double",),
 }

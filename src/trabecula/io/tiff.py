@@ -54,9 +54,7 @@ def write(image: Image, path: Path) -> Path:
     with (
         replacing(path) as temporary,
         tifffile.TiffWriter(
-            temporary,
-            bigtiff=image.values.nbytes > _CLASSIC_ROOM,
-            **_writer_options(flavour),
+            temporary, bigtiff=image.values.nbytes > _CLASSIC_ROOM, **_writer_options(flavour)
         ) as tiff,
     ):
         values = np.ascontiguousarray(image.values)
