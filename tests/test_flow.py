@@ -15,7 +15,7 @@ SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, bone):
-    """A working folder with a small scan, and a sample that costs nothing."""
+    """Make a working folder with a small scan, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
     for room in (demo, inputs):
         monkeypatch.setattr(room, "sample", lambda name: bone)
@@ -125,8 +125,8 @@ def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     assert set(_WHAT) == names
 
 
-def made(place):
-    """A recipe with every verb in it, as JSON."""
+def full_recipe(place):
+    """Make a recipe with every verb in it, as JSON."""
     exemplar = tb.load("grey.npy", crop=22, threshold="auto")
     material = tb.method("texture", **SETTINGS).fit(exemplar).generate(16, seed=1)
     part = tb.finish.connect(material)
@@ -134,7 +134,7 @@ def made(place):
 
 
 def test_replay_does_every_step(place):
-    recipe = Recipe.from_json(made(place))
+    recipe = Recipe.from_json(full_recipe(place))
     assert [step["verb"] for step in recipe.steps] == ["generate", "finish", "render"]
     assert [step["verb"] for step in recipe.steps[0]["exemplars"][0]] == ["read", "segment", "crop"]
     assert digest(replay.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
@@ -146,7 +146,7 @@ def test_every_step_is_compared(place):
         lambda steps: steps[1],
         lambda steps: steps[0]["exemplars"][0][1],
     ):
-        steps = made(place)
+        steps = full_recipe(place)
         change(steps)["sha256"] = "0" * 64
         with pytest.raises(NotReproducedError, match=f"step '{change(steps)['verb']}'"):
             replay.replay(Recipe.from_json(steps), folder=place)
@@ -189,14 +189,14 @@ def test_every_step_is_compared(place):
     ],
 )
 def test_damaged_recipes_are_told(place, damage, says):
-    steps = made(place)
+    steps = full_recipe(place)
     damage(steps)
     with pytest.raises((InputError, NotReproducedError), match=says):
         replay.replay(Recipe.from_json(steps), folder=place)
 
 
 def test_a_missing_exemplar_is_told(place):
-    steps = made(place)
+    steps = full_recipe(place)
     (place / "grey.npy").unlink()
     with pytest.raises(
         FileError,
@@ -208,7 +208,7 @@ def test_a_missing_exemplar_is_told(place):
 
 
 def test_a_target_field_is_found_again(tmp_path, monkeypatch):
-    """The recipe of a field stands in that of the result."""
+    """Find a field by its recipe, which stands in that of the result."""
 
     class Method:
         def fit(self, exemplar):

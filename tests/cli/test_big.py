@@ -1,4 +1,4 @@
-"""Runs in blocks as a user types them: killed and resumed, divided in any way, forecast, refused."""
+"""Runs in blocks as a user types them: killed and resumed, divided, forecast, refused."""
 
 import importlib.util
 import json
@@ -25,7 +25,7 @@ ASKED = ("scan.npy", "--method", "noise", *REACH, "--shape", 150, 40, 90, "--see
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """A folder with a scan, a model of it, and the volume that all these runs make."""
+    """Make a folder with a scan, a model of it, and the volume that all these runs make."""
     folder = tmp_path_factory.mktemp("big")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -37,7 +37,7 @@ def home(tmp_path_factory):
 
 @pytest.fixture
 def place(home, tmp_path, monkeypatch):
-    """A copy to work in."""
+    """Work in a copy."""
     shutil.copytree(home[0], tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return home[1]
@@ -45,7 +45,7 @@ def place(home, tmp_path, monkeypatch):
 
 @pytest.fixture
 def interrupted(place, monkeypatch):
-    """The same run in blocks of 32, stopped by Ctrl-C after two of them."""
+    """Start the same run in blocks of 32, and stop it by Ctrl-C after two of them."""
     with monkeypatch.context() as patch:
         real, count = blocks.do, []
 
@@ -268,7 +268,9 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_killed_at_random_moments_and_gone_on_with_by_the_command(place):
-    """Of 30 blocks and what is coarser; the first command is typed once, then only --resume."""
+    """Kill runs of 30 blocks and coarser levels; the first command is typed once, then only
+    --resume.
+    """
     rng = np.random.default_rng(1)
     words = ["generate", *map(str, ASKED), "--out", "big.zarr", "--chunks", "32"]
     part, kills = Path("big.zarr.part"), 0

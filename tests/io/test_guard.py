@@ -9,15 +9,15 @@ import trabecula as tb
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.io.formats import SLICES, suffixes
-from trabecula.io.guard import report_damage, library_of
+from trabecula.io.guard import library_of, report_damage
 from trabecula.pipeline.replay import replay
 
 LABELS = np.random.default_rng(3).integers(0, 2, (4, 6, 7)).astype(np.uint8)
 NAMES = {**{f"x{suffix}": form for suffix, form in suffixes().items()}, "x/": SLICES}
 
 
-def written(name, folder):
-    """A file of the format, and the module that reads it."""
+def write_file(name, folder):
+    """Write a file of the format; return it and the module that reads it."""
     flat = NAMES[name].ndim == (2,)
     values = np.dstack([LABELS[0] * 200] * 3) if flat else LABELS
     tb.write(tb.Image(values, "colour" if flat else "labels"), f"{folder}/{name}")
@@ -25,7 +25,7 @@ def written(name, folder):
 
 
 def mistake_in(package):
-    """A function of a package that fails as code does which is called by a name that is gone."""
+    """Make a function of a package that fails like code that calls a name that is gone."""
     scope = {"__name__": f"{package}.module"}
     exec("def fail(*arguments, **options):\n    return None.get_axes()", scope)
     return scope["fail"]
@@ -33,7 +33,7 @@ def mistake_in(package):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_mistake_of_ours_comes_through(name, tmp_path, monkeypatch):
-    path, module = written(name, tmp_path)
+    path, module = write_file(name, tmp_path)
     monkeypatch.setattr(module, "check_claim", mistake_in("trabecula"))
     with pytest.raises(AttributeError, match="get_axes"):
         tb.read(path)
@@ -41,7 +41,7 @@ def test_a_mistake_of_ours_comes_through(name, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_mistake_of_a_library_blames_no_file(name, tmp_path, monkeypatch):
-    path, module = written(name, tmp_path)
+    path, module = write_file(name, tmp_path)
     monkeypatch.setattr(module, "check_claim", mistake_in("tifffile"))
     with pytest.raises(FileError, match="fails on it") as raised:
         tb.read(path)
@@ -88,11 +88,16 @@ def test_a_recipe_is_not_called_damaged_for_a_mistake_of_ours(tmp_path, monkeypa
 
 
 OME = (
-    '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:{own}">'
-    '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="7" SizeY="6" SizeZ="2" SizeC="1" '
+    '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+    'UUID="urn:uuid:{own}">'
+    '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="7" '
+    'SizeY="6" SizeZ="2" SizeC="1" '
     'SizeT="1">{parts}</Pixels></Image></OME>'
 )
-PART = '<TiffData IFD="0" FirstZ="{z}" PlaneCount="1"><UUID FileName="{z}.ome.tif">urn:uuid:{z}</UUID></TiffData>'
+PART = (
+    '<TiffData IFD="0" FirstZ="{z}" PlaneCount="1">'
+    '<UUID FileName="{z}.ome.tif">urn:uuid:{z}</UUID></TiffData>'
+)
 
 
 def test_a_volume_in_several_files_is_refused(tmp_path):
@@ -112,7 +117,7 @@ def test_a_volume_in_several_files_is_refused(tmp_path):
 # as ImageJ's, as OME, as plain pages
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "int64"])
 def test_axes_of_one_voxel_stay(shape, dtype, tmp_path):
-    """Versions of tifffile differ in which of them they leave out."""
+    """Keep them, though versions of tifffile differ in which of them they leave out."""
     values = np.arange(np.prod(shape)).reshape(shape).astype(dtype)
     image = tb.Image(values, "grey", recipe=Recipe().then("made", values))
     same(tb.read(tb.write(image, tmp_path / "x.tif")), image)
