@@ -159,6 +159,11 @@ def _near(path: Path) -> str:
     return f": did you mean {' or '.join(near)}?" if near else ": check the name"
 
 
+NUMBERS = tuple(
+    ["uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"]
+)
+"""Types of voxels that most formats can hold."""
+
 DEFLATE = 1032
 """No deflate stream (zlib, gzip, PNG) unpacks to more than this times its length."""
 

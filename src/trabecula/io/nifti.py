@@ -13,22 +13,10 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
+from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
-_TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
-)
 _RGB = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
 _UNITS = {"m": "meter", "mm": "mm", "um": "micron"}  # all that the header can say
 _COMMENT = 6  # code of an extension that holds text
@@ -38,7 +26,7 @@ def write(image: Image, path: Path) -> Path:
     """Write .nii or .nii.gz (see `trabecula.io.files.write`)."""
     import nibabel
 
-    check_dtype(image.values.dtype, _TYPES, form="NIfTI")
+    check_dtype(image.values.dtype, NUMBERS, form="NIfTI")
     values = np.ascontiguousarray(image.values)
     if image.kind == "colour":
         values = values.view(_RGB)[..., 0]

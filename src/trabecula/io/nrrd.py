@@ -11,22 +11,10 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
+from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
-_TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
-)
 _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
     "int8": ("signed char", "int8", "int8_t"),
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -67,7 +55,7 @@ def write(image: Image, path: Path) -> Path:
     """Write .nrrd, gzip (see `trabecula.io.files.write`)."""
     import nrrd
 
-    check_dtype(image.values.dtype, _TYPES, form="NRRD")
+    check_dtype(image.values.dtype, NUMBERS, form="NRRD")
     colour = image.kind == "colour"
     header: dict[str, Any] = {
         "encoding": "gzip",
