@@ -15,7 +15,7 @@ DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 @pytest.fixture(autouse=True)
 def small_work_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Send the small arrays of tests to other processes as well, where there are any."""
-    monkeypatch.setattr(memmap, "WORTH", 0)
+    monkeypatch.setattr(memmap, "WORTH_SENDING", 0)
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from trabecula.core.recipe import Recipe, digest_of
 from trabecula.engine import store
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.storage.location import Remote, located, place_of
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.storage.location import Remote, location_of, path_or_remote
 from trabecula.io.guard import check_there, report_damage
 from trabecula.io.meaning import interpret
 from trabecula.io.metadata import Content, check_fields
@@ -70,9 +70,9 @@ def open_slabs(
         "level": level or None,
     }
     options = {name: value for name, value in given.items() if value is not None}
-    place = place_of(path)
+    place = path_or_remote(path)
     check_there(place)
-    if not located(place).is_store():
+    if not location_of(place).is_store():
         raise InputError(
             f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr "
             "first"
@@ -128,8 +128,8 @@ def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, 
     """Return the voxels along z, y, x of a volume in a Zarr store; None where the path is no store,
     or holds no single volume.
     """
-    place = place_of(path)
-    if not located(place).is_store():
+    place = path_or_remote(path)
+    if not location_of(place).is_store():
         return None
     with report_damage(place, "Zarr"):
         return spatial_shape(store.open_finished(place, level))
@@ -304,8 +304,8 @@ def _bytes_by_level(
     source: str | os.PathLike[str], need: Callable[[tuple[int, ...], int], int]
 ) -> list[int]:
     """Return the bytes for every level of a volume in a store; empty where there is none."""
-    place, found = place_of(source), list[int]()
-    if not located(place).is_store():
+    place, found = path_or_remote(source), list[int]()
+    if not location_of(place).is_store():
         return found
     with report_damage(place, "Zarr"), suppress(InputError):  # beyond the last level
         while True:

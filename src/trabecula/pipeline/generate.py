@@ -19,8 +19,8 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Box, StoredVolume, stream
-from trabecula.engine.plan import available_memory
-from trabecula.engine.storage.location import Folder, Location, Remote, located, place_of
+from trabecula.engine.memory import available_memory
+from trabecula.engine.storage.location import Folder, Location, Remote, location_of, path_or_remote
 from trabecula.engine.store import Unfinished
 from trabecula.io import files
 from trabecula.io.units import long_name
@@ -34,7 +34,7 @@ from trabecula.pipeline.plan import (
 )
 from trabecula.pipeline.worker_payload import WorkerPayload
 from trabecula.synth.api.method import Model
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster, Workers
@@ -70,7 +70,7 @@ def partial_path(path: str | os.PathLike[str]) -> Path:
     """Return the place of an unfinished run's state, beside its result: rock.zarr.part of
     rock.zarr.
     """
-    return located(path).beside(".part")
+    return location_of(path).beside(".part")
 
 
 def generate_to(
@@ -92,7 +92,7 @@ def generate_to(
     path : path or address
         The suffix chooses the format. A Zarr store also takes what does not fit into the budget,
         with the same voxels: a model of an unlimited material (a `WindowModel`) makes it block by
-        block, another in scratch files.
+        block, another in scratch files, or in memory and then block by block.
     memory : int, optional
         Budget in bytes, of all workers together where there are any. Default: what the machine has
         available.
@@ -121,8 +121,8 @@ def generate_to(
     with _connect(cluster, memory) as workers:
         blocks = choose_blocks(model, request, path, memory=memory, chunks=chunks, workers=workers)
         if blocks is not None:
-            run = _Run(model, request, located(path), blocks, workers)
-            if isinstance(model, WindowModel):
+            run = _Run(model, request, location_of(path), blocks, workers)
+            if makes_boxes(model):
                 return _write_windows(run, model)
             return _write_out_of_core(
                 run,
@@ -149,7 +149,7 @@ class _Run:
 def _write_in_memory(
     model: Model, request: Request, path: str | os.PathLike[str], memory: int | None
 ) -> Result:
-    target = place_of(path)
+    target = path_or_remote(path)
     if isinstance(target, Remote):
         target.check_free()
     with checkpoint.kept_at(None if isinstance(target, Remote) else partial_path(path)):
@@ -166,7 +166,7 @@ def _write_windows(run: _Run, model: WindowModel) -> Result:
         return model.values_of(request, box)
 
     make = make_here if run.workers is None else WorkerPayload(model, request)
-    return _stream(run, make, lambda sha256: model.recipe(request, sha256), hands=run.workers)
+    return _stream(run, make, lambda sha256: model.recipe(request, sha256), workers=run.workers)
 
 
 def _write_out_of_core(
@@ -219,7 +219,7 @@ def _stream(
     make: Callable[[Box], np.ndarray],
     recipe: Callable[[str], Recipe],
     *,
-    hands: Workers | None = None,
+    workers: Workers | None = None,
     unfinished_fields: Mapping[str, Any] | None = None,
 ) -> Result:
     """Write boxes into a store.
@@ -231,7 +231,7 @@ def _stream(
         Box -> its values.
     recipe : callable
         SHA-256 of the voxels, empty until they are known -> Recipe.
-    hands : Workers, optional
+    workers : Workers, optional
         Workers that call `make`.
     unfinished_fields : mapping, optional
         Fields that the store has until it is finished.
@@ -257,9 +257,9 @@ def _stream(
         labels=fields["kind"] == "labels",
         channels=3 if fields["kind"] == "colour" else 0,
     )
-    sha256 = stream(volume, run.path, side=blocks.side, chunk=blocks.chunk, hands=hands)
+    sha256 = stream(volume, run.path, side=blocks.side, chunk=blocks.chunk, workers=workers)
     text = outline(request.shape, **fields)
-    return Result(place_of(run.path), request.shape, text, recipe(sha256))
+    return Result(path_or_remote(run.path), request.shape, text, recipe(sha256))
 
 
 @contextmanager

@@ -19,8 +19,8 @@ from trabecula.core.request import Request
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.blocks import Box, part_bytes, slices_of
 from trabecula.engine.files import remove, replacing
-from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, format_bytes
+from trabecula.engine.lock import hold_lock
+from trabecula.engine.memory import Plan, format_bytes
 from trabecula.synth.api.method import Model
 
 _HEADROOM = 3
@@ -37,7 +37,7 @@ def plan_whole(model: Model, request: Request, budget: int, chunk: int) -> Plan:
     """Forecast making a request in scratch files within a budget of bytes, and writing it in blocks
     of `chunk` voxels.
     """
-    plan = model.plan_spilled(request, budget)
+    plan = model.plan_mapped(request, budget)
     numbers = 3 if model.fields(request)["kind"] == "colour" else 1
     block = numbers * part_bytes(
         request.shape, [min(chunk, side) for side in request.shape], model.dtype
@@ -86,7 +86,7 @@ class ScratchVolume:
     Parameters
     ----------
     model : Model
-        One that `spills`.
+        One whose large volumes are "memmap" or "memory".
     request : Request
     folder : Path
     memory : int
@@ -112,7 +112,7 @@ class ScratchVolume:
         self._limits: dict[str, Any] = {
             "memory": memory // _HEADROOM,
             "thickest": thickest,
-            "hands": workers,
+            "workers": workers,
         }
         self._result: tuple[memmap.MappedFile, Mapping[str, Any]] | None = None
 
@@ -190,13 +190,13 @@ class ScratchVolume:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with (
-                locked(self._folder / _STATE),
+                hold_lock(self._folder / _STATE),
                 checkpoint.kept_at(self._folder / _STATE),
-                memmap.spilled(self._folder, **self._limits),
+                memmap.map_large_arrays(self._folder, **self._limits),
             ):
                 for lost in self._folder.glob("*.raw"):  # of a run that was killed
                     lost.unlink()
-                values, report = self._model.made(self._request)
+                values, report = self._model.compute(self._request)
                 return self._record(values, report), report
         except OSError as error:
             if isinstance(error, TrabeculaError):

@@ -14,7 +14,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.storage.location import Remote, is_address, located, place_of
+from trabecula.engine.storage.location import Remote, is_address, location_of, path_or_remote
 from trabecula.engine.store import open_unfinished
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
@@ -96,7 +96,7 @@ def check_target(
     InputError, FileError
         The place cannot be written, is taken, or has too little room.
     """
-    target, text = place_of(path), os.fspath(path)
+    target, text = path_or_remote(path), os.fspath(path)
     if isinstance(target, Remote):
         files.check_stored(target)
         target.check_writable()
@@ -127,7 +127,7 @@ def check_folder(path: str | os.PathLike[str], *, size: int = 0) -> None:
             f"cannot write {path}: only a .zarr is written to an address; write a file, "
             "and copy it there"
         )
-    folder = located(path).folder
+    folder = location_of(path).folder
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():

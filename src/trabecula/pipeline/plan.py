@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.storage.location import is_address, located
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.storage.location import is_address, location_of
 from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
 from trabecula.engine.timing import seconds_of, seconds_of_whole
 from trabecula.io.formats import suffix_of
 from trabecula.pipeline.out_of_core import plan_whole
 from trabecula.synth.api.method import Model
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster, Workers
@@ -68,13 +68,13 @@ def plan_to(
         blocks = choose_blocks(model, request, path, memory=memory, chunks=chunks)
     if blocks is None:
         plan = model.plan(request)
-    elif isinstance(model, WindowModel):
+    elif makes_boxes(model):
         plan = model.plan_block(request, blocks.side)
     else:
         budget = available_memory() if memory is None else memory
         plan = plan_whole(model, request, budget, blocks.chunk)
     seconds = _try_seconds(model, request, blocks) if trial else None
-    transfer = {"way to the address": located(path).memory} if is_address(path) else {}
+    transfer = {"way to the address": location_of(path).memory} if is_address(path) else {}
     return replace(plan, memory={**plan.memory, **transfer}, seconds=seconds)
 
 
@@ -92,13 +92,11 @@ def choose_blocks(
     Arguments and errors as of `generate_to`.
     """
     plan = model.plan(request)
-    if not _can_divide(model):
-        return None
     budget = available_memory() if memory is None else memory
     into_store = suffix_of(os.fspath(path)) == ".zarr"
     unfinished = unfinished_run(model, request, path) if into_store else None
     # At an address a run that can be resumed is worth more than the little that blocks cost.
-    whole_allowed = not (isinstance(model, WindowModel) and is_address(path))
+    whole_allowed = not (makes_boxes(model) and is_address(path))
     free_choice = unfinished is None and chunks is None and workers is None
     if plan.peak <= budget and free_choice and whole_allowed:
         return None
@@ -107,7 +105,7 @@ def choose_blocks(
         check_budget(plan, budget=memory, advice=advice)
         return None
     chunk = chunks or (CHUNK if unfinished is None else unfinished.chunk)
-    if not isinstance(model, WindowModel):
+    if not makes_boxes(model):
         advice = "use fewer --threads, smaller --chunks (64), ask for a smaller --shape"
         check_budget(plan_whole(model, request, budget, chunk), budget=budget, advice=advice)
         return BlockPlan(chunk, chunk)
@@ -116,7 +114,7 @@ def choose_blocks(
     most = chunk if chunks else begun
     if workers is None:
         return _largest_blocks(model, request, budget, chunk, most)
-    each = budget if workers.memory is None else workers.memory - located(path).memory
+    each = budget if workers.memory is None else workers.memory - location_of(path).memory
     return _largest_blocks(model, request, each, chunk, most, at_once=workers.at_once)
 
 
@@ -147,7 +145,7 @@ def check_block_options(
     if chunks is None and cluster is None:
         return
     option = "--chunks" if cluster is None else "workers"
-    if not _can_divide(model):
+    if cluster is not None and model.capabilities.large == "memory":
         raise InputError(
             f"method {model.capabilities.name!r} makes volumes in memory, {option} are for what is "
             "made in blocks: leave them out"
@@ -167,21 +165,17 @@ def budget_for(path: str | os.PathLike[str], memory: int | None) -> int | None:
     """Return the budget in bytes, less what the transfer to an address needs."""
     if not is_address(path):
         return memory
-    return max(0, (available_memory() if memory is None else memory) - located(path).memory)
+    return max(0, (available_memory() if memory is None else memory) - location_of(path).memory)
 
 
 def unfinished_run(
     model: Model, request: Request, path: str | os.PathLike[str]
 ) -> Unfinished | None:
     """Return the unfinished store of an interrupted run of the same model and request, if any."""
-    unfinished = open_unfinished(located(path).growing())
+    unfinished = open_unfinished(location_of(path).growing())
     if unfinished is not None and unfinished.identity == model.identity(request):
         return unfinished
     return None
-
-
-def _can_divide(model: Model) -> bool:
-    return isinstance(model, WindowModel) or model.spills
 
 
 def _try_seconds(model: Model, request: Request, blocks: BlockPlan | None) -> float | None:
@@ -189,7 +183,7 @@ def _try_seconds(model: Model, request: Request, blocks: BlockPlan | None) -> fl
     made.
     """
     with suppress(RequestError):  # settings with which no box can be made alone
-        if isinstance(model, WindowModel):
+        if makes_boxes(model):
             side = model.block if blocks is None else blocks.side
             return seconds_of(lambda box: model.values_of(request, box), request.shape, side)
     with suppress(RequestError):  # no volume that small

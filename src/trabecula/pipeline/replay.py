@@ -15,11 +15,11 @@ from trabecula import fields, finish
 from trabecula.core import indexing
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
-from trabecula.core.image import Image, declared
+from trabecula.core.image import Image, declare_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
-from trabecula.engine.storage.location import is_address, located
+from trabecula.engine.storage.location import is_address, location_of
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.place import block, place
 from trabecula.exemplar.samples import sample
@@ -127,7 +127,7 @@ def rerun(
         raise NotReproducedError(
             f"{path} does not hold what its recipe makes: its voxels were changed since"
         )
-    folder = located(path).folder
+    folder = location_of(path).folder
     parts = {"mask": mask, "fixed": fixed, "known": known, "target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 
@@ -388,7 +388,7 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image
         across=step.get("across", 1.0),
     ),
     "block": lambda image, step, sources: block(step["size"], step["shape"], corner=step["corner"]),
-    "declare": lambda image, step, sources: declared(_require(image), **step["fields"]),
+    "declare": lambda image, step, sources: declare_fields(_require(image), **step["fields"]),
     "segment": lambda image, step, sources: segment(
         _require(image), step["threshold"], phases=step["phases"]
     ),

@@ -13,7 +13,7 @@ from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
-from trabecula.engine.storage.location import Folder, Location, located, place_of
+from trabecula.engine.storage.location import Folder, Location, location_of, path_or_remote
 from trabecula.engine.store import open_finished, open_unfinished
 from trabecula.io import files
 from trabecula.pipeline.generate import Result, generate_to
@@ -54,7 +54,7 @@ def resume(
     NotReproducedError
         The exemplar, a part of the request or the versions are not those of the run.
     """
-    target = located(os.fspath(path).removesuffix(".part"))
+    target = location_of(os.fspath(path).removesuffix(".part"))
     if _is_finished(target):
         # Of a run that was killed after its last block and before it removed them.
         clear_scratch(target.beside(".scratch"))
@@ -94,7 +94,7 @@ def _describe_result(target: Location) -> Result:
         raise FileError(f"{target} was not made by generate: there is nothing to resume")
     notify(f"{target.name} is finished: there is nothing to resume")
     text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
-    return Result(place_of(target), shape, text, recipe)
+    return Result(path_or_remote(target), shape, text, recipe)
 
 
 def _interrupted_step(target: Location) -> Mapping[str, Any]:
@@ -120,7 +120,9 @@ def _interrupted_step(target: Location) -> Mapping[str, Any]:
         )
     if steps:
         return steps[-1]
-    step = checkpoint.begun(part.path) if isinstance(part, Folder) and part.path.is_file() else None
+    step = (
+        checkpoint.step_in(part.path) if isinstance(part, Folder) and part.path.is_file() else None
+    )
     if step is None:
         raise FileError(
             f"{part} does not say which run left it: give the whole command again, or remove it"
