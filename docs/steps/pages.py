@@ -340,8 +340,8 @@ def _returned(names: Iterable[str]) -> list[str]:
 def api_page() -> str:
     """Every public name of the package, by room."""
     rooms: dict[str, list[str]] = {room: [] for room in _ROOMS}
-    for name, home in trabecula._HOMES.items():
-        rooms.setdefault(home.partition(".")[0], []).append(f"trabecula.{name}")
+    for name, home in trabecula._NAMES.items():
+        rooms.setdefault(home.split(".")[1], []).append(f"trabecula.{name}")
     for home, names in _ALSO.items():
         rooms.setdefault(home.partition(".")[0], []).extend(
             f"trabecula.{home}.{name}" for name in names
