@@ -78,6 +78,10 @@ class MissingExtraError(TrabeculaError, ImportError):
     """An optional package that a feature needs and that is not installed."""
 
 
+class PluginError(TrabeculaError, ImportError):
+    """A method of another package that cannot be loaded."""
+
+
 class NotReproducedError(TrabeculaError, RuntimeError):
     """A recipe that was run again and gave other voxels."""
 
