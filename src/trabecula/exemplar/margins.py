@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from trabecula.core.image import Image
 from trabecula.exemplar.crop import crop
-from trabecula.measure.margins import Face, Margins, find_margins, margin_note
+from trabecula.measure.margins import MarginFace, Margins, find_margins, margin_note
 
-__all__ = ["Face", "Margins", "crop_margins", "find_margins", "margin_note"]
+__all__ = ["MarginFace", "Margins", "crop_margins", "find_margins", "margin_note"]
 
 
 def crop_margins(image: Image) -> Image:

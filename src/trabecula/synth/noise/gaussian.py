@@ -20,7 +20,7 @@ from trabecula.engine.blocks import Box
 from trabecula.engine.gaussian_random import quantiles
 from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import thread_count
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transform_planes, white
 from trabecula.synth.noise.covariance import Filter
 from trabecula.synth.noise.periodic_domain import Domain

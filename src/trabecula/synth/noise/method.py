@@ -18,7 +18,7 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
 from trabecula.engine.memory import Array, Stage, forecast
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel

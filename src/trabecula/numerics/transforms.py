@@ -1,6 +1,4 @@
-"""What every measure by Fourier transform needs: sides that are quick, and sums over all pairs an
-offset apart.
-"""
+"""Fourier transforms: fast sides, and sums over all pairs of voxels an offset apart."""
 
 from __future__ import annotations
 
@@ -8,8 +6,10 @@ import numpy as np
 
 
 def fast_side(side: int) -> int:
-    """The smallest number from `side` up whose only prime factors are 2, 3 and 5: 7 and 11 cost
-    NumPy's real transform twice the time."""
+    """Return the smallest number from `side` up whose only prime factors are 2, 3 and 5.
+
+    7 and 11 cost NumPy's real transform twice the time.
+    """
     while True:
         rest = side
         for prime in (2, 3, 5):
@@ -21,10 +21,10 @@ def fast_side(side: int) -> int:
 
 
 def sums_by_offset(values: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """The sum of v(x) v(x + k) over the pairs that fit into the array, for every offset k.
+    """Return the sum of v(x) v(x + k) over the pairs that fit into the array, for every offset k.
 
-    Where no mirror image of an offset is told from another, `correlation.fourier` takes a fifth of
-    the time.
+    Where an offset and its mirror images count as one, `measure.correlation.fourier` takes a fifth
+    of the time.
 
     Parameters
     ----------

@@ -11,8 +11,8 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def dot(a, b):
-    """Scalar product, accumulated in float64 in eight interleaved sums: one sum would wait for each
-    addition.
+    """Return the scalar product, accumulated in float64 in eight interleaved sums: one sum would
+    wait for each addition.
     """
     part = np.zeros(8)
     whole = len(a) // 8 * 8
@@ -27,7 +27,7 @@ def dot(a, b):
 
 @kernel
 def combine(s, a, t, b):
-    """s a + t b."""
+    """Return s a + t b."""
     c = np.empty_like(a)
     for i in range(len(a)):
         c[i] = s * a[i] + t * b[i]
@@ -36,7 +36,7 @@ def combine(s, a, t, b):
 
 @kernel
 def subtract(a, t, b):
-    """a - t b."""
+    """Return a - t b."""
     c = np.empty_like(a)
     for i in range(len(a)):
         c[i] = a[i] - t * b[i]
@@ -45,6 +45,6 @@ def subtract(a, t, b):
 
 @kernel
 def add_to(a, t, b):
-    """a += t b."""
+    """Add t b to a."""
     for i in range(len(a)):
         a[i] += t * b[i]
