@@ -55,7 +55,7 @@ def volume(make, identity="one", shape=SHAPE):
         make=make,
         describe=lambda sha256: {
             **FIELDS,
-            "recipe": Recipe().then_made("generate", sha256).to_json(),
+            "recipe": Recipe().then_digest("generate", sha256).to_json(),
         },
         identity=identity,
         scale=(2.0,) * 3,

@@ -131,7 +131,7 @@ def made(place, make, *, identity="one", chunk=32):
         make=make,
         describe=lambda sha256: {
             **FIELDS,
-            "recipe": Recipe().then_made("generate", sha256).to_json(),
+            "recipe": Recipe().then_digest("generate", sha256).to_json(),
         },
         identity=identity,
         scale=(1.0,) * 3,

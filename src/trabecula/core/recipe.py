@@ -32,9 +32,9 @@ class Recipe:
 
     def then(self, verb: str, values: np.ndarray, /, **parameters: Any) -> Recipe:
         """Return this recipe with one more step, whose result is `values`."""
-        return self.then_made(verb, digest(values), **parameters)
+        return self.then_digest(verb, digest(values), **parameters)
 
-    def then_made(self, verb: str, sha256: str, /, **parameters: Any) -> Recipe:
+    def then_digest(self, verb: str, sha256: str, /, **parameters: Any) -> Recipe:
         """Return this recipe with one more step, for a result of known digest."""
         step = {"verb": verb, **_plain(parameters), "sha256": sha256, "versions": versions()}
         return Recipe((*self.steps, step))

@@ -198,14 +198,14 @@ def _finished(volume: Slabs, target: Location, steps: Sequence[Step], depth: int
         report = IN_PLACE[name][1](values, cast(Image, volume), **settings)
         about = {"operation": name, "settings": settings, "report": report}
         if number < last:  # the last one's digest is that of what is written
-            recipe = recipe.then_made("finish", _digest(values, depth), **about)
+            recipe = recipe.then_digest("finish", _digest(values, depth), **about)
     made = _made(
         volume,
         values,
-        lambda sha256: recipe.then_made("finish", sha256, **about),
+        lambda sha256: recipe.then_digest("finish", sha256, **about),
         _identity(volume, read, steps),
     )
-    return recipe.then_made("finish", stream(made, target, side=CHUNK), **about)
+    return recipe.then_digest("finish", stream(made, target, side=CHUNK), **about)
 
 
 def _read(volume: Slabs, values: np.ndarray, depth: int) -> str:

@@ -57,7 +57,7 @@ def with_lengths(
     if isinstance(image, Slabs):
         # Its voxels stay as they are, and their digest with them.
         digest = str(image.recipe.steps[-1].get("sha256", "")) if image.recipe else ""
-        recipe = image.recipe.then_made("declare", digest, fields=fields)
+        recipe = image.recipe.then_digest("declare", digest, fields=fields)
         return cast(Volume, replace(image, **fields, recipe=recipe))
     if not image.recipe:
         image = replace(image, recipe=Recipe().then("array", image.values))

@@ -142,7 +142,7 @@ def export_slabs(
 
         sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), written())
         writer.finish(
-            volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds)
+            volume.unit, volume.recipe.then_digest("mesh", sha256, phase=phase, smooth=rounds)
         )
     layers = replace(layers, extent=tuple((high - low)[::-1].tolist()))
     say_size(layers.extent, volume.unit)

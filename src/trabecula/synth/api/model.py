@@ -251,7 +251,7 @@ class Model(ABC):
         self, request: Request, sha256: str, report: Mapping[str, Any] | None = None
     ) -> Recipe:
         """Return the recipe of a result whose voxels have this digest."""
-        return Recipe().then_made("generate", sha256, **self._step(request, report or {}))
+        return Recipe().then_digest("generate", sha256, **self._step(request, report or {}))
 
     @property
     def dtype(self) -> np.dtype:
