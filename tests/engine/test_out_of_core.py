@@ -133,7 +133,7 @@ def test_files_that_a_kill_left_go_with_the_next_word(model, tmp_path, monkeypat
     """Killed between the last block and the removal of the scratch files."""
     path = tmp_path / "x.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("trabecula.pipeline.out_of_core.Whole.remove", lambda self: 1 / 0)
+        patch.setattr("trabecula.pipeline.out_of_core.ScratchVolume.remove", lambda self: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             generate_to(model, REQUEST, path, chunks=16)
     assert names(tmp_path) == ["x.zarr", "x.zarr.scratch"]

@@ -11,7 +11,7 @@ import trabecula as tb
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.io.formats import FORMATS, SLICES
-from trabecula.io.guard import damaged, library_of
+from trabecula.io.guard import report_damage, library_of
 from trabecula.pipeline.replay import replay
 
 LABELS = np.random.default_rng(3).integers(0, 2, (4, 6, 7)).astype(np.uint8)
@@ -61,14 +61,14 @@ def test_a_mistake_of_a_library_blames_no_file(name, tmp_path, monkeypatch):
     "error", [TypeError, NameError, ImportError, AssertionError, NotImplementedError]
 )
 def test_other_mistakes_of_ours_come_through(error, tmp_path):
-    with pytest.raises(error), damaged(tmp_path, "TIFF"):
+    with pytest.raises(error), report_damage(tmp_path, "TIFF"):
         exec("raise error('mine')", {"__name__": "trabecula.io.tiff", "error": error})
 
 
 def test_where_types_are_not_checked_both_readings_are_said(tmp_path):
     with (
         pytest.raises(FileError, match="changed by other hands, or trabecula has a defect"),
-        damaged(tmp_path, "a model", checked=False),
+        report_damage(tmp_path, "a model", checked=False),
     ):
         exec("None.shape", {"__name__": "trabecula.synth.api.serialize"})
 

@@ -14,7 +14,7 @@ from trabecula.report.evenness import (
     evenness_numbers,
     measure_evenness,
     phases_of,
-    shared_windows,
+    choose_windows,
 )
 
 SIDE = 96
@@ -57,7 +57,7 @@ def fakes(image: tb.Image, amount: float) -> dict[str, tb.Image]:
 
 def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
     """What fails, by the functions that the certificate calls."""
-    windows = shared_windows(exemplar, [image])
+    windows = choose_windows(exemplar, [image])
     found = [
         measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each))
         for each in (exemplar, image)

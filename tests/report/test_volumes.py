@@ -10,7 +10,7 @@ from trabecula.measure import covariance_form, describe, largest_fraction, two_p
 from trabecula.report import verify
 from trabecula.report.band import LEAST_PART, parts
 from trabecula.report.metrics import figure_of
-from trabecula.report.planes import faces_of, slices_of
+from trabecula.report.planes import slice_planes, take_slices
 from trabecula.report.summary_text import sentences
 
 
@@ -55,7 +55,7 @@ def test_the_same_material_fails_nowhere_and_no_picture_decides_what_lies_in_spa
 
 
 def test_figures_are_means_over_slices_of_every_plane(picture, volume, certificate):
-    slices = [each for plane in ("yx", "zx", "zy") for each in slices_of(volume, plane)]
+    slices = [each for plane in ("yx", "zx", "zy") for each in take_slices(volume, plane)]
     assert len(slices) == 24
     metrics = certificate.metrics
     assert metrics["porosity"].value == pytest.approx(
@@ -122,7 +122,7 @@ def test_rows_and_columns_lie_as_the_plane_says():
     volume = labels(np.arange(24).reshape(2, 3, 4) % 7, spacing=(3, 2, 1), unit="um")
     for plane in ("yx", "zx", "zy", "xy", "xz", "yz"):
         rows, columns = ("zyx".index(axis) for axis in plane)
-        (found,) = slices_of(volume, plane, 1)
+        (found,) = take_slices(volume, plane, 1)
         across = ({0, 1, 2} - {rows, columns}).pop()
         middle = volume.values.take(volume.shape[across] // 2, across)
         assert np.array_equal(found.values, middle if rows < columns else middle.T)
@@ -131,8 +131,8 @@ def test_rows_and_columns_lie_as_the_plane_says():
 
 def test_slices_are_spread_evenly():
     volume = labels((np.arange(12) % 12)[:, None, None] * np.ones((1, 4, 4), int))
-    assert [int(each.values[0, 0]) for each in slices_of(volume, "yx", 3)] == [2, 6, 10]
-    assert len(slices_of(volume, "zx", 9)) == 4
+    assert [int(each.values[0, 0]) for each in take_slices(volume, "yx", 3)] == [2, 6, 10]
+    assert len(take_slices(volume, "zx", 9)) == 4
 
 
 def test_two_views_of_a_material_that_is_longer_along_an_axis():
@@ -218,15 +218,15 @@ def test_parts_are_as_large_as_slices():
 
 def test_faces():
     picture = labels(np.eye(32, dtype=int))
-    assert [(face.planes, face.suffix) for face in faces_of([picture])] == [
+    assert [(face.planes, face.suffix) for face in slice_planes([picture])] == [
         (("yx", "zx", "zy"), "")
     ]
-    two = faces_of([picture, picture])
+    two = slice_planes([picture, picture])
     assert [(face.planes, face.suffix) for face in two] == [
         (("yx", "zx"), "yx_zx"),
         (("zy",), "zy"),
     ]
-    assert [face.planes for face in faces_of([picture, picture], ["xz", "yx"])] == [
+    assert [face.planes for face in slice_planes([picture, picture], ["xz", "yx"])] == [
         ("xz",),
         ("yx",),
     ]

@@ -10,7 +10,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
-from trabecula.cli.choosing import check_fits, method_for
+from trabecula.cli.method_choice import check_fits, method_for
 
 _SHORT = ("minutes", "device", "run")
 """Options that are settings, of the methods that have them."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
-from trabecula.cli.choosing import check_fits, method_for
+from trabecula.cli.method_choice import check_fits, method_for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +92,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(frozen=True)
-class Job:
+class GenerateTask:
     """What the options ask for: a request, and either a model or a method with its exemplars (or
     the voxels' size).
     """
@@ -115,7 +115,7 @@ class Job:
         return model
 
 
-def prepare(options: argparse.Namespace) -> Job:
+def prepare(options: argparse.Namespace) -> GenerateTask:
     """What the options ask for. What can be refused without work is refused first."""
     from trabecula.core.checks import as_seed, as_shape
     from trabecula.core.errors import InputError
@@ -143,7 +143,7 @@ def prepare(options: argparse.Namespace) -> Job:
     if shape is None:
         shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
-    return Job(request, chosen, exemplars, voxel, model, recommended)
+    return GenerateTask(request, chosen, exemplars, voxel, model, recommended)
 
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:

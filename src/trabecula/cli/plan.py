@@ -8,7 +8,7 @@ import argparse
 from typing import Any
 
 from trabecula.cli import terminal
-from trabecula.cli.generate import Job, add_request, prepare
+from trabecula.cli.generate import GenerateTask, add_request, prepare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def _time(seconds: float | None) -> str:
     return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
 
 
-def _making(job: Job, options: argparse.Namespace) -> Any:
+def _making(job: GenerateTask, options: argparse.Namespace) -> Any:
     from trabecula.engine.parallel import thread_count, threads
     from trabecula.pipeline.demo import plan_to
 

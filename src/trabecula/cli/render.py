@@ -7,7 +7,7 @@ from math import prod
 from typing import Any
 
 from trabecula.cli import options as shared
-from trabecula.cli import shown
+from trabecula.cli import view_input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--turntable", metavar="N", help="a moving picture of N stills all round (.gif)"
     )
-    shown.add_memory(parser)
+    view_input.add_memory(parser)
     shared.add_reading(parser)
 
 
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     size = shared.integers(options.size, name="--size")
     azimuth, elevation = shared.numbers(options.camera, name="--camera")
     picture = (size[0], size[1])
-    image = shown.load_shown(
+    image = view_input.load_for_view(
         options.file,
         options,
         need=lambda shape, itemsize: forecast(shape, picture).peak + itemsize * prod(shape),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trabecula.cli import options as shared
-from trabecula.cli import shown
+from trabecula.cli import view_input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address, open no browser"
     )
-    shown.add_memory(parser)
+    view_input.add_memory(parser)
     shared.add_reading(parser)
 
 
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     # Greys are shown as they are, unless a threshold is asked for.
     options.threshold = options.threshold or "none"
     images = [
-        shown.load_shown(file, options, need=lambda *volume: forecast(*volume).peak)
+        view_input.load_for_view(file, options, need=lambda *volume: forecast(*volume).peak)
         for file in options.files
     ]
     names = [Path(file).name for file in options.files]

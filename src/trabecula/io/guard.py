@@ -52,7 +52,7 @@ _DEFECT: tuple[type[Exception], ...] = (
 
 
 @contextmanager
-def damaged(
+def report_damage(
     path: Path | Remote, form: str, *, also: tuple[type[Exception], ...] = (), checked: bool = True
 ) -> Iterator[None]:
     """Turn whatever a library raises while it reads `path` into one line.

@@ -19,9 +19,9 @@ from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.engine.storage.location import Remote, location_of, path_or_remote
-from trabecula.io.guard import check_there, damaged
+from trabecula.io.guard import check_there, report_damage
 from trabecula.io.meaning import interpret
-from trabecula.io.metadata import Content, checked
+from trabecula.io.metadata import Content, check_fields
 
 
 def open_slabs(
@@ -75,10 +75,10 @@ def open_slabs(
         raise InputError(
             f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr first"
         )
-    with damaged(place, "Zarr"):
+    with report_damage(place, "Zarr"):
         voxels = _open(place, level)
         fields = (
-            {**checked(voxels.opened.fields), "spacing": list(voxels.opened.scale)}
+            {**check_fields(voxels.opened.fields), "spacing": list(voxels.opened.scale)}
             if voxels.opened.fields
             else None
         )
@@ -127,7 +127,7 @@ def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, 
     place = path_or_remote(path)
     if not location_of(place).is_store():
         return None
-    with damaged(place, "Zarr"):
+    with report_damage(place, "Zarr"):
         return spatial_shape(store.open_finished(place, level))
 
 
@@ -177,7 +177,7 @@ class _Voxels:
 
     def read(self, box: Box) -> np.ndarray:
         array = self.opened.array
-        with damaged(self.path, "Zarr"):
+        with report_damage(self.path, "Zarr"):
             values = self.opened.read((0,) * (array.ndim - 3) + slices_of(box))
         return values.view(np.uint8) if values.dtype == bool else values
 

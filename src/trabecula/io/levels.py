@@ -11,7 +11,7 @@ from trabecula.core.progress import notify
 from trabecula.engine import store
 from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.storage.location import location_of, path_or_remote
-from trabecula.io.guard import damaged
+from trabecula.io.guard import report_damage
 from trabecula.io.lazy import spatial_shape
 
 
@@ -74,7 +74,7 @@ def _needed(
     place, found = path_or_remote(source), list[int]()
     if not location_of(place).is_store():
         return found
-    with damaged(place, "Zarr"), suppress(InputError):  # beyond the last level
+    with report_damage(place, "Zarr"), suppress(InputError):  # beyond the last level
         while True:
             opened = store.open_finished(place, len(found))
             shape = spatial_shape(opened)

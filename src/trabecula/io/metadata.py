@@ -66,10 +66,10 @@ def decode(text: str | bytes | None) -> dict[str, Any] | None:
     text = text.strip("\0 \r\n\t")
     if not text.startswith(f'{{"{KEY}"'):
         return None
-    return checked(json.loads(text)[KEY])
+    return check_fields(json.loads(text)[KEY])
 
 
-def checked(fields: Any) -> dict[str, Any]:
+def check_fields(fields: Any) -> dict[str, Any]:
     """The fields, or a ValueError where they are not what `encode` wrote."""
     types = {"kind": str, "spacing": list, "unit": str, "phases": list, "recipe": list}
     if not isinstance(fields, dict) or not all(
@@ -93,7 +93,7 @@ def _whole_numbers(value: Any) -> bool:
     return isinstance(value, list) and all(type(number) is int and number >= 0 for number in value)
 
 
-def spread(image: Image) -> tuple[np.ndarray, list[int] | None]:
+def greys_of_labels(image: Image) -> tuple[np.ndarray, list[int] | None]:
     """Labels as greys from black to white, so that pictures show them, and the grey of each; others
     as they are.
     """
@@ -104,8 +104,8 @@ def spread(image: Image) -> tuple[np.ndarray, list[int] | None]:
     return np.array(levels, np.uint8)[image.values], levels
 
 
-def gathered(values: np.ndarray, fields: dict[str, Any] | None) -> np.ndarray:
-    """The labels behind the greys that `spread` made; values without such a record as they are.
+def labels_of_greys(values: np.ndarray, fields: dict[str, Any] | None) -> np.ndarray:
+    """The labels behind the greys that `greys_of_labels` made; values without such a record as they are.
 
     Raises
     ------

@@ -15,7 +15,7 @@ import numpy as np
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, check_there, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, check_there, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical
 
@@ -98,7 +98,7 @@ def read(path: Path) -> Content:
                 "write that header, or read with numpy.fromfile"
             )
         path = header
-    with damaged(path, "MetaImage"):
+    with report_damage(path, "MetaImage"):
         fields, local = _parse(path)
         shape, dtype, channels = _layout(fields)
         raw = _voxels(path, fields, local, shape, dtype)

@@ -13,7 +13,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
@@ -65,7 +65,7 @@ def read(path: Path) -> Content:
     import nibabel
 
     families = (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError)
-    with damaged(path, "NIfTI", also=families), _quiet(nibabel.imageglobals.logger):
+    with report_damage(path, "NIfTI", also=families), _quiet(nibabel.imageglobals.logger):
         picture: Any = nibabel.load(path)
         header, proxy = picture.header, picture.dataobj
         size = path.stat().st_size

@@ -11,7 +11,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
@@ -92,7 +92,7 @@ def read(path: Path) -> Content:
     """Read .nrrd (see `trabecula.io.files.read`)."""
     import nrrd
 
-    with damaged(path, "NRRD", also=(nrrd.NRRDError, StopIteration)), path.open("rb") as file:
+    with report_damage(path, "NRRD", also=(nrrd.NRRDError, StopIteration)), path.open("rb") as file:
         header = nrrd.read_header(file)
         shape = tuple(reversed([int(side) for side in header["sizes"]]))
         dtype = _dtype(header["type"])

@@ -15,8 +15,8 @@ from trabecula.core.progress import track
 from trabecula.engine.files import replacing
 from trabecula.io import raster
 from trabecula.io.formats import format_of, suffix_of
-from trabecula.io.guard import check_claim, check_dtype, damaged
-from trabecula.io.metadata import Content, decode, encode, gathered, spread
+from trabecula.io.guard import check_claim, check_dtype, report_damage
+from trabecula.io.metadata import Content, decode, encode, labels_of_greys, greys_of_labels
 
 _SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 _FIELDS = "trabecula.json"
@@ -29,7 +29,7 @@ def write(image: Image, path: Path) -> Path:
         raise InputError("a folder of slices holds volumes, the image has 2 axes: write .png")
     check_dtype(image.values.dtype, ("uint8", "uint16"), form="a folder of PNG slices")
     _check_replaceable(path)
-    values, levels = spread(image)
+    values, levels = greys_of_labels(image)
     digits = max(4, len(str(len(values) - 1)))
     with replacing(path) as temporary:
         temporary.mkdir()
@@ -57,7 +57,7 @@ def _check_replaceable(path: Path) -> None:
 
 def read(path: Path) -> Content:
     """Read a folder of slices (see `trabecula.io.files.read`)."""
-    with damaged(path, "a folder of slices"):
+    with report_damage(path, "a folder of slices"):
         names = _slices(path)
         first = _plane(names[0])
         shape = (len(names), *first.values.shape)
@@ -73,7 +73,7 @@ def read(path: Path) -> Content:
                 "give the spacing (--spacing, --unit)"
             )
         return Content(
-            gathered(values, fields), colour=first.colour, fields=fields, ignored=ignored
+            labels_of_greys(values, fields), colour=first.colour, fields=fields, ignored=ignored
         )
 
 

@@ -21,7 +21,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.engine.parallel import thread_count
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.pixels import from_palette, without_alpha
 from trabecula.io.resolution import Calibration, from_resolution, plausible
@@ -127,7 +127,7 @@ def read(path: Path) -> Content:
     """Read a TIFF (see `trabecula.io.files.read`)."""
     import tifffile
 
-    with damaged(path, "TIFF", also=(tifffile.TiffFileError,)), tifffile.TiffFile(path) as tiff:
+    with report_damage(path, "TIFF", also=(tifffile.TiffFileError,)), tifffile.TiffFile(path) as tiff:
         _check_directories(tiff)
         series = _only_series(tiff)
         page: Any = tiff.pages.first
@@ -231,9 +231,9 @@ def _by_pillow(path: Path, tiff: Any) -> np.ndarray:
     """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow
     brings libtiff.
     """
-    from trabecula.io.raster import opened
+    from trabecula.io.raster import open_picture
 
-    with opened(path, ("TIFF",)) as picture:
+    with open_picture(path, ("TIFF",)) as picture:
         pages = []
         for index in range(len(tiff.pages)):
             picture.seek(index)

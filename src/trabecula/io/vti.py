@@ -20,7 +20,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import KEY, Content, decode, encode
 
 _TYPES = {
@@ -115,7 +115,7 @@ class _File:
 
 def read(path: Path) -> Content:
     """Read .vti (see `trabecula.io.files.read`)."""
-    with damaged(path, "VTK ImageData"):
+    with report_damage(path, "VTK ImageData"):
         whole = _opened(path)
         grid = whole.root.find("ImageData")
         pieces = [] if grid is None else grid.findall("Piece")

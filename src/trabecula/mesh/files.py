@@ -12,7 +12,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.engine.files import replacing
-from trabecula.io.guard import check_there, damaged
+from trabecula.io.guard import check_there, report_damage
 from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import FORMATS
@@ -93,7 +93,7 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     if unit is not None:
         check_unit(unit)
     module = FORMATS[path.suffix.lower()][1]
-    with damaged(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
+    with report_damage(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
         mesh = importlib.import_module(module).read(path)
     if not len(mesh.faces):
         raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")

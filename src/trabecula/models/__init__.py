@@ -10,7 +10,7 @@ SUFFIX = ".safetensors"
 _HERE = Path(__file__).parent
 
 
-def shipped() -> dict[str, Path]:
+def shipped_models() -> dict[str, Path]:
     """The files of the models that come with the package, by name."""
     return {path.stem: path for path in sorted(_HERE.glob(f"*{SUFFIX}"))}
 

@@ -42,7 +42,7 @@ from trabecula.pipeline.inputs import (
 from trabecula.pipeline.replay import form_of, replay, rerun
 from trabecula.pipeline.resume import resume
 from trabecula.report.certificate import verify
-from trabecula.report.metric import Certificate
+from trabecula.report.verdict import Certificate
 from trabecula.report.page import page
 from trabecula.report.page import write_page as page_to_file
 from trabecula.synth.api.registry import method

@@ -35,8 +35,8 @@ from trabecula.engine.timing import seconds_of, seconds_of_whole
 from trabecula.io import files
 from trabecula.io.formats import suffix_of
 from trabecula.io.units import long_name
-from trabecula.pipeline.out_of_core import Whole, pages_of, plan_whole
-from trabecula.pipeline.worker_payload import Shipped
+from trabecula.pipeline.out_of_core import ScratchVolume, pages_of, plan_whole
+from trabecula.pipeline.worker_payload import WorkerPayload
 from trabecula.synth.api.method import Model
 from trabecula.synth.api.windows import WindowModel
 
@@ -322,7 +322,7 @@ def _in_blocks(
 ) -> Result:
     """Each block alone, into a store."""
     make = (
-        (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
+        (lambda box: model.values_of(request, box)) if workers is None else WorkerPayload(model, request)
     )
     return _streamed(
         model, request, path, cut, make, lambda sha256: model.recipe(request, sha256), workers=workers
@@ -347,7 +347,7 @@ def _as_a_whole(
     if workers is not None:
         pages = pages_of(plan, at_once=workers.at_once, each=workers.memory)
     folder = _scratch_of(path, scratch, identity, left)
-    whole = Whole(model, request, folder, memory=pages, thickest=chunks, workers=workers)
+    whole = ScratchVolume(model, request, folder, memory=pages, thickest=chunks, workers=workers)
     grown = path.growing()
     whole.begin(plan.scratch, state=grown.path if isinstance(grown, Folder) else None)
     complete = (

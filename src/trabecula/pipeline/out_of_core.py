@@ -65,7 +65,7 @@ def pages_of(plan: Plan, *, at_once: int, each: int | None) -> int:
     return min(pages, (each - own) * at_once)
 
 
-class Whole:
+class ScratchVolume:
     """The volume of a request, of which boxes can be had: the first makes all of it.
 
     What is made lies in a folder until `remove`, so that a run that was killed goes on from its

@@ -28,7 +28,7 @@ from trabecula.io import files
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
 from trabecula.mesh.voxels import scaled, voxelise
-from trabecula.models import shipped
+from trabecula.models import shipped_models
 from trabecula.synth.api.method import Model
 from trabecula.synth.api.registry import method
 from trabecula.synth.api.serialize import load_model
@@ -188,7 +188,7 @@ def _undamaged(verb: str) -> Iterator[None]:
         ) from error
 
 
-def asked(
+def model_and_request(
     step: Mapping[str, Any],
     *,
     folder: Path,
@@ -305,7 +305,7 @@ def _model_file(named: Mapping[str, Any], places: RecipeFiles) -> AnyPath | None
     if named["name"] is None:
         return None
     beside = places.folder / Path(named["name"]).name
-    if beside.exists() or named["name"] in shipped():
+    if beside.exists() or named["name"] in shipped_models():
         return beside if beside.exists() else named["name"]
     raise FileError(
         f"the recipe needs the model {named['name']} (SHA-256 {named['sha256'][:12]}), which is not here: give its place "

@@ -18,7 +18,7 @@ from trabecula.engine.store import open_finished, open_unfinished
 from trabecula.io import files
 from trabecula.pipeline.generate import Result, generate_to
 from trabecula.pipeline.out_of_core import clear_scratch
-from trabecula.pipeline.replay import asked
+from trabecula.pipeline.replay import model_and_request
 from trabecula.synth.api.method import Model
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def resume(
         )  # of a run that was killed between writing the last block and removing them
         return _finished(target)
     step = _begun(target)
-    model, request = asked(step, folder=target.folder, **moved)
+    model, request = model_and_request(step, folder=target.folder, **moved)
     _check_same_run(model, request, target, step)
     return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
 

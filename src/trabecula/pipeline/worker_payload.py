@@ -16,7 +16,7 @@ from trabecula.synth.api.serialize import decode_model
 from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 
-class Shipped:
+class WorkerPayload:
     """A model and a request as another process gets them: the model as its file's bytes, opened at
     the first box.
     """

@@ -2,7 +2,7 @@
 differ by, a verdict."""
 
 from trabecula.report.certificate import verify
-from trabecula.report.metric import Certificate, Metric
+from trabecula.report.verdict import Certificate, Metric
 from trabecula.report.page import page, write_page
 
 __all__ = ["Certificate", "Metric", "page", "verify", "write_page"]

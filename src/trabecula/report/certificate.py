@@ -27,9 +27,9 @@ from trabecula.measure.fractions import porosity
 from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
 from trabecula.report.compatibility import check_corresponds, check_same_kind
-from trabecula.report.descriptors import LabelStick, Measured, Stick, TextureStick
-from trabecula.report.evenness import Windows, local_fractions, shared_windows
-from trabecula.report.metric import Certificate, Metric, about_image
+from trabecula.report.descriptors import LabelDescriptors, Measured, Stick, TextureDescriptors
+from trabecula.report.evenness import Windows, local_fractions, choose_windows
+from trabecula.report.verdict import Certificate, Metric, about_image
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
 from trabecula.report.slicewise import check_pictures, judge_volumes
@@ -195,7 +195,7 @@ def verify(
     reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
     fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
     reach = max(1, min(reach, fits))
-    windows = shared_windows(exemplar, others)
+    windows = choose_windows(exemplar, others)
     stick = _stick(exemplar, reach, level, windows, box, memory)
     thorough = level != "quick" and exemplar.kind == "labels"
     reference = Reference(exemplar, stick, copying=thorough)
@@ -251,8 +251,8 @@ def _stick(
     memory: int | None,
 ) -> Stick:
     if exemplar.kind != "labels":
-        return TextureStick(exemplar, lags=min(r_max, 32), windows=windows)
-    return LabelStick(r_max=r_max, level=level, windows=windows, box=box, memory=memory)
+        return TextureDescriptors(exemplar, lags=min(r_max, 32), windows=windows)
+    return LabelDescriptors(r_max=r_max, level=level, windows=windows, box=box, memory=memory)
 
 
 def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measured]:
@@ -260,13 +260,13 @@ def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Meas
     by its making.
     """
     field = gaussian_field(reference.exemplar)
-    stick = cast(LabelStick, reference.stick)
+    stick = cast(LabelDescriptors, reference.stick)
     fits = (
         stick.windows
         if stick.windows and min(field.shape) >= min(reference.exemplar.shape)
         else None
     )
-    measured = LabelStick(r_max=r_max, level="default", windows=fits).measure(field)
+    measured = LabelDescriptors(r_max=r_max, level="default", windows=fits).measure(field)
     return reference.judge(field, measured, copying=False), measured
 
 

@@ -84,7 +84,7 @@ class Stick(Protocol):
         """Every distance of an image to the exemplar."""
 
 
-class LabelStick:
+class LabelDescriptors:
     """Measures of phases."""
 
     def __init__(
@@ -238,7 +238,7 @@ class _Axes:
         return found
 
 
-class TextureStick:
+class TextureDescriptors:
     """Measures of grey values and colours as they are.
 
     Parameters

@@ -280,7 +280,7 @@ def _farthest(image: Evenness, own: Spread) -> float:
     return max(normal, skew)
 
 
-def shared_windows(exemplar: Image, images: Sequence[Image]) -> Windows | None:
+def choose_windows(exemplar: Image, images: Sequence[Image]) -> Windows | None:
     """Return windows that suit the exemplar and fit into every image; None where one is too small
     for any.
     """

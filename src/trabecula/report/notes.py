@@ -12,7 +12,7 @@ from trabecula.measure.effective_properties import physics_notes
 from trabecula.report.band import CONFIDENCE
 from trabecula.report.descriptors import Measured
 from trabecula.report.evenness import windows_note
-from trabecula.report.metric import Metric
+from trabecula.report.verdict import Metric
 from trabecula.report.reference import Reference
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine.files import replacing
 from trabecula.measure.correlation import covariance_form
-from trabecula.report.metric import Certificate, group_verdicts
+from trabecula.report.verdict import Certificate, group_verdicts
 from trabecula.report.metrics import GROUPS, figure_of
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
 from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences

@@ -17,7 +17,7 @@ SLICES = 8
 
 
 @dataclass(frozen=True)
-class Face:
+class SlicePlane:
     """A picture, and the planes of a volume that are to look like it."""
 
     picture: Image
@@ -26,7 +26,7 @@ class Face:
     """Of the names of its figures; empty where it is the only picture."""
 
 
-def faces_of(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[Face]:
+def slice_planes(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[SlicePlane]:
     """Every picture with its planes; `views` as of a method that learns from pictures.
 
     Raises
@@ -45,7 +45,7 @@ def faces_of(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[Face]
     faces = []
     for number, picture in enumerate(pictures):
         planes = tuple(plane for plane, of in named if of == number)
-        faces.append(Face(picture, planes, "_".join(planes) if len(pictures) > 1 else ""))
+        faces.append(SlicePlane(picture, planes, "_".join(planes) if len(pictures) > 1 else ""))
     return faces
 
 
@@ -78,7 +78,7 @@ def check_volume(image: Image, pictures: Sequence[Image], views: Sequence[str], 
         )
 
 
-def slices_of(volume: Image, plane: str, count: int = SLICES) -> list[Image]:
+def take_slices(volume: Image, plane: str, count: int = SLICES) -> list[Image]:
     """Slices of a volume in a plane, evenly spread, at most `count`; rows and columns as the
     plane's name says.
     """

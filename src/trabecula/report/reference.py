@@ -24,7 +24,7 @@ from trabecula.report.band import (
 )
 from trabecula.report.descriptors import Measured, Stick
 from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
-from trabecula.report.metric import Metric
+from trabecula.report.verdict import Metric
 from trabecula.report.metrics import (
     AT_LEAST,
     AT_MOST,

@@ -18,10 +18,10 @@ from trabecula.measure.correlation.axis_preference import (
 )
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.grey import autocorrelation
-from trabecula.report.descriptors import Measured, Stick, TextureStick
+from trabecula.report.descriptors import Measured, Stick, TextureDescriptors
 from trabecula.report.evenness import merge_evenness
 from trabecula.report.metrics import COUNT, figure_of, stem_of
-from trabecula.report.planes import slices_of
+from trabecula.report.planes import take_slices
 
 _NOT_OF_SLICES = ("percolates", "euler")
 """Of one slice they are chance, and a mean of them says nothing."""
@@ -56,7 +56,7 @@ class SliceStick:
 
     def measure_plane(self, volume: Image, plane: str) -> Measured:
         """Measure the mean over slices of one plane."""
-        found = [self.measure(each) for each in slices_of(volume, plane)]
+        found = [self.measure(each) for each in take_slices(volume, plane)]
         # Slices nearer to each other than the covariance reaches are no two samples.
         independent = volume.shape[as_axis(plane)] / self.reach
         return replace(self.mean(found), samples=max(1.0, min(float(len(found)), independent)))
@@ -91,7 +91,7 @@ class SliceStick:
         """What is compared with lines along the axes; nothing where pixels are no squares."""
         if max(image.spacing) > min(image.spacing) * (1 + 1e-4):
             return {}
-        if not isinstance(self.inner, TextureStick):
+        if not isinstance(self.inner, TextureDescriptors):
             return {_DIAGONAL: two_point_diagonal(image, r_max=self.reach)}
         rho = autocorrelation(image, lags=min(self.reach, self.inner.lags))
         row, column = (side // 2 for side in rho.shape)  # of offset 0
@@ -103,7 +103,7 @@ class SliceStick:
     def _preference(self, curves: Mapping[str, np.ndarray]) -> dict[str, float]:
         if _DIAGONAL not in curves:
             return {}
-        if isinstance(self.inner, TextureStick):
+        if isinstance(self.inner, TextureDescriptors):
             lines = [curves[f"autocorrelation_{axis}"] for axis in "yx"]
             far = min(map(len, lines))
             axial = np.mean([line[:far] for line in lines], axis=0)

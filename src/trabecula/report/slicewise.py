@@ -21,12 +21,12 @@ from trabecula.measure.effective_properties import describe_physics, physics_not
 from trabecula.measure.percolation import percolates
 from trabecula.report.band import LEAST_PART
 from trabecula.report.baseline import gaussian_field
-from trabecula.report.descriptors import LabelStick, Measured, TextureStick, numbers_of
-from trabecula.report.evenness import local_fractions, shared_windows
-from trabecula.report.metric import Certificate, Metric, about_image
+from trabecula.report.descriptors import LabelDescriptors, Measured, TextureDescriptors, numbers_of
+from trabecula.report.evenness import local_fractions, choose_windows
+from trabecula.report.verdict import Certificate, Metric, about_image
 from trabecula.report.metrics import VOLUME, in_order
 from trabecula.report.notes import exemplar_notes, span_note
-from trabecula.report.planes import SLICES, Face, check_volume, faces_of, slices_of
+from trabecula.report.planes import SLICES, SlicePlane, check_volume, slice_planes, take_slices
 from trabecula.report.reference import Reference, coherence_of
 from trabecula.report.slices import SliceStick, reach_of
 from trabecula.report.undecided import exemplar_reasons, level_reasons, picture_reason
@@ -76,7 +76,7 @@ def judge_volumes(
         Images that are not volumes of the pictures' voxels, or pictures and views that do not fit
         each other.
     """
-    faces = faces_of(pictures, views)
+    faces = slice_planes(pictures, views)
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
     smallest = min(
@@ -117,14 +117,14 @@ def judge_volumes(
 class _Judge:
     """A picture, measured once, and the planes that are judged by it."""
 
-    def __init__(self, face: Face, images: Sequence[Image], r_max: int, level: str) -> None:
+    def __init__(self, face: SlicePlane, images: Sequence[Image], r_max: int, level: str) -> None:
         self.face, picture = face, face.picture
         labels = picture.kind == "labels"
-        cuts = [slices_of(image, plane, 1)[0] for image in images for plane in face.planes]
-        windows = shared_windows(picture, cuts)
-        inner: Any = TextureStick(picture, lags=min(r_max, 32), windows=windows)
+        cuts = [take_slices(image, plane, 1)[0] for image in images for plane in face.planes]
+        windows = choose_windows(picture, cuts)
+        inner: Any = TextureDescriptors(picture, lags=min(r_max, 32), windows=windows)
         if labels:
-            inner = LabelStick(
+            inner = LabelDescriptors(
                 r_max=r_max, level="quick" if level == "quick" else "default", windows=windows
             )
         self.stick = SliceStick(inner, reach=reach_of(picture, r_max))
@@ -151,7 +151,7 @@ class _Judge:
                 )
         if self.copying:
             # Not the middle slice, which may be the picture itself, asked for.
-            cuts = [slices_of(image, plane, 2)[0] for plane in self.face.planes]
+            cuts = [take_slices(image, plane, 2)[0] for plane in self.face.planes]
             shares = [coherence_of(self.face.picture, cut) for cut in cuts]
             known = [share for share in shares if share is not None]
             found["coherence"] = self.reference.judged_coherence(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trabecula.report.metric import Certificate, Metric
+from trabecula.report.verdict import Certificate, Metric
 from trabecula.report.metrics import AT_LEAST, AT_MOST, COUNT, DISTANCE, GROUPS, figure_of, stem_of
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from trabecula.report.metric import Certificate
+from trabecula.report.verdict import Certificate
 from trabecula.report.metrics import GROUPS, figure_of
 from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences
 

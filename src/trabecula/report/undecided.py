@@ -8,7 +8,7 @@ import numpy as np
 
 from trabecula.measure.correlation import decay_length
 from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE
-from trabecula.report.metric import Metric
+from trabecula.report.verdict import Metric
 from trabecula.report.reference import Reference
 from trabecula.report.stationarity import find_trends
 from trabecula.report.structure import structure_of

@@ -141,7 +141,7 @@ class Couplings:
         # The strength of a bin is that of the mean over its offsets.
         into = self._field[channel]
         each = self.strength[channel] * into.size / np.maximum(self._pairs.fits, 1)
-        found = self._pairs.convolved(spectrum, each)
+        found = self._pairs.convolve(spectrum, each)
 
         def work(first: int, last: int) -> None:
             for z in range(first, last):

@@ -128,7 +128,7 @@ class Run:
             plane += 80 * height * width + 40 * levels * _ROWS
         most = self.threads * max(plane, sites + _ROWS * 4 * levels)
         if self.pairs is not None:
-            most = max(most, self.pairs.slab_bytes + self.pairs.kept_bytes)
+            most = max(most, self.pairs.slab_bytes + self.pairs.lines_bytes)
         return self.scratch + self._tables + 2 * _SMALL + most
 
     @property

@@ -42,7 +42,9 @@ from trabecula.synth.mrf.planes import across, turned
 from trabecula.synth.mrf.porosity_reweighting import tilted
 from trabecula.synth.mrf.scales import count_of, lattices_of, padded_shape, started
 from trabecula.synth.mrf.slice_planes import Face
-from trabecula.synth.shared.fields import isotropic_scale
+from trabecula.synth.shared.content.fields import (
+    isotropic_scale,
+)
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 

@@ -14,7 +14,7 @@ from trabecula.measure.labelling import label_components
 from trabecula.synth.quilt.bit_packing import Words, planes_for
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.period import agreement, periods_of, shifts_of
-from trabecula.synth.shared.orient import Symmetry, oriented, symmetries
+from trabecula.synth.shared.orient import Symmetry, apply_symmetry, symmetries
 
 _LEAST, _MOST = 8, 24  # voxels of a patch that nobody chose
 _OVER = 0.4  # share of a patch, or a period, that overlaps
@@ -216,7 +216,7 @@ def _deep(labels: np.ndarray) -> np.ndarray:
 
 def _turned(labels: np.ndarray, turn: Symmetry, ndim: int) -> np.ndarray:
     own = labels if ndim == 3 else labels[0]
-    return _deep(oriented(own[None], turn)[0])
+    return _deep(apply_symmetry(own[None], turn)[0])
 
 
 def _stacked(turned: Sequence[np.ndarray]) -> np.ndarray:

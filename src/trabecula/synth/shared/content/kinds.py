@@ -1,4 +1,4 @@
-"""What the exemplars hold, as fields and back: labels, grey values or colours."""
+"""The kinds of content, each converted to fields and back: labels, grey values or colours."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.shared.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
-from trabecula.synth.shared.fields import (
+from trabecula.synth.shared.content.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
+from trabecula.synth.shared.content.fields import (
     FULL,
-    labels_of,
     mean_edge,
     phase_fields,
     phases_present,
@@ -23,12 +22,19 @@ from trabecula.synth.shared.fields import (
     value_fields,
     values_of,
 )
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import mixed_share, surroundings
-from trabecula.synth.shared.slabs import both, by_pieces, counted, inverse, tallied
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.joints import pool_fractions, surroundings
+from trabecula.synth.shared.content.phase_fractions import labels_of
+from trabecula.synth.shared.slabs import (
+    complement,
+    count_true,
+    for_plane_groups,
+    intersection,
+    tally_by_slabs,
+)
 
 _BLUR = 1.0  # voxels
-_BESIDE = 8  # voxels around what is made that say how dense it should be
+_BESIDE = 8  # voxels around the free ones whose fractions count
 
 
 def content_of(
@@ -38,14 +44,14 @@ def content_of(
     histogram: bool = True,
     unit: float | None = None,
 ) -> Content:
-    """How to read and write the exemplars' kind.
+    """Choose the reader and writer of the exemplars' kind.
 
     Parameters
     ----------
     exemplars : sequence of Image
-        Volumes, or pictures: one for each view, so that what is seen in two counts twice.
+        Volumes, or pictures: one for each view, so that a picture of two views counts twice.
     field : {"distance", "indicator"}
-        What labels become.
+        The field of labels.
     histogram : bool
         Whether results hold the exemplars' histogram, or volume fractions.
     unit : float, optional
@@ -60,30 +66,32 @@ def content_of(
 
 
 class Content(ABC):
-    """Between images and fields."""
+    """Conversion between images and fields."""
 
     distances: bool
     """Whether a field is a distance in voxels, which halves with the resolution."""
 
     @abstractmethod
     def fields(self, image: Image) -> np.ndarray:
-        """(C, Z, Y, X) float32; of a picture (C, 1, Y, X)."""
+        """Return the fields (C, Z, Y, X) float32 of an image; of a picture (C, 1, Y, X)."""
 
     @abstractmethod
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """What a request's known voxels say of the field; `thin` says that the field is one of
-        planes, as known slices are.
+        """Return the bounds that a request's known voxels set to the field; `thin` where the field
+        is one of planes, as known slices are.
         """
 
-    def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
-        """The histograms of a field's channels that a request asks for: the exemplar's, or such as
-        meet its target.
+    def target_histograms(
+        self, histograms: Sequence[Histogram], request: Request
+    ) -> tuple[Histogram, ...]:
+        """Return the histograms of a field's channels that a request requires: the exemplar's, or
+        such as meet its target.
         """
         return tuple(histograms)
 
     @abstractmethod
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        """The result's values from the last votes (C, Z, Y, X) int16."""
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        """Return the result's values from the last votes (C, Z, Y, X) int16."""
 
 
 class Labels(Content):
@@ -103,15 +111,16 @@ class Labels(Content):
             axis=0,
         )
         self.fractions = counts[list(self.present)] / counts.sum()
-        # Outside a form there is nothing: the void where it has a name, else the first phase.
+        # Outside a form: the void where it has a name, else the first phase.
         self.empty = self.names.index("void") if "void" in self.names else 0
 
     def fields(self, image: Image) -> np.ndarray:
         return _deep(phase_fields(image, self.present, unit=self.unit)[0])
 
     def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
-        """Known voxels lie as far from an interface as they lie from the unknown, at least, or from
-        one that is known; in the plane of a slice that is where they lie."""
+        """Bound the distance of a known voxel to an interface: at least that to the nearest unknown
+        voxel, or to a known interface; in the plane of a slice the measured one.
+        """
         if request.fixed is None or request.known is None:
             return None
         unit = mean_edge(request.fixed.spacing) if self.unit is None else self.unit
@@ -121,12 +130,16 @@ class Labels(Content):
         )
 
     def _channels(self) -> tuple[int, ...]:
-        """The labels that the field's channels stand for."""
+        """List the labels that the field's channels stand for."""
         return self.present[1:] if len(self.present) == 2 else self.present
 
-    def aims(self, histograms: Sequence[Histogram], request: Request) -> tuple[Histogram, ...]:
-        """A target porosity makes values inside every phase as much more or less frequent."""
-        asked = self._asked(request)
+    def target_histograms(
+        self, histograms: Sequence[Histogram], request: Request
+    ) -> tuple[Histogram, ...]:
+        """Make values inside every phase as much more or less frequent as a target porosity
+        requires.
+        """
+        asked = self._fractions_of_target(request)
         if asked is None:
             return tuple(histograms)
         aims = []
@@ -134,30 +147,31 @@ class Labels(Content):
             range(len(self.present))[-len(histograms) :], histograms, strict=True
         ):
             own, wanted = float(self.fractions[phase]), float(asked[phase])
-            aims.append(Histogram.leaning(histogram, wanted / own, (1 - wanted) / (1 - own)))
+            aims.append(Histogram.reweight(histogram, wanted / own, (1 - wanted) / (1 - own)))
         return tuple(aims)
 
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        free = free_of(request)
-        wanted = self._wanted(request, free) if self.histogram or request.target else None
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        free = free_voxels(request)
+        wanted = self._target_fractions(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
-        return completed(values, request, empty=self.empty)
+        return complete(values, request, empty=self.empty)
 
-    def _wanted(self, request: Request, free: np.ndarray | None) -> np.ndarray:
-        """The fractions of what is made: the exemplar's, or where something is known beside it, of
-        both together; or what a target leaves to it."""
-        asked = self._asked(request)
+    def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
+        """Return the fractions of the free voxels: the exemplar's, or those of the exemplar and of
+        known voxels near by together, or those that meet a target.
+        """
+        asked = self._fractions_of_target(request)
         if asked is not None:
-            return self._left(asked, request, free)
+            return self._remaining_fractions(asked, request, free)
         if free is None or request.fixed is None or request.known is None:
             return self.fractions
         counts = _counts(request.fixed.values, surroundings(free, request.known, _BESIDE))
         held = int(counts.sum())
         own = counts[list(self.present)] / max(1, held)
-        return mixed_share(held, counted(free), own, self.fractions)
+        return pool_fractions(held, count_true(free), own, self.fractions)
 
-    def _asked(self, request: Request) -> np.ndarray | None:
-        """The fractions that a target porosity asks for: the other phases keep their proportions."""
+    def _fractions_of_target(self, request: Request) -> np.ndarray | None:
+        """Return the fractions of a target porosity; the other phases keep their proportions."""
         asked = porosity_of(request.target)
         if asked is None:
             return None
@@ -173,15 +187,17 @@ class Labels(Content):
         )
         return np.asarray(shares / shares.sum())
 
-    def _left(self, asked: np.ndarray, request: Request, free: np.ndarray | None) -> np.ndarray:
-        """The fractions of what is made, so that with what is known they are those asked for, as
-        far as they can be.
+    def _remaining_fractions(
+        self, asked: np.ndarray, request: Request, free: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the fractions of the free voxels that, with the known ones, meet the requested
+        fractions as far as possible.
         """
         if free is None or request.fixed is None or request.known is None:
             return asked
         counts = _counts(request.fixed.values, request.known, request.mask)
         left = np.maximum(
-            asked * (int(counts.sum()) + counted(free)) - counts[list(self.present)], 0
+            asked * (int(counts.sum()) + count_true(free)) - counts[list(self.present)], 0
         )
         return np.asarray(left / max(left.sum(), 1e-30))
 
@@ -234,26 +250,33 @@ class Values(Content):
     def _fields(self, values: np.ndarray) -> np.ndarray:
         return value_fields(values, colour=self.kind == "colour", low=self.low, high=self.high)
 
-    def delivered(self, votes: np.ndarray, request: Request) -> np.ndarray:
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         if self.histograms is not None:
-            return completed(values_of(votes, self.histograms, free_of(request)), request, empty=0)
+            return complete(
+                values_of(votes, self.histograms, free_voxels(request)), request, empty=0
+            )
         values = plain_values(votes, low=self.low, high=self.high, dtype=self.dtype)
-        return completed(values, request, empty=0)
+        return complete(values, request, empty=0)
 
 
 def _deep(fields: np.ndarray) -> np.ndarray:
-    """Fields (C, Z, Y, X): those of a picture are one plane deep."""
+    """Return fields as (C, Z, Y, X): those of a picture are one plane deep."""
     return fields if fields.ndim == 4 else fields[:, None]
 
 
-def free_of(request: Request) -> np.ndarray | None:
-    """The voxels that are to be made; None where all are."""
-    return request.mask if request.known is None else both(request.mask, inverse(request.known))
+def free_voxels(request: Request) -> np.ndarray | None:
+    """Mark the voxels that are to be made; None where all are."""
+    return (
+        request.mask
+        if request.known is None
+        else intersection(request.mask, complement(request.known))
+    )
 
 
-def completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
-    """Values, written into: `empty` outside the mask, and what is known as it is."""
-    mask, fixed, known = request.mask, request.fixed, request.known
+def complete(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray:
+    """Write `empty` outside the mask, and the known voxels, into values."""
+    mask, fixed = request.mask, request.fixed
+    known = request.known
 
     def work(start: int, stop: int) -> None:
         part = values[start:stop]
@@ -264,15 +287,15 @@ def completed(values: np.ndarray, request: Request, *, empty: int) -> np.ndarray
             part[there] = fixed.values[start:stop][there]
 
     if mask is not None or known is not None:
-        by_pieces(work, values.shape[:3])
+        for_plane_groups(work, values.shape[:3])
     return values
 
 
 def _counts(labels: np.ndarray, inside: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-    """How many voxels `inside`, and inside a mask, have each label, (256,)."""
+    """Count the voxels `inside`, and inside a mask, of each label, (256,)."""
 
     def tally(start: int, stop: int) -> np.ndarray:
         at = inside[start:stop] if mask is None else inside[start:stop] & mask[start:stop]
         return np.bincount(labels[start:stop][at], minlength=256)
 
-    return tallied(tally, labels.shape)
+    return tally_by_slabs(tally, labels.shape)

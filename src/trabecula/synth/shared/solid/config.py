@@ -1,4 +1,4 @@
-"""Settings of the methods that optimise a volume over the slices through it (`solid`), stated once."""
+"""Settings of the methods that optimise a volume over the slices through it, stated once."""
 
 from __future__ import annotations
 
@@ -7,10 +7,44 @@ from typing import Any
 
 from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_rounds, keep_views
 
+_PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {"first_rounds": 12, "rounds": (2, 4, 8), "sweeps": (1, 2), "tries": 2},
+    "best": {"first_rounds": 40, "rounds": (8, 16, 24), "sweeps": (2, 4), "tries": 8},
+    "paper": {
+        "levels": 3,
+        "first_rounds": 30,
+        "rounds": (8, 16, 30),
+        "histogram": False,
+        "corrections": (0,),
+        "search": "exact",
+        "components": 128,
+        "trim": 0,
+    },
+}
+
+_RANGES = {
+    "neighbourhood": (4, 12),
+    "levels": (1, 8),
+    "first_rounds": (1, 200),
+    "robustness": (0, 2),
+    "clip": (2, 20),
+    "nearest": (1, 100),
+    "tries": (0, 64),
+    "index_penalty": (0, 10),
+    "variance": (0.5, 1),
+    "components": (4, 128),
+}
+
+_CHOICES = {
+    "histogram": (True, False),
+    "search": ("coherent", "exact"),
+    "orientations": ("none", "mirrors", "all"),
+}
+
 
 @dataclass(frozen=True)
 class SolidConfig:
-    """What every such method can be told. Voxels are those of the level in question unless said
+    """Settings of every such method. Voxels are those of the level in question unless said
     otherwise.
     """
 
@@ -106,40 +140,5 @@ class SolidConfig:
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
-
-
-_PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"first_rounds": 12, "rounds": (2, 4, 8), "sweeps": (1, 2), "tries": 2},
-    "best": {"first_rounds": 40, "rounds": (8, 16, 24), "sweeps": (2, 4), "tries": 8},
-    "paper": {
-        "levels": 3,
-        "first_rounds": 30,
-        "rounds": (8, 16, 30),
-        "histogram": False,
-        "corrections": (0,),
-        "search": "exact",
-        "components": 128,
-        "trim": 0,
-    },
-}
-
-_RANGES = {
-    "neighbourhood": (4, 12),
-    "levels": (1, 8),
-    "first_rounds": (1, 200),
-    "robustness": (0, 2),
-    "clip": (2, 20),
-    "nearest": (1, 100),
-    "tries": (0, 64),
-    "index_penalty": (0, 10),
-    "variance": (0.5, 1),
-    "components": (4, 128),
-}
-
-_CHOICES = {
-    "histogram": (True, False),
-    "search": ("coherent", "exact"),
-    "orientations": ("none", "mirrors", "all"),
-}

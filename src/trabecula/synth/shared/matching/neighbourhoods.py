@@ -1,5 +1,5 @@
-"""Neighbourhood vectors: cubes of w^3 voxels, or squares of w^2 across the first axis, on their
-principal components, exactly.
+"""Neighbourhood vectors: cubes of w^3 voxels, or squares of w^2 across the first axis, projected on
+their principal components exactly.
 
 The fields are int8 and the basis is rounded to integers small enough that every partial sum of a
 projection stays below 2^24, so float32 matrix products are exact: whatever the BLAS, its threads
@@ -8,28 +8,22 @@ and the size of the batch, the bits agree. Distances between int16 features then
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_slabs, one_blas_thread
-from trabecula.synth.shared.eigen import leading_vectors
+from trabecula.engine.parallel import for_slabs
 
 SCALE = 8
 """A feature is SCALE times the projection, so a squared distance is SCALE**2 times the
 neighbourhood's (at most 2^31).
 """
 
-_EXACT = 2**24 / 127 * 0.98  # over the largest value and the norm of its row
-_SAMPLES = 8192
 _AT_ONCE = 1 << 23  # bytes of features that are made together, more where a plane has more
 _ROWS = 1 << 12  # rows a product takes at once: 8 MiB of float32 for 8^3, about the cache
-
-
 Triple = tuple[int, int, int]
 
 
@@ -53,66 +47,25 @@ class Basis:
 
     @property
     def box(self) -> Triple:
-        """The sides of a neighbourhood."""
+        """Return the sides of a neighbourhood."""
         return box_of(self.width, flat=self.flat)
 
 
 def box_of(width: int, *, flat: bool) -> Triple:
-    """The sides (z, y, x) of a cube of `width` voxels, or of a square across z."""
+    """Return the sides (z, y, x) of a cube of `width` voxels, or of a square across z."""
     return (1 if flat else width, width, width)
 
 
 def steps_of(step: int, *, flat: bool) -> Triple:
-    """How far apart neighbourhoods lie along each axis: squares lie in every plane."""
+    """Return the distance between neighbourhoods along each axis: there are squares in
+    every plane.
+    """
     return (1 if flat else step, step, step)
 
 
-def principal_basis(
-    field: np.ndarray,
-    allowed: np.ndarray | None = None,
-    *,
-    width: int,
-    variance: float,
-    most: int,
-    grain: int = 1,
-    flat: bool = False,
-) -> Basis:
-    """The leading components of the neighbourhoods of (C, Z, Y, X) int8: as many as explain
-    `variance`, up to `most`.
-
-    The covariance comes from up to 8192 neighbourhoods spread evenly over those that are `allowed`
-    ((gz, gy, gx) bool, by their first corner; default all), summed exactly. `grain` 2 needs an even
-    width. `flat` neighbourhoods are squares of one plane z.
-    """
-    box, grains = box_of(width, flat=flat), box_of(grain, flat=flat)
-    grid = tuple(side - reach + 1 for side, reach in zip(field.shape[1:], box, strict=True))
-    ones = np.arange(np.prod(grid)) if allowed is None else np.flatnonzero(allowed)
-    chosen = ones[_spread(len(ones))]
-    sample = np.empty((len(chosen), len(field) * int(np.prod(box) // np.prod(grains))), np.float32)
-    blocks = block_sums(field, grains)
-    for z, sites, rows in _by_plane(chosen, grid):
-        part = np.empty((len(sites), sample.shape[1]), np.float32)
-        gather(blocks, sites, grid[2], z, 1, box, grains, part)
-        sample[rows] = part
-    total = sample.sum(0, dtype=np.float64)
-    with one_blas_thread():
-        covariance = _gram(sample, exact=grain == 1) - np.outer(total, total) / len(sample)
-    count = min(most, len(covariance))
-    eigenvalues, vectors = leading_vectors(covariance, count)
-    share = np.cumsum(np.maximum(eigenvalues, 0)) / max(np.trace(covariance), 1e-30)
-    count = min(count, int(np.searchsorted(share, variance)) + 1)
-    kept = vectors[:, :count]
-    # An eigenvector's sign is arbitrary: the entry of largest size is made positive.
-    kept = kept * np.where(kept[np.abs(kept).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
-    scale = _EXACT / np.sqrt(len(kept)) / int(np.prod(grains))
-    return Basis(
-        np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain, flat
-    )
-
-
 def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
-    """Sums over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y,
-    X) int8, in int16.
+    """Sum over the blocks of `grains` (1 or 2 voxels along each axis) at each voxel of (C, Z, Y, X)
+    int8, in int16.
     """
     if max(grains) == 1:
         return field
@@ -124,35 +77,11 @@ def block_sums(field: np.ndarray, grains: Triple) -> np.ndarray:
     return sums
 
 
-def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, np.ndarray, slice]]:
-    """For every plane of a grid that holds some of the chosen sites (rising): it, their numbers in
-    it, their places.
-    """
-    planes, sites = np.divmod(chosen, grid[1] * grid[2])
-    bounds = np.flatnonzero(np.diff(planes, prepend=-1, append=grid[0]))
-    for first, stop in pairwise(bounds):
-        yield int(planes[first]), sites[first:stop], slice(first, stop)
-
-
-def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
-    """sample.T @ sample in whole numbers: float32 products of int8 values over 1024 rows at a time
-    stay below 2^24.
-    """
-    if not exact:  # sums of blocks are too large for that
-        wide = sample.astype(np.float64)
-        return wide.T @ wide
-    total = np.zeros((sample.shape[1],) * 2)
-    for start in range(0, len(sample), 1024):
-        rows = sample[start : start + 1024]
-        total += rows.T @ rows
-    return total
-
-
 def project(
     field: np.ndarray, basis: Basis, *, step: int, active: np.ndarray | None = None
 ) -> np.ndarray:
-    """Features (gz, gy, gx, D) int16 of the neighbourhoods at every `step`-th corner of (C, Z, Y,
-    X) int8, flat ones in every plane.
+    """Project the neighbourhoods at every `step`-th corner of (C, Z, Y, X) int8, flat ones in every
+    plane, to features (gz, gy, gx, D) int16.
 
     Where `active` (gz, gy, gx) bool is given and False, features are not computed and undefined.
     """
@@ -176,7 +105,7 @@ def project(
 
 
 def planes_together(depth: int, grid: Sequence[int]) -> int:
-    """So many planes of a grid of neighbourhoods with `depth` components have features that stay in
+    """Count the planes of a grid of neighbourhoods with `depth` components whose features stay in
     the cache.
     """
     return max(1, _AT_ONCE // (2 * depth * grid[1] * grid[2]))
@@ -190,23 +119,20 @@ def project_planes(
     step: int,
     active: np.ndarray | None = None,
 ) -> None:
-    """`project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins
+    """Do `project` in the caller's thread, into `features` (gz, gy, gx, D) int16; the field begins
     with their first plane.
     """
     length, count = basis.vectors.shape
-    box, grains, steps = (
-        basis.box,
-        box_of(basis.grain, flat=basis.flat),
-        steps_of(step, flat=basis.flat),
-    )
+    box, grains = basis.box, box_of(basis.grain, flat=basis.flat)
+    steps = steps_of(step, flat=basis.flat)
     # The sum over a block of n equal values has n times their value, but only sqrt(n) times their
     # norm.
     factor = np.float32(SCALE / basis.scale / basis.grain ** (1.0 if basis.flat else 1.5))
     blocks = np.ascontiguousarray(block_sums(field, grains))
     if basis.grain > 1 and step % basis.grain == 0:
-        # Of the sums only those of blocks side by side are asked for.
+        # Only the sums of blocks side by side are needed.
         blocks = np.ascontiguousarray(blocks[:, :: grains[0], :: grains[1], :: grains[2]])
-        box, steps = divided(box, grains), divided(steps, grains)
+        box, steps = divide_sides(box, grains), divide_sides(steps, grains)
         grains, step = (1, 1, 1), step // basis.grain
     across = features.shape[2]
     rows = np.empty((min(_ROWS, features.shape[1] * across), length), np.float32)
@@ -221,15 +147,15 @@ def project_planes(
             store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
 
 
-def divided(sides: Triple, by: Triple) -> Triple:
-    """Sides in units of blocks."""
+def divide_sides(sides: Triple, by: Triple) -> Triple:
+    """Return sides in units of blocks."""
     z, y, x = (side // b for side, b in zip(sides, by, strict=True))
     return z, y, x
 
 
 @kernel
 def store(products, factor, sites, plane):
-    """Products times `factor`, rounded to int16, to the sites' rows; in a kernel, so that other
+    """Write products times `factor`, rounded to int16, to the sites' rows; a kernel, so that other
     threads can work meanwhile.
     """
     for n in range(len(sites)):
@@ -240,7 +166,8 @@ def store(products, factor, sites, plane):
 
 @kernel
 def gather(field, sites, across, z0, step, box, grains, rows):
-    """Rows of the neighbourhoods at sites y * across + x of one plane that begins at voxel z0.
+    """Copy the neighbourhoods at sites y * across + x of one plane, which begins at voxel z0, to
+    rows.
 
     box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two
     agree.
@@ -267,34 +194,23 @@ def gather(field, sites, across, z0, step, box, grains, rows):
                     at += length
 
 
-def basis_bytes(length: int, count: int) -> int:
-    """Memory that `principal_basis` takes for `count` vectors of `length`: the sample in float32,
-    and covariances.
-    """
-    return 4 * min(_SAMPLES, count) * length + 28 * length**2
-
-
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:
-    """Memory that `project` takes per thread beyond its result."""
+    """Forecast the memory of `project` per thread beyond its result."""
     length, count = basis.vectors.shape
     return min(_ROWS, grid[1] * grid[2]) * (4 * length + 16 * count)
 
 
 def grid_shape(shape: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
-    """How many neighbourhoods, `steps` apart, cover `shape`; the last may reach past its end."""
+    """Count the neighbourhoods, `steps` apart, that cover `shape`; the last may reach
+    past its end.
+    """
     z, y, x = (
         -(-(max(side, w) - w) // t) + 1 for side, w, t in zip(shape, box, steps, strict=True)
     )
     return z, y, x
 
 
-def covered_shape(grid: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
-    """The voxels that a grid of neighbourhoods covers."""
+def grid_reach(grid: Sequence[int], *, box: Triple, steps: Triple) -> Triple:
+    """Return the voxels that a grid of neighbourhoods covers."""
     z, y, x = ((count - 1) * t + w for count, w, t in zip(grid, box, steps, strict=True))
     return z, y, x
-
-
-def _spread(count: int) -> np.ndarray:
-    if count <= _SAMPLES:
-        return np.arange(count)
-    return np.arange(_SAMPLES) * count // _SAMPLES

@@ -16,32 +16,49 @@ from trabecula.core.image import Image
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.shared.auction import shared_out
-from trabecula.synth.shared.brightest import brightest
-from trabecula.synth.shared.histogram import Histogram, look_up, match_histogram, matching_table
-from trabecula.synth.shared.slabs import by_pieces, counted, made_by_slabs
+from trabecula.synth.shared.content.histogram import (
+    Histogram,
+    look_up,
+    match_histogram,
+    matching_table,
+)
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 FULL = 127
 """The int8 value of a voxel `clip` voxels or more inside its phase; of the brightest grey."""
 
+UNIT = 256
+"""An int8 step of a field in the int16 of votes."""
+
+_WORDS = 4  # of 64 bits that the generator makes at once
+
 
 def phases_present(images: Sequence[Image]) -> tuple[int, ...]:
-    """The labels that occur in any of the images, rising."""
+    """List the labels that occur in any of the images, rising."""
     return tuple(
         int(label)
         for label in np.unique(np.concatenate([np.unique(image.values) for image in images]))
     )
 
 
+def channels_of(exemplars: Sequence[Image]) -> int:
+    """Count the channels of the fields of images."""
+    first = exemplars[0]
+    if first.kind != "labels":
+        return 3 if first.kind == "colour" else 1
+    present = len(phases_present(exemplars))
+    return 1 if present == 2 else present
+
+
 def phase_fields(
     image: Image, present: tuple[int, ...] | None = None, *, unit: float | None = None
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that they stand
-    for.
+    """Return signed distances in voxels, (C, Z, Y, X) or (C, Y, X) float32, and the labels that
+    they stand for.
 
     With two labels present the one channel stands for the second. Distances follow the image's
     spacing; `unit` is the length that counts as one, by default the geometric mean of a voxel's
-    edges. A label of `present` that does not occur lies infinitely far.
+    edges. A label of `present` that does not occur is infinitely far.
     """
     present = phases_present([image]) if present is None else present
     spacing = (
@@ -55,12 +72,12 @@ def phase_fields(
 
 
 def mean_edge(spacing: Sequence[float]) -> float:
-    """The geometric mean of a voxel's edges."""
+    """Return the geometric mean of a voxel's edges."""
     return float(np.exp(np.mean(np.log(np.asarray(spacing)))))
 
 
 def isotropic_scale(spacing: Sequence[float]) -> tuple[float, ...]:
-    """Edges of a voxel over their geometric mean."""
+    """Divide the edges of a voxel by their geometric mean."""
     edges = np.asarray(spacing)
     return tuple((edges / np.exp(np.mean(np.log(edges)))).tolist())
 
@@ -72,10 +89,10 @@ def _distance_of(inside: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
 
 
 def quantise(field: np.ndarray, *, clip: float, unit: float = 1.0) -> np.ndarray:
-    """A field (..., Z, Y, X) in int8, where +-127 means `clip` of these units and beyond."""
+    """Round a field (..., Z, Y, X) to int8, where +-127 means `clip` of these units and beyond."""
     if field.ndim < 3:
         return _bytes(field, clip, unit)
-    return made_by_slabs(
+    return make_by_slabs(
         lambda a, b: _bytes(field[..., a:b, :, :], clip, unit), field.shape, np.int8
     )
 
@@ -86,61 +103,20 @@ def _bytes(field: np.ndarray, clip: float, unit: float) -> np.ndarray:
 
 
 def value_fields(values: np.ndarray, *, colour: bool, low: float, high: float) -> np.ndarray:
-    """Grey values, or colours (..., 3), as (C, ...) float32, -127 at `low` and 127 at `high`."""
+    """Stretch grey values, or colours (..., 3), to (C, ...) float32, -127 at `low` and 127 at
+    `high`.
+    """
     channels = np.moveaxis(values, -1, 0) if colour else values[None]
     return (channels.astype(np.float32) - np.float32(low)) * np.float32(
         2 * FULL / (high - low)
     ) - np.float32(FULL)
 
 
-def labels_of(
-    fields: np.ndarray,
-    present: tuple[int, ...],
-    fractions: np.ndarray | None,
-    inside: np.ndarray | None = None,
-) -> np.ndarray:
-    """Labels (uint8) of voted fields (C, Z, Y, X) int16, holding the phases in the given volume
-    `fractions`.
-
-    Without fractions two phases are split at zero, and more go to the largest field.
-    Two phases are split where the fraction is met to the voxel. More go to the largest field, each
-    shifted by a constant so that the fractions come out, but for ties: zeros alone need not agree
-    where three phases meet. Where `inside` (Z, Y, X) bool is given, fractions are those of the
-    voxels inside.
-    """
-    labels = np.asarray(present, np.uint8)
-    if fractions is None:
-        return made_by_slabs(
-            lambda a, b: labels[_largest(fields[:, a:b])], fields.shape[1:], np.uint8
-        )
-    size = fields[0].size if inside is None else counted(inside)
-    if len(present) == 2:
-        upper = brightest(fields[0], round(size * float(fractions[1])), inside)
-        return _in_place(upper.view(np.uint8), labels)
-    return _in_place(shared_out(fields, np.rint(size * fractions).astype(np.int64), inside), labels)
-
-
-def _largest(fields: np.ndarray) -> np.ndarray:
-    """The phase that each voxel of (C, Z, Y, X) belongs to."""
-    return (fields[0] > 0).astype(np.intp) if len(fields) == 1 else fields.argmax(0)
-
-
-def _in_place(phases: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The labels of phases (Z, Y, X) uint8 that are counted from 0, written over them."""
-
-    def work(start: int, stop: int) -> None:
-        phases[start:stop] = labels[phases[start:stop]]
-
-    if not np.array_equal(labels, np.arange(len(labels))):
-        by_pieces(work, phases.shape)
-    return phases
-
-
 def values_of(
     fields: np.ndarray, targets: Sequence[Histogram], inside: np.ndarray | None = None
 ) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the histograms
-    of the channels.
+    """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the
+    histograms of the channels.
     """
     if len(fields) == 1:
         return match_histogram(fields[0], targets[0], inside)
@@ -161,8 +137,8 @@ def values_of(
 
 
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
-    """Grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: `value_fields`
-    backwards.
+    """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: the inverse
+    of `value_fields`.
     """
     shape = fields.shape[1:] if len(fields) == 1 else (*fields.shape[1:], len(fields))
     values = memmap.empty(shape, dtype)
@@ -176,5 +152,36 @@ def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype
         found = (grey if dtype.kind == "f" else np.rint(grey)).astype(dtype)
         values[start:stop] = found[0] if len(found) == 1 else np.moveaxis(found, 0, -1)
 
-    by_pieces(work, values.shape[:3])
+    for_plane_groups(work, values.shape[:3])
     return values
+
+
+def votes_of(field: np.ndarray) -> np.ndarray:
+    """Scale a field (C, Z, Y, X) int8 to votes (int16)."""
+    votes = memmap.empty(field.shape, np.int16, least=0)  # another process may write it
+
+    def work(start: int, stop: int) -> None:
+        np.multiply(field[:, start:stop], np.int16(UNIT), out=votes[:, start:stop], dtype=np.int16)
+
+    for_slabs(work, field.shape[1], anywhere=True)
+    return votes
+
+
+def noise(shape: Sequence[int], key: int) -> np.ndarray:
+    """Draw white noise (C, Z, Y, X) int16, even from -8192 to 8191: the successive words of one
+    generator.
+    """
+    votes = memmap.empty(shape, np.int16)
+    channels, depth, height, width = votes.shape
+
+    def work(start: int, stop: int) -> None:
+        for c in range(channels):
+            for z in range(start, stop):
+                before = (c * depth + z) * height * width
+                generator = np.random.Philox(key=key, counter=before // _WORDS)
+                generator.random_raw(before % _WORDS)
+                raw = generator.random_raw(height * width) >> np.uint64(50)
+                votes[c, z] = raw.astype(np.int16).reshape(height, width) - np.int16(8192)
+
+    for_slabs(work, depth)
+    return votes

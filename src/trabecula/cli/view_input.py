@@ -21,7 +21,7 @@ def add_memory(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load_shown(
+def load_for_view(
     source: str, options: argparse.Namespace, *, need: Callable[[tuple[int, ...], int], int]
 ) -> Any:
     """As `load_exemplar`, of the finest level that fits where none is asked for; of a crop of

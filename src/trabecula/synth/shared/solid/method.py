@@ -1,6 +1,4 @@
-"""Fitting the methods that search and vote on planes: how far the pictures reach, and what learning
-from them takes.
-"""
+"""Learning from pictures for search and vote on planes, and its memory forecast."""
 
 from __future__ import annotations
 
@@ -11,11 +9,11 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.memory import Plan
-from trabecula.synth.shared.matching.levels import grain_of
-from trabecula.synth.shared.neighbourhoods import basis_bytes
+from trabecula.synth.shared.coarse_to_fine import levels_that_fit
+from trabecula.synth.shared.content.fields import channels_of
+from trabecula.synth.shared.matching.principal_components import basis_bytes, grain_of
 from trabecula.synth.shared.orient import symmetries
-from trabecula.synth.shared.pictures import ROOM, PictureMethod
-from trabecula.synth.shared.solid_config import SolidConfig
+from trabecula.synth.shared.pictures import PictureMethod
 
 PROCESS = 180 << 20
 """Bytes of the interpreter with NumPy, Numba and the kernels loaded."""
@@ -30,15 +28,17 @@ class Solid(PictureMethod):
         return int(self.config.neighbourhood)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Fields and neighbourhoods of the levels learnt so far, and what learning the next one
-        takes beside them.
+        """Forecast the fields and neighbourhoods of the levels learnt so far, and the memory for
+        learning the next one beside them.
         """
         channels, width = channels_of(exemplars), self._width()
         turns = len(symmetries(self.config.orientations, ndim=2))
         size = channels * sum(int(np.prod(image.shape)) for image in exemplars)
         kept, peak = 0, 16 * size
         for index in range(
-            levels_that_fit(min(min(image.shape) for image in exemplars), self.config)
+            levels_that_fit(
+                min(min(image.shape) for image in exemplars), self.config.levels, width=width
+            )
         ):
             smooth = grain_of(width, smooth=exemplars[0].kind == "labels" and index == 0) == 2
             length = channels * width**2 // (4 if smooth else 1)
@@ -54,20 +54,3 @@ class Solid(PictureMethod):
         return Plan(
             {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}
         )
-
-
-def channels_of(exemplars: Sequence[Image]) -> int:
-    """Channels of the fields of images."""
-    first = exemplars[0]
-    if first.kind != "labels":
-        return 3 if first.kind == "colour" else 1
-    present = len(np.unique(np.concatenate([np.unique(exemplar.values) for exemplar in exemplars])))
-    return 1 if present == 2 else present
-
-
-def levels_that_fit(smallest: int, config: SolidConfig) -> int:
-    """Resolutions at which a picture has room for a neighbourhood."""
-    count = 1
-    while count < config.levels and smallest // 2**count >= config.neighbourhood + ROOM:
-        count += 1
-    return count

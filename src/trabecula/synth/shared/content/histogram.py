@@ -2,8 +2,8 @@
 
 Votes agree so often that many voxels hold exactly the same value; a rank within such a tie would be
 chance, and mapping the whole tie to one value moves the volume fraction by percents. So voxels are
-ranked by their value with a small share of their six neighbours' mixed in. Those ranks are not
-kept: taking them again costs less than memory for them.
+ranked by their value with a small share of their six neighbours' mixed in. The ranks are computed
+again when needed, which costs less than memory for them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from trabecula.engine.parallel import for_slabs, sum_slabs
 
 _OWN = 24  # weight of the voxel itself against 1 for each of six neighbours
 _BINS = 1 << 16
-_PARTS = 1 << 20  # resolution of a histogram that leans
+_PARTS = 1 << 20  # resolution of a reweighted histogram
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ class Histogram:
 
     @classmethod
     def of(cls, values: np.ndarray) -> Histogram:
-        """Of an array of any type and shape."""
+        """Count the values of an array of any type and shape."""
         present, counts = np.unique(values, return_counts=True)
         return cls(present, np.cumsum(counts))
 
     @classmethod
-    def pooled(cls, histograms: Sequence[Histogram]) -> Histogram:
-        """Of several of one type of values, as of one sample in which each counts alike."""
+    def pool(cls, histograms: Sequence[Histogram]) -> Histogram:
+        """Pool several of one type of values, as one sample in which each counts alike."""
         present = np.unique(np.concatenate([histogram.values for histogram in histograms]))
         parts = np.zeros(len(present), np.int64)
         for histogram in histograms:
@@ -51,9 +51,9 @@ class Histogram:
         return cls(present, np.cumsum(parts))
 
     @classmethod
-    def leaning(cls, target: Histogram, positive: float, negative: float) -> Histogram:
-        """A target of numbers whose values above zero weigh `positive` times as much, and those
-        below `negative` times.
+    def reweight(cls, target: Histogram, positive: float, negative: float) -> Histogram:
+        """Return a target of numbers whose values above zero weigh `positive` times as much, and
+        those below `negative` times.
         """
         counts = np.diff(target.up_to, prepend=0) / target.up_to[-1]
         counts = counts * np.where(
@@ -63,8 +63,8 @@ class Histogram:
         present = parts > 0
         return cls(target.values[present], np.cumsum(parts[present]))
 
-    def ranked(self, middle: np.ndarray, size: int) -> np.ndarray:
-        """The values at these places of a ranking of `size`."""
+    def values_at(self, middle: np.ndarray, size: int) -> np.ndarray:
+        """Look up the values at some places of a ranking of `size`."""
         place = middle * int(self.up_to[-1]) // max(1, size)
         return self.values[
             np.minimum(np.searchsorted(self.up_to, place, side="right"), len(self.values) - 1)
@@ -106,13 +106,15 @@ def match_histogram(
 def matching_table(
     field: np.ndarray, target: Histogram, inside: np.ndarray | None = None
 ) -> np.ndarray:
-    """What every rank of a field is mapped to (`look_up`), so that its histogram is the target's."""
+    """Return the table from every rank of a field to its value (`look_up`), so that its histogram
+    is the target's.
+    """
     total = rank_counts(field, inside)
-    return target.ranked(np.cumsum(total) - total // 2, int(total.sum()))
+    return target.values_at(np.cumsum(total) - total // 2, int(total.sum()))
 
 
 def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
-    """How many voxels (of those inside) have each rank, (65536,) int64."""
+    """Count the voxels (of those inside) of each rank, (65536,) int64."""
     where = np.empty((0, 0, 0), bool) if inside is None else inside
 
     def tally(start: int, stop: int) -> np.ndarray:
@@ -123,9 +125,9 @@ def rank_counts(field: np.ndarray, inside: np.ndarray | None) -> np.ndarray:
     return np.asarray(sum_slabs(tally, len(field)))
 
 
-def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
-    """(Z, Y, X) int16 in uint16, 32768 added, each value with a small share of its neighbours':
-    nearly free of ties.
+def mix_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
+    """Rank (Z, Y, X) int16 in uint16, 32768 added, each value mixed with a small share of its
+    neighbours': nearly free of ties.
     """
     ranks = memmap.empty(field.shape, np.uint16) if out is None else out
     same = np.arange(_BINS, dtype=np.uint16)
@@ -139,8 +141,8 @@ def mixed_with_neighbours(field: np.ndarray, *, out: np.ndarray | None = None) -
 
 @inline
 def row_of_ranks(field, z, y, row):
-    """The ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768, where beyond a face
-    its voxel lies again.
+    """Compute the ranks of a line of voxels: (24 own + six neighbours) // 30 + 32768; a face's
+    voxel is repeated beyond it.
     """
     Z, Y, X = field.shape
     own, above, below = field[z, y], field[max(z - 1, 0), y], field[min(z + 1, Z - 1), y]
@@ -160,8 +162,8 @@ def row_of_ranks(field, z, y, row):
 
 @kernel
 def look_up(field, table, matched, first, start, stop):
-    """The table's entry for the rank of every voxel of planes start..stop; `matched` begins with
-    plane `first`.
+    """Write the table's entry for the rank of every voxel of planes start..stop; `matched` begins
+    with plane `first`.
     """
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
@@ -174,7 +176,7 @@ def look_up(field, table, matched, first, start, stop):
 
 @kernel
 def _count_ranks(field, inside, counts, start, stop):
-    """An empty `inside` means everywhere."""
+    """Count the ranks of planes start..stop; an empty `inside` means everywhere."""
     row = np.empty(field.shape[2], np.int32)
     for z in range(start, stop):
         for y in range(field.shape[1]):

@@ -1,8 +1,8 @@
-"""Where what is made meets what is known: no step across the joint, and the surroundings' share of
-every value.
+"""The joint between free and known voxels: no step across it, and the surroundings' fractions on
+both sides.
 
 The votes disagree with known voxels beside the joint by some offset. That offset is spread into
-what is made as a membrane (the boundary condition of Perez, Gangnet, Blake 2003,
+the free voxels as a membrane (the boundary condition of Perez, Gangnet, Blake 2003,
 doi:10.1145/882262.882269), so that interfaces meet; the next search then finds neighbourhoods that
 fit both sides. And a hole in a dense corner is filled as densely: the known voxels near by and the
 exemplar count as one sample, each by how many voxels it stands for.
@@ -19,50 +19,56 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.slabs import by_pieces, counted, inverse, made_by_slabs, tallied
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.slabs import (
+    complement,
+    count_true,
+    for_plane_groups,
+    make_by_slabs,
+    tally_by_slabs,
+)
 
 _STEPS = 20  # relaxations of the membrane: it reaches about half as many voxels
 _PARTS = 1 << 20  # resolution of a mixed histogram
 
 
-def known_of(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The voxels whose value is given, at least its sign."""
-    return made_by_slabs(
+def find_known(free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Mark the voxels whose value is given, at least its sign."""
+    return make_by_slabs(
         lambda a, b: ~free[a:b] & ((low[0, a:b] > -127) | (high[0, a:b] < 127)), free.shape, bool
     )
 
 
 def surroundings(free: np.ndarray, known: np.ndarray, width: int) -> np.ndarray:
-    """The known voxels no farther than `width` voxels from one that is to be made."""
-    if not counted(free):
+    """Mark the known voxels no farther than `width` voxels from a free one."""
+    if not count_true(free):
         return memmap.zeros(known.shape, bool)
-    distance = distance_transform(inverse(free))
-    return made_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
+    distance = distance_transform(complement(free))
+    return make_by_slabs(lambda a, b: known[a:b] & (distance[a:b] <= width), known.shape, bool)
 
 
-def mixed_share(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
-    """Shares of the exemplar and of `near` known voxels, as of one sample; `made` voxels are to
-    follow it.
+def pool_fractions(near: int, made: int, own: np.ndarray, exemplar: np.ndarray) -> np.ndarray:
+    """Average the fractions of the exemplar and of `near` known voxels, as of one sample with the
+    `made` free voxels, which follow the exemplar.
     """
     return np.asarray((near * own + made * exemplar) / max(1, near + made))
 
 
-def mixed_histograms(
+def pool_histograms(
     targets: Sequence[Histogram], low: np.ndarray, high: np.ndarray, near: np.ndarray, made: int
 ) -> tuple[Histogram, ...]:
-    """The targets (of int8) mixed with the known voxels `near`, whose values lie in low .. high (C,
-    Z, Y, X) int8.
+    """Mix the targets (of int8) with the known voxels `near`, whose values are within low .. high
+    (C, Z, Y, X) int8.
     """
     mixed = []
     for target, least, most in zip(targets, low, high, strict=True):
-        held = tallied(partial(_middles, least, most, near), near.shape)
+        held = tally_by_slabs(partial(_middles, least, most, near), near.shape)
         size = int(held.sum())
         exemplar, own = np.zeros(256), held / max(1, size)
         exemplar[target.values.astype(np.int64) + 128] = (
             np.diff(target.up_to, prepend=0) / target.up_to[-1]
         )
-        parts = np.rint(mixed_share(size, made, own, exemplar) * _PARTS).astype(np.int64)
+        parts = np.rint(pool_fractions(size, made, own, exemplar) * _PARTS).astype(np.int64)
         present = np.flatnonzero(parts)
         mixed.append(Histogram((present - 128).astype(np.int8), np.cumsum(parts[present])))
     return tuple(mixed)
@@ -71,25 +77,27 @@ def mixed_histograms(
 def _middles(
     low: np.ndarray, high: np.ndarray, near: np.ndarray, start: int, stop: int
 ) -> np.ndarray:
-    """How often each value occurs among the middles of what voxels `near` may be, from -128 on."""
+    """Count the values, from -128 on, in the middle of the bounds of the voxels `near`."""
     at = near[start:stop]
     middle = (low[start:stop][at].astype(np.int64) + high[start:stop][at]) // 2
     return np.bincount(middle + 128, minlength=256)
 
 
-def joined(votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 with their offset from what is known, low .. high int8, spread into
-    what is free.
+def spread_offset(
+    votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """Return votes (C, Z, Y, X) int16 with their offset from known voxels, low .. high int8, spread
+    into the free ones.
     """
     result = memmap.empty(votes.shape, np.int16)
-    known = known_of(free, low, high)
+    known = find_known(free, low, high)
     offset, other = memmap.empty(free.shape, np.float32), memmap.empty(free.shape, np.float32)
     for channel, least, most, to in zip(votes, low, high, result, strict=True):
-        by_pieces(partial(_miss, channel, least, most, known, offset), free.shape)
+        for_plane_groups(partial(_miss, channel, least, most, known, offset), free.shape)
         for _ in range(_STEPS):
             for_slabs(partial(_relax, offset, known, free, other), len(free))
             offset, other = other, offset
-        by_pieces(partial(_move, channel, free, offset, to), free.shape)
+        for_plane_groups(partial(_move, channel, free, offset, to), free.shape)
     return result
 
 
@@ -102,7 +110,7 @@ def _miss(
     start: int,
     stop: int,
 ) -> None:
-    """How far known voxels are from what they may be."""
+    """Write the distance of known voxels from their bounds."""
     part = votes[start:stop]
     given = np.clip(
         part, low[start:stop].astype(np.int16) * 256, high[start:stop].astype(np.int16) * 256
@@ -126,7 +134,7 @@ def _move(
 
 @kernel
 def _relax(old, known, free, new, start, stop):
-    """The mean of the six neighbours where a voxel is free; what is known stays."""
+    """Average the six neighbours of every free voxel; known ones stay."""
     Z, Y, X = old.shape
     for z in range(start, stop):
         for y in range(Y):

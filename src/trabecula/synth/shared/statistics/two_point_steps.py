@@ -2,13 +2,11 @@
 little.
 
 The two-point function here is that of a soft indicator, which rises from 0 to 1 over `softness`
-around the interface, so that a small move changes it a little. Pairs are told apart by their
-distance and by the axis they lie nearest to: of distance alone, a material that is longer along one
-axis would come out longer still. A step is one of Gauss and Newton in as many directions as there
-are bands of distances: the direction of a band is the gradient of the squared misfit at these
-distances, a convolution of the field, kept on the interface and freed of its mean there (which
-would change the volume fraction). The convolution wraps around the faces even where the material
-does not: cut off there it would pile up one phase on them.
+around the interface, so that a small move changes it a little. A step is one of Gauss and Newton in
+as many directions as there are bands of distances: the direction of a band is the gradient of the
+squared misfit at these distances, a convolution of the field, kept on the interface and freed of
+its mean there (which would change the volume fraction). The convolution wraps around the faces even
+where the material does not: cut off there it would pile up one phase on them.
 
 The two-point function of a vote falls short of what the step before had reached, always on the same
 side. `debt`, the sum of such misfits, makes the step aim as far beyond (as the integral term of a
@@ -25,96 +23,22 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.bands import bands, best_length, least_squares
-from trabecula.synth.shared.statistics.long_waves import LongWaves
+from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.soft import Soft
-from trabecula.synth.shared.votes import UNIT, votes_of
+from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
-_SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
-# farthest distance in voxels of the finest level, and at least so many of a level's own
-_REACH, _NEAR = 30, 6
-_LEAK = 0.5  # share of earlier rounds' misfits that is still aimed against
+_LEAK = 0.5  # share of earlier rounds' misfits that still counts
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
 _SHORT = 2.0
 
+BANDS = (1, 2, 3, 5, 8, 12)
+"""Where the bands of distances begin, voxels; the last one reaches to r_max."""
 
-@dataclass(frozen=True)
-class Correlations:
-    """What to come to: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's soft
-    indicator, of pairs nearest to z, then to y, then to x.
-
-    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
-    voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
-    leave alone waves longer than twice their largest window.
-    """
-
-    curves: np.ndarray
-    softness: float
-    edges: tuple[float, ...]
-    held: np.ndarray
-    waves: LongWaves | None = None
-
-    @property
-    def r_max(self) -> int:
-        """The largest distance."""
-        return self.curves.shape[1] // 3 - 1
+_RIDGE = 1e-3
+_LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
-def correlations_of(
-    fields: Sequence[np.ndarray],
-    *,
-    softness: float,
-    r_max: int,
-    edges: Sequence[float] = (1.0, 1.0, 1.0),
-) -> Correlations:
-    """The two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all pairs of
-    them counted alike.
-
-    A picture is a volume of one plane across the axis that it is seen across: it says nothing of
-    pairs along that axis.
-
-    Parameters
-    ----------
-    fields : sequence of arrays
-    softness : float
-        Width of the soft step in int8 steps of the field: FULL / clip is one voxel.
-    r_max : int
-        Largest distance, in the unit of `edges`.
-    edges : three floats
-        Sides of a voxel.
-    """
-    steps = (float(edges[0]), float(edges[1]), float(edges[2]))
-    sums = np.zeros((len(fields[0]), 3 * (r_max + 1)))
-    fits = np.zeros(3 * (r_max + 1))
-    for field in fields:
-        pairs = Pairs(field.shape[1:], r_max, edges=steps)
-        fits += pairs.fits
-        for c, channel in enumerate(field):
-            spectrum = pairs.forward(Soft.of(channel, softness).plane)
-            sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
-    return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
-
-
-def correlations_at(
-    fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
-) -> Correlations:
-    """The target of one level (0 the finest) of a pyramid, with the softness and the reach that
-    suit it.
-
-    `clip` is the distance in voxels of the level at which its int8 fields saturate.
-    """
-    # a picture has no depth
-    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)
-    reach = min(_REACH, shortest * 2**level // 2 - 1)
-    softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
-    return correlations_of(
-        fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges
-    )
-
-
-def owed(
+def accumulate_debt(
     debt: np.ndarray | None,
     field: np.ndarray,
     target: Correlations,
@@ -122,7 +46,7 @@ def owed(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The debt after a round of votes that left `field` (C, Z, Y, X) int8."""
+    """Return the debt after a round of votes that left `field` (C, Z, Y, X) int8."""
     now = misfit(field, target, periodic=periodic, free=free)
     return now if debt is None else now + _LEAK * debt
 
@@ -134,8 +58,8 @@ def misfit(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The two-point functions of (C, Z, Y, X) int8 less the target's, (C, 3 (r_max + 1)); 0 where
-    there are no pairs.
+    """Subtract the target's two-point functions from those of (C, Z, Y, X) int8: (C, 3 (r_max +
+    1)); 0 where there are no pairs.
     """
     pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
@@ -145,7 +69,7 @@ def misfit(
     return np.where((pairs.fits > 0) & target.held, found, 0.0)
 
 
-def corrected(
+def two_point_step(
     field: np.ndarray,
     target: Correlations,
     *,
@@ -153,7 +77,7 @@ def corrected(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One step towards the target's two-point functions.
+    """Move the interfaces of a field one step towards the target's two-point functions.
 
     Parameters
     ----------
@@ -184,7 +108,9 @@ def corrected(
 def step_bytes(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
 ) -> int:
-    """Memory of `corrected` at its peak beside the field and the votes, for a volume of this shape."""
+    """Forecast the peak memory of `two_point_step` beside the field and the votes, for a volume of
+    this shape.
+    """
     pairs, around = _pairs(shape, target, periodic)
     slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
     # Moments that compete: a direction is made, it is transformed, its change of the two-point
@@ -192,7 +118,7 @@ def step_bytes(
     most = max(
         slope + around.spectrum_bytes + around.kernel_bytes,
         slope + change,
-        change + pairs.kept_bytes,
+        change + pairs.lines_bytes,
     )
     held = pairs.spectrum_bytes + around.spectrum_bytes + pairs.table_bytes + around.table_bytes
     return held + most + pairs.slab_bytes
@@ -201,7 +127,7 @@ def step_bytes(
 def step_slab_bytes(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
 ) -> int:
-    """What of that stays in memory where arrays lie in scratch files."""
+    """Forecast the part of it that stays in memory where arrays are memory-mapped."""
     pairs, around = _pairs(shape, target, periodic)
     return max(pairs.slab_bytes, around.slab_bytes) + 6 * pairs.table_bytes
 
@@ -212,7 +138,7 @@ def _pairs(
     periodic: Sequence[bool],
     free: np.ndarray | None = None,
 ) -> tuple[Pairs, Pairs]:
-    """Those that count, and those of directions, which wrap around the faces."""
+    """Return the pairs that count, and those of directions, which wrap around the faces."""
     pairs = Pairs(
         tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free
     )
@@ -232,14 +158,16 @@ class _Direction:
     soft: Soft
 
     def plane(self, z: int) -> np.ndarray:
-        """Plane z (Y, X) float32."""
+        """Return plane z (Y, X) float32."""
         return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
 
 
 def _step(
     soft: Soft, aim: np.ndarray, target: Correlations, pairs: Pairs, around: Pairs
 ) -> tuple[_Direction, np.float32] | None:
-    """Where the soft indicator moves, and how far; None where nothing can, or nothing has to."""
+    """Find the direction of the soft indicator's move, and its length; None where nothing can move,
+    or nothing has to.
+    """
     mean, moving = soft.mean_and_moving()
     if not moving:
         return None
@@ -249,12 +177,12 @@ def _step(
         (r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0
     )
     excess = pairs.curve(spectrum, spectrum) - aim
-    centred = around.forward(partial(soft.centred, mean))
+    centred = around.forward(partial(soft.centre, mean))
 
     # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
     # 16 to 40 have no other hold.
     shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
-    pushes, changes = bands(excess * weights), []
+    pushes, changes = split_into_bands(excess * weights), []
     for push in pushes:
         # Nobody holds on to a direction: each is as large as the field.
         change = pairs.forward(_direction(push, soft, moving, centred, around, shortest).plane)
@@ -277,8 +205,10 @@ def _step(
 def _direction(
     push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs, shorter_than: int
 ) -> _Direction:
-    """What lowers the two-point function where it is pushed, on the interface of `moving` voxels."""
-    slope = around.convolved(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
+    """Return the direction that lowers the two-point function where it is pushed, on the interface
+    of `moving` voxels.
+    """
+    slope = around.convolve(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
     sums = np.zeros(len(slope))
 
     def work(start: int, stop: int) -> None:
@@ -301,3 +231,52 @@ def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np
             votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
     for_slabs(work, len(votes))
+
+
+def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
+    """Split a push at every distance into one array a band, scaled to its largest; bands without
+    any are left out.
+    """
+    r = np.arange(len(push)) % (len(push) // 3)
+    bands = []
+    for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
+        part = np.where((r >= low) & (r < high), push, 0.0)
+        if part.any():
+            bands.append(part / np.abs(part).max())
+    return bands
+
+
+def least_squares(changes: np.ndarray, excess: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the share of each change that takes the excess away best; exact sums and no LAPACK, so
+    the same everywhere.
+    """
+    count = len(changes)
+
+    def dot(a: np.ndarray, b: np.ndarray) -> float:
+        return math.fsum((a * b * weights).tolist())
+
+    matrix = [
+        [dot(changes[i], changes[j]) for j in range(count)] + [-dot(changes[i], excess)]
+        for i in range(count)
+    ]
+    for i in range(count):
+        matrix[i][i] = matrix[i][i] * (1 + _RIDGE) + 1e-300
+    for i in range(count):  # symmetric and positive definite: the diagonal serves as it comes
+        for j in range(i + 1, count):
+            factor = matrix[j][i] / matrix[i][i]
+            matrix[j] = [a - factor * b for a, b in zip(matrix[j], matrix[i], strict=True)]
+    shares = [0.0] * count
+    for i in reversed(range(count)):
+        known = math.fsum(matrix[i][j] * shares[j] for j in range(i + 1, count))
+        shares[i] = (matrix[i][-1] - known) / matrix[i][i]
+    return np.array(shares)
+
+
+def best_length(
+    excess: np.ndarray, change: np.ndarray, square: np.ndarray, weights: np.ndarray
+) -> float:
+    """Choose the step, of a few lengths, that leaves least: a move by a changes the curve by a
+    change + a^2 square.
+    """
+    left = excess + _LENGTHS[:, None] * change + _LENGTHS[:, None] ** 2 * square
+    return float(_LENGTHS[np.argmin((left**2 * weights).sum(axis=1))])
