@@ -21,7 +21,7 @@ SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
 
 @st.composite
 def volumes(draw, phases=2):
-    """Draw labels of any shape; of one probability, so that all is solid as often as all is void."""
+    """Draw labels of any shape, all solid as often as all void."""
     shape = draw(SHAPES)
     share = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0]))
     noise = np.random.default_rng(draw(st.integers(0, 2**32))).random(shape)
