@@ -32,11 +32,12 @@ test-newest:                        ## the wheel on the newest Python at hand, w
 test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each
 	$(PYTHON) tests/matrix/run.py
 
-check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
+check: $(VENV)/dev.stamp            ## ruff, mypy, import rules of rooms and files
 	$(BIN)/ruff check src tests benchmarks docs
 	$(BIN)/ruff format --check src tests benchmarks docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m pytest tests/language/test_layers.py
 
 docs: $(VENV)/docs.stamp            ## executes every example, builds docs/_build/html
 	$(BIN)/python docs/build.py

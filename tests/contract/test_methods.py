@@ -19,7 +19,7 @@ import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.engine import checkpoint, memmap, parallel, store
-from trabecula.engine.plan import GIB
+from trabecula.engine.memory import GIB
 from trabecula.errors import (
     FileError,
     InputError,
@@ -208,7 +208,7 @@ def test_a_repeating_window_goes_round(spec, model):
 
 def test_in_blocks_and_at_once_are_the_same(spec, model, material, tmp_path, monkeypatch):
     monkeypatch.setattr(store, "CHUNK", 16)
-    monkeypatch.setattr(memmap, "LEAST", 256)
+    monkeypatch.setattr(memmap, "SMALLEST", 256)
     request = tb.Request(SHAPE, seed=5)
     at_once = generate_to(model, request, tmp_path / "whole.zarr")
     whole = tb.read(tmp_path / "whole.zarr")
@@ -251,7 +251,7 @@ def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(
 ):
     if part not in spec.honours or spec.scaling == "window":
         pytest.skip(f"{spec.name} has no such part, or its windows are tested with it")
-    monkeypatch.setattr(memmap, "LEAST", 256)
+    monkeypatch.setattr(memmap, "SMALLEST", 256)
     request = tb.Request(SHAPE, seed=5, **PARTS[part](exemplar))
     made = generate_to(model, request, tmp_path / "blocks.zarr", chunks=16)
     assert made.sha256 == digest(model.generate(request).values)
@@ -259,7 +259,7 @@ def test_parts_of_a_request_in_blocks_and_at_once_are_the_same(
 
 def test_a_run_in_blocks_goes_on_where_it_stopped(spec, model, material, tmp_path, monkeypatch):
     """Interrupted again and again, each time later, until it has ended."""
-    monkeypatch.setattr(memmap, "LEAST", 256)
+    monkeypatch.setattr(memmap, "SMALLEST", 256)
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     request, path, stops, made = tb.Request(SHAPE, seed=5), tmp_path / "x.zarr", 0, None

@@ -66,7 +66,7 @@ def test_a_run_begun_in_memory_goes_on_in_blocks(model, sha256, tmp_path):
     said = []
     with listen(lambda label, done: said.append(label)):
         assert generate_to(model, REQUEST, path, chunks=16).sha256 == sha256
-    assert any("going on from state" in line for line in said)
+    assert any("resuming from state" in line for line in said)
     assert names(tmp_path) == ["x.zarr"]
 
 
@@ -74,7 +74,7 @@ def test_a_run_begun_in_blocks_goes_on_with_more_memory(model, sha256, tmp_path)
     path = tmp_path / "x.zarr"
     said = stopped(model, path, 12, chunks=16)
     assert [line for line in said if "--resume" in line] == [
-        "interrupted: the same run goes on from x.zarr.part (generate --resume x.zarr)"
+        "interrupted: the same run resumes from x.zarr.part (generate --resume x.zarr)"
     ]
     assert generate_to(model, REQUEST, path).sha256 == sha256
     assert names(tmp_path) == ["x.zarr"]
@@ -169,7 +169,7 @@ def test_a_disk_that_fills_keeps_the_state(model, sha256, tmp_path, monkeypatch)
             raise OSError(28, "No space left on device")
         real(place, descriptor, size)
 
-    monkeypatch.setattr(memmap, "LEAST", 256)
+    monkeypatch.setattr(memmap, "SMALLEST", 256)
     with monkeypatch.context() as patch:
         patch.setattr(memmap, "_allocate", full)
         with pytest.raises(FileError, match=r"No space left.*--scratch; the same run goes on"):

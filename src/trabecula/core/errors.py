@@ -27,7 +27,7 @@ class UnknownNameError(InputError):
 
 
 class UnnamedVoidError(InputError):
-    """An image of which no phase is named void, where pores have to be told from the solid.
+    """An image of which no phase is named void, where pores have to be distinguished from the solid.
 
     Parameters
     ----------

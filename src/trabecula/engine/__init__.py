@@ -1,3 +1,3 @@
-"""How work runs: compiled kernels, threads over tiles, random numbers by coordinate, memory
-budgets, stores.
+"""Execution of work: compiled kernels, threads over slabs, random numbers by coordinate, declared
+memory, memory-mapped arrays, checkpoints, blocks on workers, stores.
 """

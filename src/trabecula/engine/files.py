@@ -1,4 +1,4 @@
-"""Writing files so that they appear whole or not at all."""
+"""Files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def replacing(path: Path) -> Iterator[Path]:
         if isinstance(error, FileError):
             raise
         raise FileError(
-            f"cannot write {path}: {error.strerror or error}; check the folder, its rights and the space left"
+            f"cannot write {path}: {error.strerror or error}; check the folder, its rights and the "
+            "space left"
         ) from error
     finally:
         remove(temporary)

@@ -1,5 +1,4 @@
-"""Coarser copies of a volume, so that a viewer need not read all of it: each level halves the one
-before.
+"""Coarser copies of a volume for viewers: each level has half the resolution of the one before.
 
 Level 0 is the volume itself. A voxel of the next level stands for the 2 x 2 x 2 below it (2 x 2 of
 a picture), at an odd end for fewer: of labels for what most of them are, of greys and colours for
@@ -17,8 +16,8 @@ _PLANES = 16
 
 
 def shapes_of(shape: Sequence[int], smallest: int) -> list[tuple[int, ...]]:
-    """The shapes of all levels, the volume's own first, down to one of at most `smallest` voxels
-    along its longest axis.
+    """Return the shapes of all levels, the volume's own first, down to one of at most `smallest`
+    voxels along its longest axis.
 
     Examples
     --------
@@ -31,8 +30,8 @@ def shapes_of(shape: Sequence[int], smallest: int) -> list[tuple[int, ...]]:
     return found
 
 
-def halved(values: np.ndarray, *, labels: bool, axes: int | None = None) -> np.ndarray:
-    """The next level of an array.
+def halve_resolution(values: np.ndarray, *, labels: bool, axes: int | None = None) -> np.ndarray:
+    """Return the next level of an array.
 
     Parameters
     ----------
@@ -55,15 +54,18 @@ def halved(values: np.ndarray, *, labels: bool, axes: int | None = None) -> np.n
     array([[2.]])
     """
     if axes is not None and values.ndim > axes:
-        return np.stack([halved(channel, labels=labels, axes=axes) for channel in values])
+        return np.stack([halve_resolution(channel, labels=labels, axes=axes) for channel in values])
     one = _most if labels else _mean
     return np.concatenate(
-        [one(_even(values[first : first + _PLANES])) for first in range(0, len(values), _PLANES)]
+        [
+            one(_pad_to_even(values[first : first + _PLANES]))
+            for first in range(0, len(values), _PLANES)
+        ]
     )
 
 
-def _even(values: np.ndarray) -> np.ndarray:
-    """The last plane of an odd axis twice, which changes neither the majority nor the mean of its
+def _pad_to_even(values: np.ndarray) -> np.ndarray:
+    """Repeat the last plane of an odd axis, which changes neither the majority nor the mean of its
     pairs.
     """
     if not any(side % 2 for side in values.shape):
@@ -72,7 +74,9 @@ def _even(values: np.ndarray) -> np.ndarray:
 
 
 def _sums(values: np.ndarray) -> np.ndarray:
-    """Sums of the 2 x 2 x 2, the first axis first: its planes are added as they lie in memory."""
+    """Return the sums of 2 x 2 x 2 voxels, the first axis first: its planes are added as they are
+    stored.
+    """
     for axis in range(values.ndim):
         pairs = np.moveaxis(values, axis, 0)
         values = np.moveaxis(pairs[::2] + pairs[1::2], 0, axis)

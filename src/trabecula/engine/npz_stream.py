@@ -1,5 +1,5 @@
-"""Named arrays in a file (NumPy's .npz), written and read piece by piece: none is held in memory
-for it.
+"""Named arrays in a file (NumPy's .npz), written and read piece by piece: no array is held in
+memory for it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _AT_ONCE = 1 << 24
 _SUFFIX = ".npy"
 
 
-def packed(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays as members of a file that `numpy.load` reads as well.
 
     Raises
@@ -36,14 +36,14 @@ def packed(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
                     memmap.release_pages()
 
 
-def unpacked(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
-    """The arrays of a file whose names begin with a prefix, by the rest of their names; large ones
-    in scratch files, where these are in use.
+def read_npz(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
+    """Read the arrays of a file whose names begin with a prefix, by the rest of their names; large
+    ones are memory-mapped where that is in use.
 
     Raises
     ------
     OSError, EOFError, ValueError, zipfile.BadZipFile
-        It is damaged (every member is checked against its CRC-32), or none of `packed`.
+        It is damaged (every member is checked against its CRC-32), or none of `write_npz`.
     """
     found = {}
     with zipfile.ZipFile(path) as file:
@@ -54,7 +54,7 @@ def unpacked(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
                 np.lib.format.read_magic(member)
                 shape, turned, dtype = np.lib.format.read_array_header_1_0(member)
                 if turned:
-                    raise ValueError(f"{name} lies column by column")
+                    raise ValueError(f"{name} is stored column by column")
                 array = memmap.empty(shape, dtype)
                 for part in _parts(array):
                     read = member.read(part.nbytes)
@@ -69,8 +69,8 @@ def unpacked(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def _parts(array: np.ndarray) -> list[np.ndarray]:
-    """An array in pieces along its first axis, or along the next where one entry of the first is a
-    large array itself.
+    """Cut an array into pieces along its first axis, or along the next where one entry of the first
+    is a large array itself.
     """
     if array.size == 0:
         return []

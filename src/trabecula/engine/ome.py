@@ -1,6 +1,4 @@
-"""OME-Zarr 0.5: what a store says of its axes, their unit, and the size and place of its voxels at
-every level.
-"""
+"""OME-Zarr 0.5 metadata: axes, their unit, size and position of the voxels at every level."""
 
 from __future__ import annotations
 
@@ -9,10 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def described(
+def ome_attribute(
     axes: Sequence[str], scale: Sequence[float], unit: str | None, name: str, levels: int
 ) -> dict[str, Any]:
-    """The attribute "ome" of a store of `levels` arrays, each of half the voxels of the one before."""
+    """Return the attribute "ome" of a store of `levels` arrays, each of half the voxels of the one
+    before.
+    """
     length = {} if unit is None else {"unit": unit}
     named = [
         {"name": axis, "type": "channel"}
@@ -51,7 +51,7 @@ def datasets(ome: Any) -> list[dict[str, Any]] | None:
 
 
 def calibration(ome: Any, level: int) -> tuple[tuple[float, ...], str | None]:
-    """Edges of the voxels of a level, and their unit.
+    """Return the edges of the voxels of a level, and their unit.
 
     Raises
     ------

@@ -1,5 +1,5 @@
-"""Work on its way to another process: arrays in scratch files go by their places, large ones in
-memory are put there first.
+"""Work pickled for another process: memory-mapped arrays are sent as file names; large arrays in
+memory are put into files first.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ _LARGE = 1 << 20
 
 
 class ReferencedFiles:
-    """Where the arrays lie that work was sent with."""
+    """The files of the arrays that work was sent with."""
 
     def __init__(self) -> None:
         self._copies: dict[int, tuple[Any, np.ndarray]] = {}
 
-    def packed(self, work: Callable[..., object]) -> bytes:
-        """Work as bytes that `pickle.loads` reads in a process which sees the scratch folder."""
+    def dumps(self, work: Callable[..., object]) -> bytes:
+        """Return work as bytes that `pickle.loads` reads in a process which sees the scratch
+        folder.
+        """
         import cloudpickle  # comes with Dask
 
         places = self
@@ -32,7 +34,7 @@ class ReferencedFiles:
         class Pickler(cloudpickle.Pickler):
             def reducer_override(self, sent: Any) -> Any:
                 if type(sent) is np.ndarray:
-                    place = places.place_of(sent)
+                    place = places.file_of(sent)
                     if place is not None:
                         return memmap.open_file, (place,)
                 return super().reducer_override(sent)
@@ -41,9 +43,9 @@ class ReferencedFiles:
         Pickler(buffer).dump(work)
         return buffer.getvalue()
 
-    def place_of(self, array: np.ndarray) -> memmap.MappedFile | None:
-        """Where an array lies; None for one that is better sent itself."""
-        place = memmap.place_of(array)
+    def file_of(self, array: np.ndarray) -> memmap.MappedFile | None:
+        """Return the file of an array; None for one that is better sent itself."""
+        place = memmap.file_of(array)
         if place is not None or array.nbytes < _LARGE or array.dtype.hasobject:
             return place
         number = id(array)
@@ -55,4 +57,4 @@ class ReferencedFiles:
                 weakref.ref(array, lambda _: self._copies.pop(number, None)),
                 copy,
             )
-        return memmap.place_of(self._copies[number][1])
+        return memmap.file_of(self._copies[number][1])

@@ -1,1 +1,3 @@
-"""Image -> Image to learn from: segment, crop, and the samples that the package makes itself."""
+"""Images to learn from: segment, crop, place, views of pictures, and the samples that the package
+makes itself.
+"""

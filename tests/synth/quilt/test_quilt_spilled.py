@@ -29,7 +29,7 @@ CELL = dict(patch=11, overlap=3)
 
 @pytest.fixture(autouse=True)
 def small_arrays_too(monkeypatch):
-    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def blobs():
 
 
 def slabs(folder, memory=1 << 14):
-    return memmap.spilled(folder, memory=memory, thickest=5)
+    return memmap.map_large_arrays(folder, memory=memory, thickest=5)
 
 
 def same_in_slabs(model, request, folder):
@@ -54,7 +54,7 @@ def same_in_slabs(model, request, folder):
     values, trace = model.make_with_trace(request)
     with slabs(folder):
         again, other = model.make_with_trace(request)
-        assert memmap.place_of(again) is not None
+        assert memmap.file_of(again) is not None
         assert np.array_equal(values, again)
         assert other.summary() == trace.summary()
         del again, other

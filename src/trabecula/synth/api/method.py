@@ -20,7 +20,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.measure.margins import margin_note
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, without_exemplar

@@ -23,7 +23,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import checkpoint
-from trabecula.engine.plan import Plan, check_budget, largest_within
+from trabecula.engine.memory import Plan, check_budget, largest_within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info

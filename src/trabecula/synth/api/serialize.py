@@ -32,7 +32,7 @@ from trabecula.core.image import Image
 from trabecula.core.recipe import versions
 from trabecula.engine import tensors
 from trabecula.engine.files import replacing
-from trabecula.engine.plan import available_memory, format_bytes
+from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.io.guard import check_there, damaged
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, Model

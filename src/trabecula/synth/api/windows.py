@@ -14,7 +14,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box, part_bytes, slices_of
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.synth.api.method import Model, as_request
 
 # voxels from the origin, so that every coordinate of a cell or voxel fits into 32 bits

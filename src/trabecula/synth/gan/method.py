@@ -9,7 +9,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.core.optional import need
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.gan import CAPABILITIES

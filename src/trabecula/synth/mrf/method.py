@@ -26,9 +26,9 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
-from trabecula.engine.checkpoint import Checkpoint, resumed
+from trabecula.engine.checkpoint import Checkpoint, resume
+from trabecula.engine.memory import Plan
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.candidates import (
@@ -297,7 +297,7 @@ class MrfModel(PictureModel):
         and None.
         """
         for scale in range(top + 1):
-            state = resumed(f"scale {scale}")
+            state = resume(f"scale {scale}")
             if state is not None:
                 return scale, state
         return top, None

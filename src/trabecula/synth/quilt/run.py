@@ -254,7 +254,7 @@ class QuiltRun:
 
     def _resume(self) -> int:
         """Restore a checkpoint; return the layer to continue with."""
-        state = checkpoint.resumed(_STAGE)
+        state = checkpoint.resume(_STAGE)
         if state is None:
             return 0
         self.canvas, self.placed = state.arrays["canvas"], state.arrays["placed"]
