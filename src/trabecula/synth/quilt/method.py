@@ -132,8 +132,8 @@ class QuiltModel(Model):
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
         grid, fixed = self._forecast_grid(request)
-        (stage,) = run_stages(grid, self.config, request, mapped=True)
-        return {**fixed, "slab": stage.slab}
+        stages = run_stages(grid, self.config, request, mapped=True)
+        return {**fixed, "slab": max(stage.slab for stage in stages)}
 
     def _forecast_grid(self, request: Request) -> tuple[PatchGrid, dict[str, int]]:
         """Return the grid of a request, from its first voxel, and the bytes that do not depend on

@@ -68,7 +68,7 @@ _STAGE = "quilt laid"
 
 _OF_A_WINDOW = 160  # bytes a voxel of cutting and judging a window
 _OF_A_PLACE = 72  # bytes of a component or two that begin there, 24 each in a table that doubles
-_OF_GIVEN = 16  # bytes a voxel while components of given voxels are labelled
+_OF_GIVEN = 11  # bytes a voxel while components of given voxels are labelled, at most: of noise
 
 
 @dataclass
@@ -97,27 +97,29 @@ def run_stages(
         Whether the arrays are memory-mapped.
     """
     places, voxels, plane = math.prod(grid.counts), math.prod(grid.shape), math.prod(grid.shape[1:])
-    arrays = {
+    sides = [side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)]
+    held = {
         "canvas": Array(grid.shape, np.uint8),
         "numbers": Array(grid.shape, np.int32) if config.connected != "none" else None,
+    }
+    records = {
         "placed": Array(places, np.int32),
         **{name: Array(grid.counts, dtype) for name, dtype in RECORDS.items()},
     }
-    sides = [side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)]
-    working = _OF_A_WINDOW * math.prod(sides)
-    if mapped:  # the pages of a row of windows, and of labelling given voxels plane by plane
+    entering, laying = 0, _OF_A_WINDOW * math.prod(sides)
+    if request.fixed is not None:
+        entering = _OF_GIVEN * (plane if mapped else min(voxels, max(plane, LABELLED_AT_ONCE)))
+    elif request.mask is not None:
+        entering = plane if mapped else voxels
+    if mapped:  # the pages of a row of windows
         each = 1 if config.connected == "none" else 5
-        given = request.fixed is not None or request.mask is not None
-        working += sides[0] * sides[1] * grid.shape[2] * each + (
-            2 * _OF_GIVEN * plane if given else 0
-        )
+        laying += sides[0] * sides[1] * grid.shape[2] * each
     else:
-        working += _OF_A_PLACE * places
-        if request.fixed is not None:
-            working += _OF_GIVEN * min(voxels, max(plane, LABELLED_AT_ONCE))
-        elif request.mask is not None:
-            working += voxels
-    return (Stage("lay", arrays, working),)
+        laying += _OF_A_PLACE * places
+    return (
+        Stage("enter given voxels", held, entering),
+        Stage("lay patches", {**held, **records}, laying),
+    )
 
 
 class QuiltRun:
@@ -136,7 +138,7 @@ class QuiltRun:
         self.library, self.config, self.request = library, config, request
         self.grid = patch_grid(library, request)
         self.work = Workspace(run_stages(self.grid, config, request))
-        self.work.enter("lay")
+        self.work.enter("enter given voxels")
         self.canvas = self.work.empty("canvas")
         fill_canvas(self.canvas, request)
         phases = library.images[0].phases
@@ -167,6 +169,7 @@ class QuiltRun:
             bool(self.target),
         )
         self.chooser = PatchChooser(library, config, ranker, self.components, self.grid.margin)
+        self.work.enter("lay patches")
         self.trace = PlacementTrace(self.grid, {name: self.work.empty(name) for name in RECORDS})
         self.placed = self.work.zeros("placed")
         self.log: deque[_PlacedPatch] = deque(maxlen=max(1, config.backtrack))
