@@ -6,7 +6,8 @@ from trabecula.synth.api.method import Capabilities
 
 CAPABILITIES = Capabilities(
     name="gan",
-    summary="a generator learnt from one exemplar in minutes, which then makes material without limit in a moment",
+    summary="a generator learnt from one exemplar in minutes, which then makes material without "
+    "limit in a moment",
     paper="Zhang, Yang, Li, Wu, Wang (2021), ScaffoldGAN",
     exemplar="3d",
     kinds=("labels", "grey"),
