@@ -21,7 +21,7 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 	$(BIN)/python -m pytest tests/engine/test_cluster.py
 
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
-	$(BIN)/python -m pytest tests/remote tests/engine/test_locations.py
+	$(BIN)/python -m pytest tests/remote tests/engine/test_storage.py
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array: they are installed, 1.2 GB
 	$(BIN)/python -m pytest tests/peers

@@ -59,7 +59,7 @@ def test_what_a_session_meets_shows_itself_in_a_few_lines(bone):
     )
     assert (
         repr(model.facts[0])
-        == "<Facts of an image 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
+        == "<ExemplarInfo 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
     )
     request = tb.Request(24, mask=np.ones((24, 24, 24), bool), target={"porosity": 0.5})
     assert (

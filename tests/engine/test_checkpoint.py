@@ -76,7 +76,7 @@ class Walk(Method):
     def _plan_fit(self, exemplars):
         return Plan()
 
-    def _fit(self, exemplars):
+    def learn(self, exemplars):
         return Walked(self.config, exemplars)
 
 
@@ -86,7 +86,7 @@ class Walked(Model):
     def _plan(self, request):
         return Plan()
 
-    def _generate(self, request):
+    def make(self, request):
         return (walk(request, pause=float(os.environ.get("WALK_PAUSE", "0"))) % 2).astype(np.uint8)
 
     def _result_fields(self):
@@ -257,7 +257,12 @@ def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     ]
     words += ["--phases", "void", "solid", "--kind", "labels"]
     words = ["generate", "--resume", "rock.npy"] if resume else words
-    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {
+        **os.environ,
+        "WALK_PAUSE": str(pause),
+        "PYTHONPATH": os.pathsep.join(paths),
+    }
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
         "args": [sys.executable, "-c", program],

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trabecula as tb
-from trabecula.engine.lazy_volume import Slabs, depth_within, as_slabs
+from trabecula.engine.lazy_volume import Slabs, as_slabs, depth_within
 from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
 from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast

@@ -12,8 +12,8 @@ import pytest
 import trabecula as tb
 from trabecula import fields
 from trabecula.engine import memmap
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.parallel import threads
-from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import sums
 from trabecula.synth.shared.matching.grid import Grid, nearest_matches
 from trabecula.synth.shared.matching.region import Region

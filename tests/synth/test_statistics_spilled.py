@@ -10,7 +10,7 @@ import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.shared.content import Labels
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region

@@ -97,4 +97,7 @@ def to_json(index: Sequence[int | slice]) -> list[int | list[int | None]]:
 
 def from_json(plain: Sequence[int | Sequence[int | None]]) -> tuple[int | slice, ...]:
     """Return the index that `to_json` wrote."""
-    return tuple(slice(*item) if isinstance(item, (list, tuple)) else item for item in plain)  # type: ignore[misc]
+    return tuple(
+        slice(*item) if isinstance(item, (list, tuple)) else item  # type: ignore[misc]
+        for item in plain
+    )

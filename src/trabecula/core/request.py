@@ -248,7 +248,8 @@ def _check_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> None:
 
 
 def _check_fixed(request: Request) -> None:
-    fixed, known, shape = request.fixed, request.known, request.shape
+    fixed, known = request.fixed, request.known
+    shape = request.shape
     if fixed is None and known is None:
         return
     if fixed is None:

@@ -1,12 +1,12 @@
 """Volumes generated block by block into a store. A finished block is never generated again.
 
-The store grows under the name `part` (at an address under its own: see engine.locations), as whole
-files that are each put in place at once; a run that was killed leaves it, and the same run resumes
-from it. A coarser level's cubes follow as soon as the blocks below them are there, and are read
-from those. When the last is there the store gets its recipe and its own name.
+The store grows under the name `part` (at an address under its own name: see engine.storage), as
+whole files that each appear at once. A killed run leaves it, and the same run resumes from it. The
+cubes of a coarser level follow as soon as the blocks below them are there, and are read from those.
+After the last one the store gets its recipe and its own name.
 
-The caller's `make` has to give the same voxels of a box whichever other boxes were made before it.
-Then how the volume is cut does not matter, nor who makes which part of it: no file belongs to two
+The caller's `make` returns the same voxels of a box whichever other boxes were made before. Then
+neither the cut of the volume nor the process that makes a block matters: no file belongs to two
 blocks.
 """
 
@@ -57,14 +57,14 @@ class StoredVolume:
     describe : SHA-256 of all voxels -> plain JSON kept in the store, of an unfinished one with an
     empty digest
     identity : str
-        Of all that the voxels depend on: only a part of the same volume is gone on from.
+        SHA-256 of everything that the voxels depend on: a run resumes from its own blocks alone.
     scale, unit : as for `store.save`
     labels : bool
-        Whether the values are names, of which coarser levels hold the commonest, or have a mean.
+        True where the values are names, of which coarser levels hold the commonest; else the mean.
     channels : int
         Numbers of a voxel; 0 where it is one number, without an axis for them.
-    goes_on : str, optional
-        What a user does to go on with a run that was interrupted. Default: generate --resume.
+    resume_hint : str, optional
+        What resumes an interrupted run, for messages. Default: generate --resume.
     """
 
     shape: tuple[int, ...]
@@ -76,7 +76,7 @@ class StoredVolume:
     unit: str | None
     labels: bool = True
     channels: int = 0
-    goes_on: str | None = None
+    resume_hint: str | None = None
 
 
 class BlockWorkers(Protocol):
@@ -107,7 +107,7 @@ def stream(
 
     Parameters
     ----------
-    volume : Volume
+    volume : StoredVolume
     path : path or address
         The finished store; one that is there in a folder is replaced at the end.
     part : path, optional
@@ -116,8 +116,8 @@ def stream(
         Edge of a block, a multiple of `chunk`, so that no file belongs to two.
     chunk : int, optional
         Edge of the cubes that are a file each. Default: `store.CHUNK`.
-    workers : Hands, optional
-        Who makes the blocks. Default: this process, one after the other.
+    workers : BlockWorkers, optional
+        Processes that make the blocks. Default: this process, one after the other.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def _write_blocks(
     side: int,
     workers: BlockWorkers | None,
 ) -> str:
-    goes_on = volume.goes_on or f"generate --resume {place.name}"
+    resume_hint = volume.resume_hint or f"generate --resume {place.name}"
     try:
         if isinstance(grown, Folder):
             grown.path.parent.mkdir(parents=True, exist_ok=True)
@@ -166,14 +166,14 @@ def _write_blocks(
         opened.finish(volume.describe(sha256))
         place.settle(grown)
     except KeyboardInterrupt:
-        notify(f"interrupted: the same run resumes from {grown.name} ({goes_on})")
+        notify(f"interrupted: the same run resumes from {grown.name} ({resume_hint})")
         raise
     except OSError as error:
         if isinstance(error, TrabeculaError):
             raise
         raise FileError(
             f"cannot write {place}: {error.strerror or error}; the blocks that are finished stay "
-            f"in {grown.name}, and the same run resumes from it ({goes_on})"
+            f"in {grown.name}, and the same run resumes from it ({resume_hint})"
         ) from error
     return sha256
 
@@ -182,8 +182,8 @@ def _open_part(
     volume: StoredVolume, part: Location, place: Location, chunk: int, side: int
 ) -> store.Unfinished:
     """Open the unfinished store that the same run left, or create one."""
-    left = _find_part(volume, part, chunk)
-    if left is None:
+    found = _find_part(volume, part, chunk)
+    if found is None:
         number = len(boxes_of(volume.shape, side))
         notify(f"making {place.name} in {number} block{'s' if number > 1 else ''} of {side} voxels")
         return store.create_unfinished(
@@ -200,27 +200,27 @@ def _open_part(
         )
     notify(f"resuming from {part.name}")
     part.sweep()
-    return left
+    return found
 
 
 def _find_part(volume: StoredVolume, part: Location, chunk: int) -> store.Unfinished | None:
     if not part.is_there():
         return None
-    left = store.open_unfinished(part)
-    if left is None:
+    found = store.open_unfinished(part)
+    if found is None:
         raise FileError(
             f"cannot write {part}: something else of that name is there; remove it, or choose "
             "another --out"
         )
-    shape, dtype = left.shapes[0], left.arrays[0].dtype
-    if (left.identity, shape, dtype, left.channels) != (
+    shape, dtype = found.shapes[0], found.arrays[0].dtype
+    if (found.identity, shape, dtype, found.channels) != (
         volume.identity,
         volume.shape,
         volume.dtype,
         volume.channels,
     ):
         sides = "x".join(map(str, shape))
-        if left.complete:
+        if found.complete:
             raise FileError(
                 f"cannot write {part}: another volume, of {sides} voxels, is there; remove it, or "
                 "choose another --out"
@@ -229,12 +229,12 @@ def _find_part(volume: StoredVolume, part: Location, chunk: int) -> store.Unfini
             f"{part} holds the blocks of another run, of {sides} voxels: go on with that one "
             "(generate --resume), remove it, or choose another --out"
         )
-    if left.chunk != chunk:
+    if found.chunk != chunk:
         raise FileError(
-            f"{part} was begun in chunks of {left.chunk} voxels, not of {chunk}: give --chunks "
-            f"{left.chunk}"
+            f"{part} was begun in chunks of {found.chunk} voxels, not of {chunk}: give --chunks "
+            f"{found.chunk}"
         )
-    return left
+    return found
 
 
 def _run_tasks(

@@ -1,10 +1,10 @@
 """Checkpoints of long runs: a loop offers its state between rounds, and the same run resumes from
 it.
 
-`kept_at` names the file, `running` says what runs (so that no other run uses it), and a loop calls
-`resume` before it starts and `offer` after every round. Without a place nothing is written and
-nothing is read. A state is written at most every `EVERY` seconds, under a temporary name that is
-then renamed, and is removed once the result is safe.
+`kept_at` names the file, `running` declares the run (no other run uses its checkpoint), and a loop
+calls `resume` before it starts and `offer` after every round. Without a file nothing is written or
+read. A checkpoint is written at most every `EVERY` seconds, under a temporary name that is then
+renamed, and is removed once the result is safe.
 
 The result does not depend on an interruption as long as a round is a function of the arrays and
 numbers in the state: random numbers come from seed, stage and round (core.seeds), so nothing else
@@ -34,9 +34,8 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
-from trabecula.engine.files import replacing
+from trabecula.engine.files import read_npz, replacing, write_npz
 from trabecula.engine.lock import hold_lock
-from trabecula.engine.npz_stream import read_npz, write_npz
 
 EVERY = 15.0
 """Seconds between two states, at least."""
@@ -68,12 +67,14 @@ class Checkpoint:
 
 @dataclass
 class _Keeper:
+    """The checkpoint file of a run, and when it is written next."""
+
     path: Path
     identity: str = ""
     step: Mapping[str, Any] = field(default_factory=dict)  # the request, as a recipe says it
-    # stage and number of the state that an earlier run left, until it is used
-    left: dict[str, Any] | None = None
-    ours: bool = False  # the file on disk is a state of this run
+    # what an earlier run's checkpoint says of itself, until it is used
+    found: dict[str, Any] | None = None
+    ours: bool = False  # the file on disk is a checkpoint of this run
     pause: float = 0.0
     saved: float = field(default_factory=time.monotonic)
 
@@ -129,12 +130,10 @@ def _keeping(path: Path) -> Iterator[None]:
     finally:
         _keeper.reset(token)
     if keeper.ours:  # and what a run that was killed in the middle of writing left
-        for left in (
-            keeper.path,
-            *keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}"),
-        ):
+        unfinished = keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}")
+        for file in (keeper.path, *unfinished):
             with suppress(OSError):
-                left.unlink(missing_ok=True)
+                file.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -155,30 +154,38 @@ def running(
         yield
         return
     keeper.identity = identity_of(method, settings, request, exemplars)
-    keeper.left = _find_own(keeper)
+    keeper.found = _find_own(keeper)
     keeper.step = step()
     try:
         yield
     finally:
-        keeper.identity, keeper.left, keeper.step = "", None, {}
+        keeper.identity, keeper.found = "", None
+        keeper.step = {}
 
 
 def step_in(path: Path) -> dict[str, Any] | None:
     """Read the request of the run whose checkpoint is in a file; None where nothing tells."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return dict(json.loads(bytes(stored[_ABOUT]))["step"]) or None
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+    return _about(path).get("step") or None
 
 
 def identity_in(path: Path) -> str | None:
     """Read the identity of the run whose checkpoint is in a file; None where nothing tells."""
+    return _about(path).get("identity")
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """Read identity, stage, number and step of a checkpoint; nothing of a file that is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            return str(json.loads(bytes(stored[_ABOUT]))["identity"])
+            about = json.loads(bytes(stored[_ABOUT]))
+            return {
+                "identity": str(about["identity"]),
+                "stage": str(about["stage"]),
+                "number": int(about["number"]),
+                "step": dict(about.get("step") or {}),
+            }
     except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+        return {}
 
 
 def resume(stage: str) -> Checkpoint | None:
@@ -189,9 +196,9 @@ def resume(stage: str) -> Checkpoint | None:
     is left aside, with a word.
     """
     keeper = _keeper.get()
-    if keeper is None or keeper.left is None or keeper.left["stage"] != stage:
+    if keeper is None or keeper.found is None or keeper.found["stage"] != stage:
         return None
-    number, keeper.left = int(keeper.left["number"]), None
+    number, keeper.found = int(keeper.found["number"]), None
     try:
         arrays = read_npz(keeper.path, _PREFIX)
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
@@ -239,7 +246,7 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
         notify(f"the run cannot be resumed if it is interrupted: {error}")
         keeper.pause = math.inf
         return
-    keeper.left, keeper.ours = None, True
+    keeper.found, keeper.ours = None, True
     keeper.saved = time.monotonic()
     keeper.pause = _SHARE * (keeper.saved - start)
 
@@ -255,24 +262,20 @@ def _find_own(keeper: _Keeper) -> dict[str, Any] | None:
     """Return stage and number of the checkpoint on disk, where it is whole and of this run."""
     if not keeper.path.exists():
         return None
-    try:
-        with np.load(keeper.path, allow_pickle=False) as stored:
-            about = json.loads(bytes(stored[_ABOUT]))
-        same = about["identity"] == keeper.identity
-        left = {"stage": str(about["stage"]), "number": int(about["number"])}
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        # States are put in place whole, so a file that cannot be read as one is somebody else's.
+    about = _about(keeper.path)
+    if not about:
+        # Checkpoints are put in place whole: one that cannot be read is another program's file.
         notify(
             f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be "
             "resumed"
         )
         keeper.pause = math.inf
         return None
-    if not same:
+    if about["identity"] != keeper.identity:
         notify(f"{keeper.path.name} was left by another run: starting from the beginning")
         return None
     keeper.ours = True
-    return left
+    return about
 
 
 def identity_of(

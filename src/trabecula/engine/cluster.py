@@ -8,9 +8,11 @@ made again by another; one that is in the store is not, since a worker looks the
 
 from __future__ import annotations
 
+import io
 import logging
 import pickle
 import platform
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,11 +25,10 @@ import numpy as np
 from trabecula.core.errors import ClusterError, InputError
 from trabecula.core.optional import need
 from trabecula.core.recipe import versions
-from trabecula.engine import store
+from trabecula.engine import memmap, store
 from trabecula.engine.blocks import StoredVolume, do_task
 from trabecula.engine.chunking import Box, Task
 from trabecula.engine.parallel import one_blas_thread, thread_count, threads
-from trabecula.engine.pickling import ReferencedFiles
 from trabecula.engine.storage.location import Location
 
 T = TypeVar("T")
@@ -37,6 +38,52 @@ _WAIT = 10.0
 
 _WORKER = 96 << 20
 """Bytes that a worker takes beside what it makes."""
+
+_LARGE = 1 << 20
+"""Bytes of an array in memory that is sent by a file: once, not with every piece of work."""
+
+
+class ReferencedFiles:
+    """The files of the arrays that work was sent with."""
+
+    def __init__(self) -> None:
+        self._copies: dict[int, tuple[Any, np.ndarray]] = {}
+
+    def dumps(self, work: Callable[..., object]) -> bytes:
+        """Return work as bytes that `pickle.loads` reads in a process which sees the scratch
+        folder.
+        """
+        import cloudpickle  # comes with Dask
+
+        places = self
+
+        class Pickler(cloudpickle.Pickler):
+            def reducer_override(self, sent: Any) -> Any:
+                if type(sent) is np.ndarray:
+                    place = places.file_of(sent)
+                    if place is not None:
+                        return memmap.open_file, (place,)
+                return super().reducer_override(sent)
+
+        buffer = io.BytesIO()
+        Pickler(buffer).dump(work)
+        return buffer.getvalue()
+
+    def file_of(self, array: np.ndarray) -> memmap.MappedFile | None:
+        """Return the file of an array; None for one that is better sent itself."""
+        place = memmap.file_of(array)
+        if place is not None or array.nbytes < _LARGE or array.dtype.hasobject:
+            return place
+        number = id(array)
+        if number not in self._copies:
+            copy = memmap.empty(array.shape, array.dtype)
+            copy[...] = array
+            # The number is another array's as soon as this one is gone.
+            self._copies[number] = (
+                weakref.ref(array, lambda _: self._copies.pop(number, None)),
+                copy,
+            )
+        return memmap.file_of(self._copies[number][1])
 
 
 @dataclass(frozen=True)
@@ -86,7 +133,8 @@ class Workers:
     """
 
     def __init__(self, client: Any, *, each: int | None, memory: int | None) -> None:
-        self._client, self._each, self._places = client, each, ReferencedFiles()
+        self._client, self._each = client, each
+        self._places = ReferencedFiles()
         known = client.scheduler_info(n_workers=-1)["workers"].values()
         self.at_once = sum(worker["nthreads"] for worker in known)
         limits = [

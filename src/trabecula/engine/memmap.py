@@ -1,10 +1,11 @@
 """Memory-mapped arrays: large arrays are stored in files of a scratch folder, and only the slabs in
 use are resident.
 
-A run that does not fit into its budget is wrapped in `map_large_arrays`. What makes large arrays
-asks `empty` or `zeros` for them, works on them slab by slab (`tiles.for_slabs`), and is the same
-code as in memory: so are the voxels. After every slab `release_pages` hands its pages back; they
-stay in the system's cache as long as there is room, and on disk beyond that.
+A run that does not fit into its budget is wrapped in `map_large_arrays`. Code that needs large
+arrays gets them from a `memory.Workspace` (or from `empty` and `zeros`) and works on them slab by
+slab (`parallel.for_slabs`). It is the same code as in memory, so the voxels are the same. After
+every slab `release_pages` gives its pages back; they stay in the system's cache as long as there is
+room, and on disk beyond that.
 """
 
 from __future__ import annotations
@@ -83,13 +84,13 @@ def map_large_arrays(
     Parameters
     ----------
     folder : Path
-        Made where it is not there.
+        Created where it does not exist.
     memory : int
-        Bytes of them that may be resident at once, about.
+        Bytes of the arrays that may be resident at once, about.
     thickest : int, optional
         Planes of a slab at most.
-    workers : Hands, optional
-        Who works on slabs that may be worked on anywhere.
+    workers : MappedWorkers, optional
+        Processes for the slabs that any process may work on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     token = _scratch.set(_Scratch(folder, memory, thickest, workers))
@@ -176,7 +177,8 @@ def keep_file(array: np.ndarray) -> MappedFile:
     ValueError
         One in memory, or a part of another.
     """
-    scratch, found, place = _scratch.get(), _find_file(array), file_of(array)
+    scratch = _scratch.get()
+    found, place = _find_file(array), file_of(array)
     if scratch is None or found is None or place is None or len(found[0]) != array.nbytes:
         raise ValueError("only a whole array in a scratch file can be kept")
     memory, _ = found

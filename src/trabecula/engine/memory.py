@@ -28,16 +28,15 @@ that holds the most, and `forecast_mapped(...)` what stays in memory when the ar
 
 - `working` counts the temporaries of all threads. An array that grows with the volume is declared.
 - A function that returns a new array is no obstacle: `work.adopt("votes", votes_of(...))` checks
-its
-  shape and dtype against the declaration, so code and forecast cannot disagree.
+  its shape and dtype against the declaration, so code and forecast cannot disagree.
 - Free an array by entering a stage that does not hold it, or by `release`; a local name that still
   refers to it keeps it alive. `check_releases` (in tests) raises where this happens.
 - A step with large arrays of its own declares its own stages and makes its own `Workspace`; the
   caller's forecast counts them beside its arrays: `within(held, step_stages)`.
 - Coarse to fine: one `Workspace` a level. `take` hands the result to the next level, which declares
   it among its arrays and calls `adopt`.
-- Arrays whose size depends on the data are declared with an upper bound: `Array(...,
-at_most=True)`.
+- Arrays whose size depends on the data are declared with an upper bound,
+  `Array(..., at_most=True)`.
 - Sizes that do not grow with the request (interpreter, kernels, exemplar) go into `fixed`.
 
 The worked example is `synth.noise`. Tests hold: real <= forecast <= 1.5 real.

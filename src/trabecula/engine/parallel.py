@@ -76,7 +76,7 @@ def for_slabs(
     kernel that honours the first sentence does not.
 
     With `anywhere` it may run in another process, and more than once: it can be pickled, writes
-    nothing but its slab of arrays that `scratch` gave, and reads none of what it writes. Large
+    nothing but its slab of memory-mapped arrays, and reads nothing that it writes. Large
     arrays in memory that it reads never change: they are sent once.
     """
     if anywhere and memmap.run_on_workers(work, length):

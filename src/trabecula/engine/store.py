@@ -1,11 +1,11 @@
 """Zarr stores: the one home of zarr.
 
-A store is a Zarr v3 group with the voxels as array "0" and coarser levels of them (engine.levels)
+A store is a Zarr v3 group with the voxels as array "0" and coarser levels (engine.multiscale)
 as "1", "2", ..., described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute
 "trabecula". Its `complete` is false until the last chunk is written, so a run that died leaves a
 store that says so.
 
-A file (or object: see engine.locations) of an array holds a cube of `CHUNK` voxels and is the unit
+A file (or object: see engine.storage) of an array holds a cube of `CHUNK` voxels and is the unit
 of writing (Zarr's shard); the cubes of half its edge in it are the unit of reading (Zarr's chunk).
 """
 
@@ -19,14 +19,20 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError
-from trabecula.engine import ome
 from trabecula.engine.chunking import Box, cells_of, slices_of
-from trabecula.engine.multiscale import halve_resolution, shapes_of
+from trabecula.engine.multiscale import (
+    calibration,
+    datasets_of,
+    halve_resolution,
+    ome_attribute,
+    shapes_of,
+)
 from trabecula.engine.storage.location import AnyPath, Location, location_of
 
 KEY = "trabecula"
 CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like
-_OF, _EDGE, _SIDE = "identity", "chunk", "block"
+_OF = "identity"
+_EDGE, _SIDE = "chunk", "block"
 # a chunk that is not there is then a chunk that was lost
 _EVERY_CHUNK: Any = {"write_empty_chunks": True}
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
@@ -145,7 +151,7 @@ def create(
     group = zarr.create_group(
         str(path),
         attributes={
-            "ome": ome.ome_attribute(axes, scale, unit, name, len(shapes)),
+            "ome": ome_attribute(axes, scale, unit, name, len(shapes)),
             KEY: {**fields, "complete": False},
         },
     )
@@ -319,7 +325,7 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
             arrays = tuple(group[str(level)] for level in range(levels))
         return Unfinished(place, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
-    except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
+    except Exception:  # noqa: BLE001 (zarr raises anything on a folder of another program)
         return None
 
 
@@ -348,7 +354,7 @@ def _open(place: Location, level: int) -> Store:
         name = str(place).removesuffix(".part")
         raise FileError(
             f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula "
-            f"generate --resume {name} resumes it"
+            f"generate --resume {name} goes on"
         )
     ours = (
         {name: value for name, value in fields.items() if name != "complete"}
@@ -356,10 +362,10 @@ def _open(place: Location, level: int) -> Store:
         else {}
     )
     found = node.attrs.get("ome", dict(node.attrs))
-    datasets = ome.datasets(found)
+    datasets = datasets_of(found)
     if datasets is not None:
         _check_level(place, level, len(datasets))
-        scale, unit = ome.calibration(found, level)
+        scale, unit = calibration(found, level)
         return Store(place, node[datasets[level]["path"]], ours, scale, unit)
     _check_level(place, level, 1)
     return Store(

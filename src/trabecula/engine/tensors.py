@@ -1,8 +1,10 @@
-"""Arrays by name in one file, laid out as safetensors: the length of a header, the header as JSON,
-the raw numbers.
+"""Arrays by name in one file in the format of safetensors: the length of a header, the header as
+JSON, the raw numbers.
 
-Nothing in such a file is ever executed. Whatever is in it is checked before a number of it is used:
-anybody may have written it. The same arrays and words give the same bytes.
+Nothing in such a file is ever executed. Everything in it is checked before a number of it is used:
+anybody may have written it. The same arrays and words give the same bytes, on which the identity of
+a model rests. The package safetensors (0.8) does not promise that: it writes several words in
+another order at every call, and orders arrays of one width by their type.
 
 Layout: https://github.com/huggingface/safetensors (8 bytes little-endian, JSON of at most that
 many, data without holes).
@@ -139,7 +141,8 @@ def _entry(name: str, entry: Any) -> tuple[np.dtype, tuple[int, ...], int, int]:
     """Return type, shape, first and last byte of an array."""
     if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
         raise ValueError(f"its header's entry {name!r} is damaged")
-    kind, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
+    kind = entry["dtype"]
+    shape, offsets = entry["shape"], entry["data_offsets"]
     if not isinstance(kind, str) or kind not in TYPES:
         raise ValueError(f"{name!r} is of type {kind!r}, known are {', '.join(TYPES)}")
     if not (_is_whole(shape) and len(shape) <= 32 and _is_whole(offsets) and len(offsets) == 2):

@@ -1,3 +1,5 @@
 """Images to learn from: segment, crop, place, views of pictures, and the samples that the package
 makes itself.
 """
+
+__all__ = ["crop", "margins", "place", "samples", "segment", "target", "views"]

@@ -256,5 +256,5 @@ def _made(
         identity=identity,
         scale=volume.spacing,
         unit=long_name(volume.unit),
-        goes_on="by the same command",
+        resume_hint="by the same command",
     )

@@ -35,7 +35,7 @@ def plan_whole(model: Model, request: Request, budget: int, chunk: int) -> Plan:
     """Forecast of making a request in scratch files within a budget of bytes, and writing it in
     blocks of `chunk` voxels.
     """
-    plan = model.plan_spilled(request, budget)
+    plan = model.plan_mapped(request, budget)
     numbers = 3 if model.fields(request)["kind"] == "colour" else 1
     block = numbers * part_bytes(
         request.shape, [min(chunk, side) for side in request.shape], model.dtype
@@ -74,7 +74,7 @@ class Whole:
     Parameters
     ----------
     model : Model
-        That `spills`.
+        Whose large volumes are "memmap" or "memory".
     request : Request
     folder : Path
     memory : int
@@ -180,7 +180,7 @@ class Whole:
             ):
                 for lost in self._folder.glob("*.raw"):  # of a run that was killed
                     lost.unlink()
-                values, report = self._model.made(self._request)
+                values, report = self._model.compute(self._request)
                 return self._kept(values, report), report
         except OSError as error:
             if isinstance(error, TrabeculaError):

@@ -131,7 +131,7 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     for stopped in (True, False):
         stops = pytest.raises(KeyboardInterrupt) if stopped else nullcontext()
         with slabs(tmp_path / "files"), stops, checkpoint.kept_at(tmp_path / "part"):
-            values, report = lattice_model.made(request)
+            values, report = lattice_model.compute(request)
             assert np.array_equal(values, whole) and report["places"] == trace.summary()["places"]
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
@@ -290,7 +290,7 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
     """Check that memory does not grow, except by a plane; the rest is memory-mapped."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
-    assert lattice_model._plan_spilled(short) == lattice_model._plan_spilled(long)
+    assert lattice_model.resident_memory(short) == lattice_model.resident_memory(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak
     assert 5 * 576 * 64 * 64 < more < 6 * 576 * 64 * 64
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
-from trabecula.engine.memory import Plan, forecast
+from trabecula.engine.memory import forecast
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES
@@ -47,7 +46,7 @@ class Quilt(Method):
         """Pack the exemplars."""
         return QuiltModel(self.config, exemplars)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the memory: words and a copy of every orientation, and the cleaning."""
         turns = len(
             symmetries(
@@ -56,13 +55,11 @@ class Quilt(Method):
         )
         planes = label_bits(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "exemplar": turns * voxels * (2 + 16 * planes),
-                "working": 18 * voxels,
-            }
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": turns * voxels * (2 + 16 * planes),
+            "working": 18 * voxels,
+        }
 
 
 class QuiltModel(Model):
@@ -125,12 +122,11 @@ class QuiltModel(Model):
     def _check_target(self, request: Request) -> None:
         check_targets(self.library, request, self._held)
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         grid, fixed = self._forecast_grid(request)
-        stages = run_stages(grid, self.config, request)
-        return forecast(stages, fixed, disk=math.prod(grid.shape))
+        return forecast(run_stages(grid, self.config, request), fixed).memory
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         grid, fixed = self._forecast_grid(request)
         stages = run_stages(grid, self.config, request, mapped=True)
         return {**fixed, "slab": max(stage.slab for stage in stages)}

@@ -111,7 +111,7 @@ def test_voxels_that_are_made_are_not_made_again(model, sha256, tmp_path, monkey
     with listen(interrupt), pytest.raises(KeyboardInterrupt):
         generate_to(model, REQUEST, path, chunks=16)
     assert names(tmp_path) == ["x.zarr.part", "x.zarr.scratch"]
-    monkeypatch.setattr(TextureModel, "_generate", None)
+    monkeypatch.setattr(TextureModel, "make", None)
     assert resume(path).sha256 == sha256
 
 
@@ -145,7 +145,7 @@ def test_what_workers_say_is_passed_on(model, tmp_path, monkeypatch):
     def lost(*_):
         raise ClusterError("the worker on x does not see y")
 
-    monkeypatch.setattr(TextureModel, "_generate", lost)
+    monkeypatch.setattr(TextureModel, "make", lost)
     with pytest.raises(ClusterError, match="does not see"):
         generate_to(model, REQUEST, tmp_path / "x.zarr", chunks=16)
 
@@ -155,7 +155,7 @@ def test_too_small_a_disk_is_told_before_any_work(model, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "trabecula.pipeline.out_of_core.shutil.disk_usage", lambda _: usage._replace(free=1 << 12)
     )
-    monkeypatch.setattr(TextureModel, "_generate", None)
+    monkeypatch.setattr(TextureModel, "make", None)
     with pytest.raises(FileError, match=r"scratch files are needed.*--scratch"):
         generate_to(model, REQUEST, tmp_path / "x.zarr", chunks=16)
 

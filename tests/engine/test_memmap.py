@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trabecula.engine import memmap
-from trabecula.engine.npz_stream import read_npz, write_npz
+from trabecula.engine.files import read_npz, write_npz
 from trabecula.engine.parallel import for_slabs, sum_slabs, threads
 
 
@@ -107,7 +107,7 @@ def test_slabs_are_a_share_of_all_arrays(tmp_path):
 
 @pytest.mark.parametrize("many", [True, False])
 def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
-    monkeypatch.setattr("trabecula.engine.npz_stream._AT_ONCE", 700 if many else 1 << 24)
+    monkeypatch.setattr("trabecula.engine.files._AT_ONCE", 700 if many else 1 << 24)
     rng = np.random.default_rng(0)
     given = {
         "levels": rng.integers(0, 200, (9, 20, 30)).astype(np.uint8),
