@@ -22,8 +22,8 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.measure.labelling import pairs_across
-from trabecula.measure.runs import Runs, merge_labels, runs_of
+from trabecula.measure.labelling import meeting
+from trabecula.measure.runs import Runs, merged_pieces, runs_of
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.connectivity_kernels import (
     ENDS,
@@ -70,6 +70,16 @@ class ComponentTracker:
     """The components of an output: the number of every voxel's, and a table of which numbers are
     one component, with their ends.
 
+    Parameters
+    ----------
+    canvas : (Z, Y, X) uint8
+        Given voxels, and voxels to make.
+    numbers : (Z, Y, X) int32
+        Zeros.
+    wraps : three bool
+    classes : (256,) uint8
+        As from `voxel_classes`.
+
     Attributes
     ----------
     numbers : (Z, Y, X) int32
@@ -79,9 +89,14 @@ class ComponentTracker:
         and those that were closed as the only one, after which none may begin.
     """
 
-    def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
-        self.classes = classes
-        self.numbers = memmap.zeros(canvas.shape, np.int32)
+    def __init__(
+        self,
+        canvas: np.ndarray,
+        numbers: np.ndarray,
+        wraps: tuple[bool, ...],
+        classes: np.ndarray,
+    ) -> None:
+        self.classes, self.numbers = classes, numbers
         self.parent = memmap.zeros(_MORE, np.int32)
         self.ends = memmap.zeros(_MORE, np.int64)
         self.sizes = memmap.zeros(_MORE, np.int64)
@@ -280,7 +295,7 @@ class ConnectivityCheck:
         return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept
 
 
-_AT_ONCE = 1 << 21
+LABELLED_AT_ONCE = 1 << 21
 """Voxels of a slab at most: its runs and labels take some bytes each, whether scratch files are in
 use or not.
 """
@@ -293,7 +308,7 @@ def slabs(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
     other.
     """
     plane = int(np.prod(shape[1:], dtype=np.int64))
-    thick = max(1, min(memmap.slab_thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
+    thick = max(1, min(memmap.slab_thickness(shape[0], 1), LABELLED_AT_ONCE // max(1, plane)))
     for first in range(0, shape[0], thick):
         yield first, min(first + thick, shape[0])
         memmap.release_pages()
@@ -340,7 +355,7 @@ def label_slabwise(
         count += len(runs.sizes)
     if wraps[0]:
         pairs.append(_touching_pairs(last, first))
-    part, merged = merge_labels(np.concatenate(sizes), np.concatenate(pairs))
+    part, merged = merged_pieces(np.concatenate(sizes), np.concatenate(pairs))
     return np.concatenate([[0], part]), merged
 
 
@@ -354,7 +369,7 @@ def _end_layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
 
 def _touching_pairs(far: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return (n, 2) numbers that are neighbours from a layer to the one behind it."""
-    return pairs_across(far, near, _FACES, (False, False))
+    return meeting(far, near, _FACES, (False, False))
 
 
 def thin_voxels(window: np.ndarray, margin: tuple[int, ...], size: int, solid: np.ndarray) -> int:
