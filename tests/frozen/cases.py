@@ -25,12 +25,12 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from trabecula.flow import generate_to
 
 import trabecula as tb
 from trabecula.__main__ import main
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, scratch
-from trabecula.flow import generate_to
 
 FILES = Path(__file__).parent / "files"
 SHAPE = (16, 18, 20)

@@ -61,7 +61,7 @@ def medium(side: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_too_large_a_solve_is_refused_and_told_to_take_a_box(name, monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1 << 20)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 1 << 20)
     with pytest.raises(tb.errors.MemoryBudgetError, match=r"box=, or --box"):
         SOLVERS[name](medium(24))
     SOLVERS[name](medium(24), box=6)
@@ -69,7 +69,7 @@ def test_too_large_a_solve_is_refused_and_told_to_take_a_box(name, monkeypatch):
 
 @pytest.mark.parametrize("name", ["permeability", "diffusivity", "stiffness"])
 def test_halving_is_part_of_the_forecast(name, monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 8 << 20)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 8 << 20)
     SOLVERS[name](medium(14))
     with pytest.raises(tb.errors.MemoryBudgetError):
         SOLVERS[name](medium(24 if name == "diffusivity" else 14), halving=True)

@@ -30,9 +30,9 @@ from trabecula.engine.blocks import StoredVolume, part_bytes, stream
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.files import remove
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, available_memory, check_budget
-from trabecula.engine.storage.location import Folder, Location, located
+from trabecula.engine.lock import hold_lock
+from trabecula.engine.memory import Plan, available_memory, check_budget
+from trabecula.engine.storage.location import Folder, Location, location_of
 from trabecula.engine.store import CHUNK
 from trabecula.finish.bridges import search_bytes
 from trabecula.finish.closed_pores import fill_trapped, fill_trapped_in_place
@@ -109,7 +109,7 @@ def finish_slabs(
     FileError
         The result or the scratch files cannot be written; another process writes this result.
     """
-    target = located(path)
+    target = location_of(path)
     if not target.name.lower().endswith(".zarr"):
         raise InputError(
             f"{path}: what does not fit into memory is finished into a .zarr; name it so"
@@ -124,10 +124,10 @@ def finish_slabs(
     grown = target.growing()
     if isinstance(target, Folder):
         target.check_replaceable()
-    with locked(grown.path) if isinstance(grown, Folder) else nullcontext():
+    with hold_lock(grown.path) if isinstance(grown, Folder) else nullcontext():
         remove(place)  # of a run that was killed
         try:
-            with memmap.spilled(place, memory=pages):
+            with memmap.map_large_arrays(place, memory=pages):
                 return _finished(volume, target, settings, depth)
         except OSError as error:
             if isinstance(error, TrabeculaError):
@@ -256,5 +256,5 @@ def _made(
         identity=identity,
         scale=volume.spacing,
         unit=long_name(volume.unit),
-        goes_on="by the same command",
+        resume_hint="by the same command",
     )

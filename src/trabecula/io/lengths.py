@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from trabecula.core.checks import as_number, as_spacing
-from trabecula.core.image import Image, declared
+from trabecula.core.image import Image, declare_fields
 from trabecula.core.recipe import Recipe
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.io.units import canonical, check_unit
@@ -61,4 +61,4 @@ def with_lengths(
         return cast(Volume, replace(image, **fields, recipe=recipe))
     if not image.recipe:
         image = replace(image, recipe=Recipe().then("array", image.values))
-    return declared(image, **fields)
+    return declare_fields(image, **fields)

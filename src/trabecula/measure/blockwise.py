@@ -15,7 +15,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.engine.lazy_volume import Slabs, depth_within
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure.centre_crop import box_sides
 from trabecula.measure.correlation.pair_geometry import Radial, steps_of
 from trabecula.measure.correlation.window import Window

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.checks import as_shape
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 
 
 def box_sides(box: int | Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from trabecula.core import progress
 from trabecula.core.image import Image, as_image, check_labels
+from trabecula.engine.memory import available_memory
 from trabecula.engine.parallel import for_slabs, thread_count, threads
-from trabecula.engine.plan import available_memory
 from trabecula.measure.centre_crop import box_sides, centre, check_memory
 from trabecula.measure.mechanics import Stiffness, homogenise, stiffness
 from trabecula.measure.percolation import AXES

@@ -26,7 +26,7 @@ from trabecula.core.progress import track
 from trabecula.core.recipe import digest_of
 from trabecula.engine.files import replacing
 from trabecula.engine.lazy_volume import Slabs, depth_within
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure.phases import indicator
 from trabecula.mesh import kernels, stl
 from trabecula.mesh.base import Mesh

@@ -14,7 +14,7 @@ import numpy as np
 
 from trabecula import __version__
 from trabecula.core.errors import FileError
-from trabecula.engine.plan import available_memory
+from trabecula.engine.memory import available_memory
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import NO_UNIT, metres, recipe_json, stated_unit
 from trabecula.mesh.text import rows

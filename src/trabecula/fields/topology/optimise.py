@@ -20,7 +20,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.fields.grid import as_field, as_region
 from trabecula.fields.topology.cases import Case, case, to_json
 from trabecula.fields.topology.part import Part

@@ -15,8 +15,8 @@ from trabecula.core.optional import need
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
+from trabecula.engine.memory import Plan
 from trabecula.engine.parallel import thread_count
-from trabecula.engine.plan import Plan
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel

@@ -25,7 +25,7 @@ def slabs_of(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
     other.
     """
     plane = int(np.prod(shape[1:], dtype=np.int64))
-    thick = max(1, min(memmap.thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
+    thick = max(1, min(memmap.slab_thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
     for first in range(0, shape[0], thick):
         yield first, min(first + thick, shape[0])
         memmap.release_pages()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from trabecula.engine.chunking import below
-from trabecula.engine.multiscale import halved, shapes_of
+from trabecula.engine.multiscale import halve_resolution, shapes_of
 
 
 def cells(values):
@@ -21,7 +21,7 @@ def cells(values):
     arrays(np.uint8, array_shapes(min_dims=2, max_dims=3, max_side=37), elements=st.integers(0, 3))
 )
 def test_the_commonest_label(values):
-    result = halved(values, labels=True)
+    result = halve_resolution(values, labels=True)
     assert result.dtype == np.uint8
     for index, inside in cells(values):
         # Every voxel at an odd end stands for as many as any other there, so that counts need no
@@ -39,7 +39,7 @@ def test_the_commonest_label(values):
     )
 )
 def test_the_mean(values):
-    result = halved(values, labels=False)
+    result = halve_resolution(values, labels=False)
     assert result.dtype == values.dtype
     for index, inside in cells(values):
         mean = inside.astype(np.float64).mean()
@@ -48,20 +48,25 @@ def test_the_mean(values):
 
 
 def test_means_of_negative_and_of_very_large_numbers():
-    assert halved(np.array([[-3, -2], [-2, -2]], np.int16), labels=False).tolist() == [[-2]]
-    assert halved(np.full((4, 4), 65535, np.uint16), labels=False).tolist() == [[65535] * 2] * 2
+    assert halve_resolution(np.array([[-3, -2], [-2, -2]], np.int16), labels=False).tolist() == [
+        [-2]
+    ]
+    assert (
+        halve_resolution(np.full((4, 4), 65535, np.uint16), labels=False).tolist()
+        == [[65535] * 2] * 2
+    )
 
 
 def test_no_phase_is_favoured():
     """Of independent voxels, half of each phase, a third of the cells are ties: the shares stay."""
     values = np.random.default_rng(0).integers(0, 2, (64, 64, 64)).astype(np.uint8)
-    assert halved(values, labels=True).mean() == pytest.approx(0.5, abs=4 * 0.5 / 32**1.5)
+    assert halve_resolution(values, labels=True).mean() == pytest.approx(0.5, abs=4 * 0.5 / 32**1.5)
 
 
 def test_channels_are_halved_alone():
     values = np.random.default_rng(1).integers(0, 255, (3, 8, 6)).astype(np.uint8)
-    expected = np.stack([halved(channel, labels=False) for channel in values])
-    assert np.array_equal(halved(values, labels=False, axes=2), expected)
+    expected = np.stack([halve_resolution(channel, labels=False) for channel in values])
+    assert np.array_equal(halve_resolution(values, labels=False, axes=2), expected)
 
 
 def test_shapes_and_boxes():

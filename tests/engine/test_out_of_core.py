@@ -66,7 +66,7 @@ def test_a_run_begun_in_memory_goes_on_in_blocks(model, sha256, tmp_path):
     said = []
     with listen(lambda label, done: said.append(label)):
         assert generate_to(model, REQUEST, path, chunks=16).sha256 == sha256
-    assert any("going on from state" in line for line in said)
+    assert any("resuming from state" in line for line in said)
     assert names(tmp_path) == ["x.zarr"]
 
 
@@ -74,7 +74,7 @@ def test_a_run_begun_in_blocks_goes_on_with_more_memory(model, sha256, tmp_path)
     path = tmp_path / "x.zarr"
     said = stopped(model, path, 12, chunks=16)
     assert [line for line in said if "--resume" in line] == [
-        "interrupted: the same run goes on from x.zarr.part (generate --resume x.zarr)"
+        "interrupted: the same run resumes from x.zarr.part (generate --resume x.zarr)"
     ]
     assert generate_to(model, REQUEST, path).sha256 == sha256
     assert names(tmp_path) == ["x.zarr"]
@@ -111,7 +111,7 @@ def test_voxels_that_are_made_are_not_made_again(model, sha256, tmp_path, monkey
     with listen(interrupt), pytest.raises(KeyboardInterrupt):
         generate_to(model, REQUEST, path, chunks=16)
     assert names(tmp_path) == ["x.zarr.part", "x.zarr.scratch"]
-    monkeypatch.setattr(TextureModel, "_generate", None)
+    monkeypatch.setattr(TextureModel, "make", None)
     assert resume(path).sha256 == sha256
 
 
@@ -145,7 +145,7 @@ def test_what_workers_say_is_passed_on(model, tmp_path, monkeypatch):
     def lost(*_):
         raise ClusterError("the worker on x does not see y")
 
-    monkeypatch.setattr(TextureModel, "_generate", lost)
+    monkeypatch.setattr(TextureModel, "make", lost)
     with pytest.raises(ClusterError, match="does not see"):
         generate_to(model, REQUEST, tmp_path / "x.zarr", chunks=16)
 
@@ -155,7 +155,7 @@ def test_too_small_a_disk_is_told_before_any_work(model, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "trabecula.pipeline.out_of_core.shutil.disk_usage", lambda _: usage._replace(free=1 << 12)
     )
-    monkeypatch.setattr(TextureModel, "_generate", None)
+    monkeypatch.setattr(TextureModel, "make", None)
     with pytest.raises(FileError, match=r"scratch files are needed.*--scratch"):
         generate_to(model, REQUEST, tmp_path / "x.zarr", chunks=16)
 
@@ -169,7 +169,7 @@ def test_a_disk_that_fills_keeps_the_state(model, sha256, tmp_path, monkeypatch)
             raise OSError(28, "No space left on device")
         real(place, descriptor, size)
 
-    monkeypatch.setattr(memmap, "LEAST", 256)
+    monkeypatch.setattr(memmap, "SMALLEST", 256)
     with monkeypatch.context() as patch:
         patch.setattr(memmap, "_allocate", full)
         with pytest.raises(FileError, match=r"No space left.*--scratch; the same run goes on"):

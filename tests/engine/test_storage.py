@@ -14,8 +14,14 @@ from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
 from trabecula.engine import store
 from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
-from trabecula.engine.multiscale import halved
-from trabecula.engine.storage.location import Folder, Remote, is_address, located, place_of
+from trabecula.engine.multiscale import halve_resolution
+from trabecula.engine.storage.location import (
+    Folder,
+    Remote,
+    is_address,
+    location_of,
+    path_or_remote,
+)
 from trabecula.errors import FileError, MemoryBudgetError, MissingExtraError
 from trabecula.pipeline.generate import generate_to, plan_to
 
@@ -48,7 +54,7 @@ WHOLE = voxels(tuple((0, side) for side in SHAPE))
 )
 def test_what_is_a_folder(path, folder):
     assert not is_address(path)
-    assert located(path).path == place_of(path) == Path(folder)
+    assert location_of(path).path == path_or_remote(path) == Path(folder)
 
 
 @pytest.mark.parametrize(
@@ -56,18 +62,18 @@ def test_what_is_a_folder(path, folder):
 )
 def test_what_is_an_address(path):
     assert is_address(path)
-    found = located(path)
+    found = location_of(path)
     assert (
         isinstance(found, Remote)
         and str(found) == path.rstrip("/") == found.name
         and found.stem == "rock"
     )
-    assert located(found) is found is place_of(found) and found.growing() is found
+    assert location_of(found) is found is path_or_remote(found) and found.growing() is found
     assert found.beside(".scratch") == Path.cwd() / "rock.zarr.scratch"
 
 
 def test_a_folder_grows_beside_itself(tmp_path):
-    place = located(tmp_path / "rock.zarr")
+    place = location_of(tmp_path / "rock.zarr")
     assert place.growing().path == place.beside(".part") == tmp_path / "rock.zarr.part"
 
 
@@ -79,8 +85,8 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
     ):
         line = refused(*words)
         assert (
-            line
-            == "reaching s3://b/x.zarr needs fsspec, which is not installed: pip install 'trabecula[remote]'"
+            line == "reaching s3://b/x.zarr needs fsspec, which is not installed: "
+            "pip install 'trabecula[remote]'"
         )
 
 
@@ -164,9 +170,9 @@ def test_a_volume_in_blocks_is_gone_on_with_wherever_it_lies(place):
         made(place, Maker(), chunk=64)
     second = Maker()
     sha256, said = made(place, second)
-    assert second.made == boxes_of(SHAPE, 32)[4:] and said == [f"going on from {grown.name}"]
+    assert second.made == boxes_of(SHAPE, 32)[4:] and said == [f"resuming from {grown.name}"]
     assert sha256 == digest(WHOLE) and np.array_equal(tb.read(place).values, WHOLE)
-    assert np.array_equal(tb.read(place, level=1).values, halved(WHOLE, labels=True))
+    assert np.array_equal(tb.read(place, level=1).values, halve_resolution(WHOLE, labels=True))
     assert store.open_unfinished(place).complete
 
 
@@ -207,7 +213,7 @@ def test_both_tell_their_files_alike(place):
     assert place.missing(many) == many[1:]
     place.remove(["zarr.json", "nothing"])
     assert not place.is_store() and place.files() == files - {"zarr.json"}
-    assert not located(f"{place}-of-others").is_there()
+    assert not location_of(f"{place}-of-others").is_there()
 
 
 def test_a_store_appears_whole_or_not_at_all(place):
@@ -245,7 +251,7 @@ def test_the_forecast_counts_what_reaching_takes():
     assert there.peak - here.peak == Remote.memory and there.disk == here.disk
     with pytest.raises(MemoryBudgetError):
         generate_to(model, request, "memory://too-large.zarr", memory=here.peak, chunks=32)
-    assert not located("memory://too-large.zarr").is_there()
+    assert not location_of("memory://too-large.zarr").is_there()
     made = generate_to(model, request, "memory://fits.zarr", memory=there.peak, chunks=32)
     assert np.array_equal(tb.read(made.path).values, model.generate(request).values)
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from trabecula.engine import memmap
-from trabecula.engine.npz_stream import packed, unpacked
+from trabecula.engine.files import read_npz, write_npz
 from trabecula.engine.parallel import for_slabs, sum_slabs, threads
 
 
 @pytest.fixture
 def spilled(tmp_path):
-    with memmap.spilled(tmp_path / "s", memory=1 << 16, thickest=3):
+    with memmap.map_large_arrays(tmp_path / "s", memory=1 << 16, thickest=3):
         yield tmp_path / "s"
 
 
@@ -21,14 +21,14 @@ def test_outside_arrays_are_in_memory():
     assert not memmap.is_active()
     assert memmap.empty((3, 4), np.int16).base is None
     assert not memmap.zeros((300, 400), np.int16).any()
-    assert memmap.thickness(40, 2) == 40
+    assert memmap.slab_thickness(40, 2) == 40
 
 
 def test_large_arrays_lie_in_files_and_go_with_them(spilled):
     array = memmap.zeros((20, 30, 40), np.int16)
     small = memmap.zeros(8, np.int16)
     assert [file.stat().st_size for file in spilled.iterdir()] == [array.nbytes]
-    assert type(array) is np.ndarray and not array.any() and memmap.place_of(small) is None
+    assert type(array) is np.ndarray and not array.any() and memmap.file_of(small) is None
     part = array[3:9, ::2]
     del array
     part[...] = 7
@@ -42,8 +42,8 @@ def test_a_view_is_opened_by_its_place(spilled):
     array = memmap.empty((20, 30, 40), np.int16)
     array[...] = np.arange(array.size).reshape(array.shape)
     for view in (array, array[4:, 3], array[:, ::-1], np.moveaxis(array, 2, 0)[5:9]):
-        assert np.array_equal(memmap.open_file(memmap.place_of(view)), view)
-    other = memmap.open_file(memmap.place_of(array[2]))
+        assert np.array_equal(memmap.open_file(memmap.file_of(view)), view)
+    other = memmap.open_file(memmap.file_of(array[2]))
     other[...] = -1
     assert (array[2] == -1).all() and (array[3] >= 0).all()
 
@@ -97,17 +97,17 @@ def test_slabs_are_no_thicker_than_allowed_and_cover_everything(spilled, count):
 
 
 def test_slabs_are_a_share_of_all_arrays(tmp_path):
-    with memmap.spilled(tmp_path, memory=1 << 20):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 20):
         kept = [memmap.empty((64, 256, 256), np.uint8) for _ in range(2)]
-        assert memmap.thickness(64, 1) == 64 // 8 and memmap.thickness(64, 2) == 64 // 16
-        assert memmap.thickness(1000, 1) == 125
+        assert memmap.slab_thickness(64, 1) == 64 // 8 and memmap.slab_thickness(64, 2) == 64 // 16
+        assert memmap.slab_thickness(1000, 1) == 125
         del kept[0]
-        assert memmap.thickness(64, 1) == 64 // 4
+        assert memmap.slab_thickness(64, 1) == 64 // 4
 
 
 @pytest.mark.parametrize("many", [True, False])
 def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
-    monkeypatch.setattr("trabecula.engine.npz_stream._AT_ONCE", 700 if many else 1 << 24)
+    monkeypatch.setattr("trabecula.engine.files._AT_ONCE", 700 if many else 1 << 24)
     rng = np.random.default_rng(0)
     given = {
         "levels": rng.integers(0, 200, (9, 20, 30)).astype(np.uint8),
@@ -116,14 +116,14 @@ def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
         "number": np.asarray(3.5),
         "marks": rng.random((5, 40)) < 0.5,
     }
-    packed(tmp_path / "state", given)
+    write_npz(tmp_path / "state", given)
     with np.load(tmp_path / "state") as stored:
         assert sorted(stored.files) == sorted(given)
         assert all(np.array_equal(stored[name], array) for name, array in given.items())
-    found = unpacked(tmp_path / "state")
-    with memmap.spilled(tmp_path / "s", memory=1 << 16):
-        inside = unpacked(tmp_path / "state", "v")
-        assert memmap.place_of(inside["otes"]) is not None
+    found = read_npz(tmp_path / "state")
+    with memmap.map_large_arrays(tmp_path / "s", memory=1 << 16):
+        inside = read_npz(tmp_path / "state", "v")
+        assert memmap.file_of(inside["otes"]) is not None
         assert np.array_equal(inside["otes"], given["votes"])
     assert list(found) == list(given)
     for name, array in given.items():
@@ -132,9 +132,9 @@ def test_states_hold_arrays_of_every_kind(tmp_path, monkeypatch, many):
 
 
 def test_a_damaged_state_is_found_out(tmp_path):
-    packed(tmp_path / "state", {"levels": np.arange(5000)})
+    write_npz(tmp_path / "state", {"levels": np.arange(5000)})
     whole = bytearray((tmp_path / "state").read_bytes())
     whole[3000] ^= 1
     (tmp_path / "state").write_bytes(whole)
     with pytest.raises(Exception, match="CRC"):
-        unpacked(tmp_path / "state")
+        read_npz(tmp_path / "state")

@@ -79,8 +79,8 @@ def test_a_full_disk_in_the_body_is_told_in_one_line(tmp_path):
         temporary.write_text("half")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert (
-        str(caught.value)
-        == f"cannot write {target}: No space left on device; check the folder, its rights and the space left"
+        str(caught.value) == f"cannot write {target}: No space left on device; "
+        "check the folder, its rights and the space left"
     )
     assert tree(tmp_path) == {"x.npy": "old"}
 
