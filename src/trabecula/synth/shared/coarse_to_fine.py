@@ -19,7 +19,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from trabecula.core.progress import track
-from trabecula.engine.checkpoint import Checkpoint, due, offer, resumed
+from trabecula.engine.checkpoint import Checkpoint, due, offer, resume
 from trabecula.synth.shared.pictures import ROOM
 
 _WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
@@ -127,7 +127,7 @@ def find_checkpoint(names: Sequence[str]) -> tuple[int, Checkpoint | None]:
     first place and None where there is none.
     """
     for place in reversed(range(len(names))):
-        checkpoint = resumed(names[place])
+        checkpoint = resume(names[place])
         if checkpoint is not None:
             return place, checkpoint
     return 0, None

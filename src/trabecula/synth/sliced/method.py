@@ -20,7 +20,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of, mean_edge

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.synth.shared.coarse_to_fine import levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes, grain_of

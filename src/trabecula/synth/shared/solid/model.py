@@ -18,7 +18,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
 from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
