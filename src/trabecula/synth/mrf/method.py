@@ -53,7 +53,7 @@ from trabecula.synth.mrf.slice_planes import (
     plane_across,
 )
 from trabecula.synth.mrf.statistics_feedback import PairCouplings
-from trabecula.synth.shared.fields import isotropic_scale
+from trabecula.synth.shared.content.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 
@@ -413,7 +413,7 @@ class RunMemory:
             plane += 80 * height * width + 40 * levels * ROWS_AT_ONCE
         most = self.threads * max(plane, sites + ROWS_AT_ONCE * 4 * levels)
         if self.pairs is not None:
-            most = max(most, self.pairs.slab_bytes + self.pairs.kept_bytes)
+            most = max(most, self.pairs.slab_bytes + self.pairs.lines_bytes)
         return self.scratch + self._table_bytes + 2 * _SMALL + most
 
     @property
