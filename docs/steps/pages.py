@@ -39,7 +39,10 @@ _ROOMS = {
 }
 # What public functions return or take, and is no name of `trabecula` itself.
 _ALSO = {
-    "synth.base": ("Method", "Model", "Spec"),
+    "synth.api.capabilities": ("Capabilities",),
+    "synth.api.method": ("Method", "Model", "ModelState"),
+    "synth.api.windows": ("WindowModel",),
+    "testing": ("check_method", "check_format"),
     "report.metric": ("Certificate", "Metric"),
     "report.inspection": ("Inspection",),
     "report.recommend": ("Recommendation",),

@@ -156,7 +156,7 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         with tb.threads(1):
-            plan = model.mapped_memory(request)
+            plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "slab"}
         assert peaks[-1] <= plan["slab"], "a slab takes more than was forecast"
     assert peaks[1] <= 1.1 * peaks[0], peaks

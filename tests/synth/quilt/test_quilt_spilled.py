@@ -283,7 +283,7 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
     """But for a plane; what is left of the whole is what lies in scratch files."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
-    assert lattice_model.mapped_memory(short) == lattice_model.mapped_memory(long)
+    assert lattice_model.resident_memory(short) == lattice_model.resident_memory(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak
     assert 5 * 576 * 64 * 64 < more < 6 * 576 * 64 * 64
 

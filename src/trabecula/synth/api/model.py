@@ -62,7 +62,7 @@ class Model(ABC):
     """A method that has learned.
 
     A subclass names its `capabilities` and gives the hook `make` (a `WindowModel`: `make_box`). It
-    may override `state`, `memory` and `mapped_memory`; to refuse what the base class lets pass,
+    may override `state`, `memory` and `resident_memory`; to refuse what the base class lets pass,
     `_check_request` and `_check_target`; where a result differs from the exemplar in kind, spacing,
     unit or phases, `_result_fields`.
 
@@ -94,7 +94,7 @@ class Model(ABC):
         ]
         more = f" and {len(seen) - 1} more" if seen[1:] else ""
         of = f" of {seen[0]}{more}" if seen else ""
-        return f"<Model{name}: {self.capabilities.name}{of}; {changed_settings(self.config)}>"
+        return f"<Model{name}: {self.capabilities.name}{of}; {nondefault_settings(self.config)}>"
 
     @abstractmethod
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
@@ -121,7 +121,7 @@ class Model(ABC):
         """
         return {"output": self.output_bytes(request)}
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         """Forecast the bytes that stay in memory where arrays are memory-mapped (hook).
 
         For methods whose large volumes are "memmap": "interpreter and kernels", "exemplar", and
@@ -190,7 +190,7 @@ class Model(ABC):
         if self.capabilities.large == "memory":
             memory_there = {**whole.memory, "writing": _WRITING, "pages": 0, "slab": 0}
             return Plan(memory_there, disk=whole.disk * 8 // 7, scratch=whole.disk)
-        fixed = {**self.mapped_memory(request), "writing": _WRITING}
+        fixed = {**self.resident_memory(request), "writing": _WRITING}
         resident = sum(fixed.values())
         files = max(0, whole.peak - resident)
         pages = max(0, min(memory - resident, files))
@@ -381,7 +381,7 @@ def as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
     return Request(shape, seed=0 if seed is None else as_seed(seed), **parts)
 
 
-def changed_settings(config: Any) -> str:
+def nondefault_settings(config: Any) -> str:
     """Return the settings that differ from a method's defaults, as NAME=VALUE."""
     usual = type(config)()
     changed = [

@@ -281,7 +281,7 @@ class MrfModel(PictureModel):
         run = self._run(request)
         return {**self._fixed(request), "output": run.output, "scratch": run.scratch}
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         return {**self._fixed(request), "slab": self._run(request).slab}
 
     def _fixed(self, request: Request) -> dict[str, int]:

@@ -114,7 +114,7 @@ class QuiltModel(Model):
         kept = needs_of(self.learnt, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         kept = needs_of(self.learnt, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 

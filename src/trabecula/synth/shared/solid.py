@@ -291,7 +291,7 @@ class SolidModel(PictureModel):
             "scratch": run.scratch,
         }
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         run, target = self._forecast(request), self.levels[0].correlations
         slab = run.slab
         if run.correcting and target is not None:

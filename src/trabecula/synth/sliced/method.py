@@ -221,7 +221,7 @@ class SlicedModel(PictureModel):
             "scratch": run.scratch,
         }
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         run, region = self._forecast(request), self._region(request, 0)
         moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
         moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]

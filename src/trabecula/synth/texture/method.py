@@ -225,7 +225,7 @@ class TextureModel(Model):
             "scratch": run.scratch,
         }
 
-    def mapped_memory(self, request: Request) -> Mapping[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         slab = self._run(request).slab
         if self._makes_new(request):
             slab = max(
