@@ -251,7 +251,9 @@ def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     ]
     words += ["--phases", "void", "solid", "--kind", "labels"]
     words = ["generate", "--resume", "rock.npy"] if resume else words
-    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
+    homes = (Path(__file__).parent, Path(tb.__file__).parents[1])  # of this test, of the package
+    path = os.pathsep.join(map(str, homes))
+    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": path}
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
         "args": [sys.executable, "-c", program],
