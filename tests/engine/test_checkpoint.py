@@ -67,30 +67,25 @@ def walk(request, *, stop=None, told=None, pause=0.0):
     return field
 
 
-class Walk(Method):
-    capabilities = Capabilities(
-        "walk", "for tests", "nobody", "2d", ("labels",), "whole", "", presets=()
-    )
-    config_type = NoiseConfig
-
-    def _plan_fit(self, exemplars):
-        return Plan()
-
-    def learn(self, exemplars):
-        return Walked(self.config, exemplars)
+WALK = Capabilities(
+    "walk", "for tests", "nobody", method="test_checkpoint:Walk", learns_from=("picture",)
+)
 
 
 class Walked(Model):
-    capabilities = Walk.capabilities
-
-    def _plan(self, request):
-        return Plan()
+    capabilities = WALK
 
     def make(self, request):
         return (walk(request, pause=float(os.environ.get("WALK_PAUSE", "0"))) % 2).astype(np.uint8)
 
     def _result_fields(self):
         return {"kind": "labels", "spacing": (1.0,) * 3}
+
+
+class Walk(Method):
+    capabilities = WALK
+    config_type = NoiseConfig
+    model_type = Walked
 
 
 def whole(request):

@@ -172,7 +172,7 @@ def count_slabs(
         "two_point": curves.two_point(),
         "lineal_path": curves.lineal_path(),
     }
-    return found | (each.result() if each is not None else {}), numbers.pieces()
+    return found | (each.result() if each is not None else {}), numbers.component_sizes()
 
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:

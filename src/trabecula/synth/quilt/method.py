@@ -67,7 +67,6 @@ class QuiltModel(Model):
 
     capabilities = CAPABILITIES
     config: QuiltConfig
-    spills = True
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
