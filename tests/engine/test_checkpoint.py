@@ -18,7 +18,6 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.engine.checkpoint import kept_at, offer, resume, running
-from trabecula.engine.memory import Plan
 from trabecula.synth.api import registry
 from trabecula.synth.api.method import Capabilities, Method, Model
 from trabecula.synth.noise.config import NoiseConfig

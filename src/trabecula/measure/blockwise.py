@@ -28,7 +28,7 @@ from trabecula.measure.effective_properties import PHYSICS, describe_physics, ph
 from trabecula.measure.phases import indicator
 from trabecula.measure.registry import CURVES, DESCRIPTORS, LEVELS, select
 from trabecula.measure.runs import RUN_BYTES
-from trabecula.measure.streaming import SolidNumbers, ComponentSizes
+from trabecula.measure.streaming import ComponentSizes, SolidNumbers
 from trabecula.measure.streaming.pairs import pairs_bytes
 from trabecula.measure.streaming.phases import CurveTally, PhaseTallies
 

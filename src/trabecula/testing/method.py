@@ -32,8 +32,8 @@ from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint, memmap, parallel, store
-from trabecula.engine.parallel import threads
 from trabecula.engine.memory import GIB
+from trabecula.engine.parallel import threads
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.samples import sample
 from trabecula.io.files import read, write

@@ -22,8 +22,8 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.measure.labelling import meeting
-from trabecula.measure.runs import Runs, merged_pieces, runs_of
+from trabecula.measure.labelling import pairs_across
+from trabecula.measure.runs import Runs, merge_labels, runs_of
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.connectivity_kernels import (
     ENDS,
@@ -355,7 +355,7 @@ def label_slabwise(
         count += len(runs.sizes)
     if wraps[0]:
         pairs.append(_touching_pairs(last, first))
-    part, merged = merged_pieces(np.concatenate(sizes), np.concatenate(pairs))
+    part, merged = merge_labels(np.concatenate(sizes), np.concatenate(pairs))
     return np.concatenate([[0], part]), merged
 
 
@@ -369,7 +369,7 @@ def _end_layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
 
 def _touching_pairs(far: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return (n, 2) numbers that are neighbours from a layer to the one behind it."""
-    return meeting(far, near, _FACES, (False, False))
+    return pairs_across(far, near, _FACES, (False, False))
 
 
 def thin_voxels(window: np.ndarray, margin: tuple[int, ...], size: int, solid: np.ndarray) -> int:

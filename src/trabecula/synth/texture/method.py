@@ -10,7 +10,6 @@ of labels are clipped signed distances, so the last threshold is exact.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import prod
 from typing import Any
 
 import numpy as np
