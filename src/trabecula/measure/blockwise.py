@@ -29,8 +29,8 @@ from trabecula.measure.phases import indicator
 from trabecula.measure.registry import CURVES, DESCRIPTORS, LEVELS, select
 from trabecula.measure.runs import RUN_BYTES
 from trabecula.measure.streaming import ComponentSizes, SolidNumbers
+from trabecula.measure.streaming.numbers import CurveTally, PhaseTallies
 from trabecula.measure.streaming.pairs import pairs_bytes
-from trabecula.measure.streaming.phases import CurveTally, PhaseTallies
 
 PHASES_LEFT_OUT = ("cross_correlation", "triples")
 """Figures of three phases or more that need the whole volume in memory."""
