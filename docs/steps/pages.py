@@ -21,10 +21,10 @@ from steps.presets import pictured
 from trabecula.synth.api.method import Capabilities
 from trabecula.synth.api.registry import methods
 
-# Rooms in the order of the data, with what the API page calls them; a room that is not named here
+# Rooms in the order of the data, with their titles on the API page; a room that is not named here
 # comes last.
 _ROOMS = {
-    "core": "What everything speaks of",
+    "core": "Images, requests and recipes",
     "io": "Files",
     "exemplar": "Exemplars",
     "fields": "Target fields",
@@ -34,12 +34,17 @@ _ROOMS = {
     "report": "The certificate",
     "mesh": "Surfaces",
     "view": "Pictures",
-    "flow": "From file to file",
+    "pipeline": "From file to file",
     "engine": "Memory, threads and long runs",
+    "testing": "Tests of methods and formats",
 }
-# What public functions return or take, and is no name of `trabecula` itself.
+# Names that public functions return or take, and that are no names of `trabecula` itself.
 _ALSO = {
-    "synth.base": ("Method", "Model", "Spec"),
+    "synth.api.capabilities": ("Capabilities",),
+    "synth.api.method": ("Method",),
+    "synth.api.model": ("Model", "ModelState"),
+    "synth.api.windows": ("WindowModel",),
+    "synth.api.exemplar_info": ("ExemplarInfo",),
     "report.verdict": ("Certificate",),
     "report.metrics": ("Metric",),
     "report.inspection": ("Inspection",),
@@ -53,19 +58,21 @@ _ALSO = {
     "view.page.document": ("Page",),
     "view.still": ("turntable",),
     "view.slices": ("slices", "montage"),
-    "engine.plan": ("Plan",),
-    "engine.slabs": ("Slabs", "slabs_of"),
+    "engine.memory": ("Plan",),
+    "engine.lazy_volume": ("Slabs", "as_slabs"),
+    "testing": ("check_method", "check_format", "MethodCase"),
 }
 # Sections of the measures page and the modules and packages of each; one that is not named here
 # comes last.
 _MEASURES = {
-    "Everything at once": ("describe", "blockwise", "physics"),
-    "Amount and surface": ("amount", "minkowski"),
+    "Everything at once": ("describe", "blockwise", "effective_properties"),
+    "Amount and surface": ("fractions", "minkowski"),
     "Sizes": ("thickness", "morphometry", "distance"),
     "Correlation": ("correlation",),
     "Connectivity": ("components", "labelling", "percolation"),
     "Directions": ("fabric", "orientation"),
     "Grey values and texture": ("grey",),
+    "Phases and their contacts": ("each_phase", "phase_lists", "contacts", "triple_lines"),
     "Transport": ("transport",),
     "Stiffness": ("mechanics",),
     "Copying": ("copying",),
@@ -468,7 +475,7 @@ def _summary(thing: object) -> str:
 
 
 def _without_dead_links(text: str) -> str:
-    """A card lies beside the code: its links to files there lead nowhere in the site and become
+    """Turn the links of a card to files beside it, which lead nowhere in the site, into
     plain words.
     """
     return re.sub(r"(?<!!)\[([^\]]+)\]\((?!https?:|#|mailto:)[^)]+\)", r"\1", text)

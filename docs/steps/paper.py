@@ -16,7 +16,7 @@ from trabecula.core.image import Image
 from trabecula.mesh.voxels import fitted
 
 SCANS = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-"""Where the mesh of the bunny lies, if anywhere: it is not part of the project."""
+"""Path of the mesh of the bunny, if it is there: it is not part of the project."""
 
 _SEED = 7
 _SIZE = (400, 300)
@@ -26,7 +26,7 @@ _RIVALS = {"white": 4.0, "perlin": 22.0, "voronoi": 16.0, "worley": 16.0}
 
 _SECTION = """## The pictures of Baravalle et al. (2016), drawn again
 
-Breads whose bubbles lie about a centre, as figure 13; the same loaf cut at three places, as figure 14 shows slices:
+Breads whose bubbles are about a centre, as figure 13; the same loaf cut at three places, as figure 14 shows slices:
 
 ![a round loaf cut in half and a baguette cut across, with concentric bubbles](paper-breads.png)
 
@@ -46,7 +46,7 @@ porosity .6. None has pores of a size, a direction and a wall between them at on
 
 {ours}
 """
-_ARM = """A lattice graded to the field that makes a cantilever stiffest, in one piece ([how](../howto/graded-structures.md)):
+_ARM = """A lattice graded to the field that makes a cantilever stiffest, in one component ([how](../howto/graded-structures.md)):
 
 ![a cantilever of a graded lattice](ours-cantilever.png)
 """
