@@ -29,24 +29,24 @@ EXAMPLES = DOCS / "examples"
 
 
 def main(names: list[str]) -> int:
-    """The steps, each with its time; returns the exit status."""
+    """Run the steps, each with its time, and return the exit status."""
     if names == ["gallery"]:
-        timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+        run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
         return 0
-    timed("pages", lambda: pages.write(DOCS))
+    run_timed("pages", lambda: pages.write(DOCS))
     sys.path.append(str(EXAMPLES))
-    chosen = [(DOCS / name).resolve() for name in names] or [README, *written_pages()]
-    failures = timed("examples", lambda: examples.run(chosen, home=DOCS.parent))
+    chosen = [(DOCS / name).resolve() for name in names] or [README, *list_pages()]
+    failures = run_timed("examples", lambda: examples.run(chosen, home=DOCS.parent))
     for failure in failures:
         print(failure, file=sys.stderr)
     if failures or names:
         return 1 if failures else 0
-    timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
-    return timed("sphinx", sphinx)
+    run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+    return run_timed("sphinx", sphinx)
 
 
-def written_pages() -> list[Path]:
-    """Every page of the documentation, the generated ones included."""
+def list_pages() -> list[Path]:
+    """List every page of the documentation, the generated ones included."""
     return sorted(
         path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in NOT_PAGES
     )
@@ -74,8 +74,8 @@ def sphinx() -> int:
     return status
 
 
-def timed(label, step):
-    """What `step` returns; says how long it took."""
+def run_timed(label, step):
+    """Return the result of `step` and print the time that it took."""
     start = time.monotonic()
     result = step()
     print(f"docs: {label} {time.monotonic() - start:.1f} s", flush=True)

@@ -68,16 +68,15 @@ def run(paths: list[Path], *, home: Path) -> list[str]:
             blocks = list(runnable(path.read_text(encoding="utf-8")))
             failure = _run_page(path.relative_to(home), blocks, Path(stock)) if blocks else None
             if blocks:
-                print(
-                    f"docs:   {path.relative_to(home)}: {len(blocks)} examples, {time.monotonic() - start:.1f} s",
-                    flush=True,
-                )
+                seconds = time.monotonic() - start
+                name = path.relative_to(home)
+                print(f"docs:   {name}: {len(blocks)} examples, {seconds:.1f} s", flush=True)
             failures += [failure] if failure else []
     return failures
 
 
 def stand_ins(folder: Path) -> None:
-    """`femur.tif`, a segmented scan of 0 and 255, and `scan.tif`, a noisy grey one: made from
+    """Write `femur.tif`, a segmented scan of 0 and 255, and `scan.tif`, a noisy grey one: made from
     sample:bone, without metadata.
     """
     import tifffile
@@ -93,7 +92,7 @@ def stand_ins(folder: Path) -> None:
 
 
 def blocks_of(text: str) -> Iterator[Block]:
-    """The fenced blocks of a page."""
+    """List the fenced blocks of a page."""
     fence, language, held, first = "", "", [], 0
     for number, line in enumerate(text.splitlines(), start=1):
         mark = re.match(r"\s*(`{3,})(.*)", line)
@@ -107,7 +106,7 @@ def blocks_of(text: str) -> Iterator[Block]:
 
 
 def runnable(text: str) -> Iterator[Block]:
-    """The python and console blocks, the former with the text block that follows it."""
+    """List the python and console blocks, the former with the text block that follows it."""
     lines, found = text.splitlines(), list(blocks_of(text))
     for block, after in pairwise([*found, None]):
         if block.language == "console" and "$ trabecula" in block.text:
@@ -123,7 +122,7 @@ def runnable(text: str) -> Iterator[Block]:
 
 
 def _run_page(page: Path, blocks: list[Block], stock: Path) -> str | None:
-    """Why the page failed, or None."""
+    """Run a page and return the reason why it failed, or None."""
     # A module of its own: dataclasses, among others, look up the module that they are made in.
     module = sys.modules["example"] = ModuleType("example")
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
@@ -136,11 +135,12 @@ def _run_page(page: Path, blocks: list[Block], stock: Path) -> str | None:
                     _run_console(block)
             except WrongExampleError as error:
                 return f"{page}:{block.line + error.line}: {error}"
-            except Exception as error:  # noqa: BLE001 (whatever an example raises is its page's fault)
+            except Exception as error:  # noqa: BLE001 (any error is its page's fault)
                 frames = traceback.extract_tb(error.__traceback__)
                 lines = [frame.lineno for frame in frames if frame.filename == str(page)]
                 number = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
-                return f"{page}:{number or (lines or [block.line])[-1]}: {type(error).__name__}: {error}"
+                line = number or (lines or [block.line])[-1]
+                return f"{page}:{line}: {type(error).__name__}: {error}"
     return None
 
 
@@ -168,7 +168,7 @@ def _run_console(block: Block) -> None:
 
 
 def _commands(lines: list[str]) -> Iterator[tuple[int, str, str]]:
-    """Every `$ trabecula ...` with its place in the block and the lines shown after it; `\\`
+    """List every `$ trabecula ...` with its place in the block and the lines shown after it; `\\`
     continues a command.
     """
     at = 0
@@ -187,7 +187,7 @@ def _commands(lines: list[str]) -> Iterator[tuple[int, str, str]]:
 
 
 def _call(words: list[str]) -> tuple[int, str]:
-    """Exit status and everything printed, as a terminal shows it."""
+    """Return the exit status and everything printed, as a terminal shows it."""
     from trabecula.cli.main import main
 
     printed = io.StringIO()

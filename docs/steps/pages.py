@@ -99,7 +99,7 @@ def write(docs: Path) -> None:
 
 
 def methods_index(found: dict[str, Capabilities]) -> str:
-    """The table of methods."""
+    """Return the table of methods."""
     dimensions = {"2d": "2-D", "3d": "3-D", None: "none"}
     rows = [
         (
@@ -115,11 +115,13 @@ def methods_index(found: dict[str, Capabilities]) -> str:
     head = ("method", "makes", "after", "exemplar", "honours", "needs besides the base install")
     return f"""# Methods
 
-A method learns from an exemplar and gives a model; the model makes material. `trabecula methods` prints the first columns.
+A method learns from an exemplar and gives a model; the model makes material.
+`trabecula methods` prints the first columns.
 
 {table(head, rows)}
 
-*Honours* lists the parts of a {{py:class}}`request <trabecula.Request>` that the method follows. It refuses the others by name.
+*Honours* lists the parts of a {{py:class}}`request <trabecula.Request>` that the method follows.
+It refuses the others by name.
 
 ```{{toctree}}
 :hidden:
@@ -131,7 +133,7 @@ A method learns from an exemplar and gives a model; the model makes material. `t
 
 
 def method_page(spec: Capabilities) -> str:
-    """A method's card, what its CAPABILITIES says, and its settings."""
+    """Return a method's card, its CAPABILITIES and its settings."""
     package = importlib.import_module(f"trabecula.synth.{_folder(spec)}")
     card = Path(package.__file__).with_name("README.md")
     text = (
@@ -167,7 +169,7 @@ In Python `tb.method("{spec.name}", name=value)`; on the command line `--set nam
 
 
 def presets_of(spec: Capabilities) -> str:
-    """The settings of every preset, and what it looks like where it can be drawn without an
+    """Return the settings of every preset, with a still where it can be drawn without an
     exemplar.
     """
     if not spec.presets:
@@ -191,15 +193,17 @@ def presets_of(spec: Capabilities) -> str:
     return f"""
 ## Presets
 
-In Python `tb.method("{spec.name}", preset=NAME)`; on the command line `--preset NAME`. Settings that are given besides go
-before a preset's.
+In Python `tb.method("{spec.name}", preset=NAME)`; on the command line `--preset NAME`.
+Settings that are given as well replace the preset's.
 
 {table(head, [row[: len(head)] for row in rows])}
 """
 
 
 def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
-    """Name, default and meaning of every setting: fields of the config and the strings below them."""
+    """List name, default and meaning of every setting: fields of the config and the strings
+    below them.
+    """
     module, _, attribute = spec.method.partition(":")
     config = getattr(importlib.import_module(module), attribute).config_type
     meanings = _strings_below_fields(config)
@@ -210,7 +214,7 @@ def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
 
 
 def formats_page() -> str:
-    """Suffixes that are read and written."""
+    """Return the page of the suffixes that are read and written."""
     from trabecula.io.formats import SLICES, suffixes
     from trabecula.mesh.formats import FORMATS
 
@@ -235,14 +239,14 @@ How they are used: [read and write formats](../howto/formats.md).
 
 
 def command_line_page() -> str:
-    """Every verb with its usage and options, from the parsers themselves."""
+    """Return every verb with its usage and options, from the parsers themselves."""
     from trabecula.cli.main import VERBS, _parser
 
     os.environ["COLUMNS"] = "100"
     parts = [
-        "# Command line reference\n\nHow the verbs go together: [the command line](../guide/command-line.md). "
-        "Every verb has `--help`. Exit status: 0 where the verb did its work, 2 where it was refused, 130 where it was "
-        "interrupted.\n"
+        "# Command line reference\n\nHow the verbs go together: "
+        "[the command line](../guide/command-line.md). Every verb has `--help`. Exit status: 0 "
+        "where the verb did its work, 2 where it was refused, 130 where it was interrupted.\n"
     ]
     for verb in VERBS:
         parser, _ = _parser(verb)
@@ -251,7 +255,7 @@ def command_line_page() -> str:
 
 
 def measures_page() -> str:
-    """Every public measure by section, with what it returns."""
+    """Return the page of every public measure by section, with the classes that it returns."""
     sections = _measures_by_section()
     rows = [
         (
@@ -264,11 +268,12 @@ def measures_page() -> str:
         for name, what in names.items()
     ]
     parts = [
-        "# Measures\n\nEvery measure is a function of `trabecula.measure` (`tb.measure`) that takes an Image or an array of "
-        "labels; those of grey values take a grey or colour Image. "
-        "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths, phases, masks and axes "
-        "mean: [conventions](../guide/conventions.md). How to use them: [transport and stiffness]"
-        "(../howto/transport.md), [copying](../howto/copying.md), [the certificate](../howto/certificate.md).\n\n"
+        "# Measures\n\nEvery measure is a function of `trabecula.measure` (`tb.measure`) that "
+        "takes an Image or an array of labels; those of grey values take a grey or colour Image. "
+        "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths, "
+        "phases, masks and axes mean: [conventions](../guide/conventions.md). How to use them: "
+        "[transport and stiffness](../howto/transport.md), [copying](../howto/copying.md), "
+        "[the certificate](../howto/certificate.md).\n\n"
         f"{table(('section', 'measure', 'what it is'), rows)}\n"
     ]
     parts.append(
@@ -285,7 +290,7 @@ def measures_page() -> str:
         for home, names in homes.items():
             about = _summary(importlib.import_module(f"trabecula.measure.{home}"))
             shown = [f"trabecula.measure.{name}" for name in names]
-            parts.append(f"{about}\n\n{directives(shown + _returned(names))}")
+            parts.append(f"{about}\n\n{directives(shown + _result_classes(names))}")
     return "\n".join(parts)
 
 
@@ -311,7 +316,7 @@ def descriptors_table() -> str:
 
 
 def _measures_by_section() -> dict[str, dict[str, dict[str, str]]]:
-    """Section -> module or package -> name of a measure -> its summary."""
+    """Map section -> module or package -> name of a measure -> its summary."""
     from trabecula import measure
 
     homes: dict[str, dict[str, str]] = {}
@@ -327,8 +332,8 @@ def _measures_by_section() -> dict[str, dict[str, dict[str, str]]]:
     return {title: own for title, own in sections.items() if own}
 
 
-def _returned(names: Iterable[str]) -> list[str]:
-    """Classes that these measures return and that are no public measures themselves."""
+def _result_classes(names: Iterable[str]) -> list[str]:
+    """List the classes that these measures return and that are no public measures."""
     from trabecula import measure
 
     functions = [
@@ -345,7 +350,7 @@ def _returned(names: Iterable[str]) -> list[str]:
 
 
 def api_page() -> str:
-    """Every public name of the package, by room."""
+    """Return the page of every public name of the package, by room."""
     rooms: dict[str, list[str]] = {room: [] for room in _ROOMS}
     for name, home in trabecula._NAMES.items():
         rooms.setdefault(home.split(".")[1], []).append(f"trabecula.{name}")
@@ -356,11 +361,16 @@ def api_page() -> str:
     rooms["fields"] += [
         f"trabecula.fields.{name}" for name in trabecula.fields.__all__ if name[0].islower()
     ]
-    rooms["finish"] += [f"trabecula.finish.{name}" for name in trabecula.finish.OPERATIONS]
+    rooms["finish"] += [
+        f"trabecula.finish.{name}"
+        for name in trabecula.finish.__all__
+        if name[0].islower() and name not in trabecula._NAMES
+    ]
     parts = [
-        "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its first use, so "
-        "`import trabecula` costs next to nothing. Longer names are what these functions take and return. "
-        "`tb.mesh(image)` is `trabecula.mesh.surface.mesh`, `tb.view(image)` is `trabecula.view.page.show.view`, "
+        "# Python API\n\nA name such as `trabecula.read` is public and stays; it is loaded at its "
+        "first use, so `import trabecula` costs next to nothing. Longer names are what these "
+        "functions take and return. `tb.mesh(image)` is `trabecula.mesh.surface.mesh`, "
+        "`tb.view(image)` is `trabecula.view.page.show.view`, "
         "`tb.errors` are [the errors](../guide/errors.md), "
         "`tb.measure` has [its own page](measures.md).\n"
     ]
@@ -372,7 +382,7 @@ def api_page() -> str:
 
 
 def directives(names: Iterable[str]) -> str:
-    """Sphinx directives that print the docstrings of these dotted names."""
+    """Return Sphinx directives that print the docstrings of these dotted names."""
     lines = ["```{eval-rst}"]
     for name in names:
         home, _, last = name.rpartition(".")
@@ -385,7 +395,7 @@ def directives(names: Iterable[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
 
     def row(cells: Iterable[str]) -> str:
         return (
@@ -405,7 +415,7 @@ def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
     parts = [f"## {verb}\n\n{parser.description}\n\n```text\n{usage}\n```\n"]
     for group in parser._action_groups:
         rows = [
-            (_spelled(action), action.help or "")
+            (_spell(action), action.help or "")
             for action in group._group_actions
             if action.dest != "help"
         ]
@@ -424,7 +434,7 @@ def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
     return "\n".join(parts)
 
 
-def _spelled(action: argparse.Action) -> str:
+def _spell(action: argparse.Action) -> str:
     if not action.option_strings:
         return f"`{action.metavar or action.dest}`"
     value = "" if action.nargs == 0 else action.metavar or action.dest.upper()

@@ -26,19 +26,21 @@ _RIVALS = {"white": 4.0, "perlin": 22.0, "voronoi": 16.0, "worley": 16.0}
 
 _SECTION = """## The pictures of Baravalle et al. (2016), drawn again
 
-Breads whose bubbles are about a centre, as figure 13; the same loaf cut at three places, as figure 14 shows slices:
+Breads whose bubbles are about a centre, as figure 13; the same loaf cut at three places, as the
+slices of figure 14:
 
 ![a round loaf cut in half and a baguette cut across, with concentric bubbles](paper-breads.png)
 
 ![the round loaf cut near its end, in the middle and beyond](paper-slices.png)
 
-Sponges (figure 9) and stones (figure 10), at randomness 0.5 and 1; stones have fewer bubbles and a look that lets no light
-through:
+Sponges (figure 9) and stones (figure 10), at randomness 0.5 and 1; stones have fewer bubbles and a
+look that lets no light through:
 
 ![two sponges and two stones](paper-materials.png)
 
-What is usually taken instead (figures 11 and 12), as bread: white noise, Perlin, Voronoi and Worley noise, all of
-porosity .6. None has pores of a size, a direction and a wall between them at once.
+What is usually taken instead (figures 11 and 12), as bread: white noise, Perlin, Voronoi and
+Worley noise, all of porosity .6. None has pores of a size, a direction and a wall between them at
+once.
 
 ![blocks of white, Perlin, Voronoi and Worley noise](paper-rivals.png)
 
@@ -46,7 +48,8 @@ porosity .6. None has pores of a size, a direction and a wall between them at on
 
 {ours}
 """
-_ARM = """A lattice graded to the field that makes a cantilever stiffest, in one component ([how](../howto/graded-structures.md)):
+_ARM = """A lattice graded to the field that makes a cantilever stiffest, in one component
+([how](../howto/graded-structures.md)):
 
 ![a cantilever of a graded lattice](ours-cantilever.png)
 """
@@ -57,12 +60,12 @@ _BUNNY = """A bunny of bone, by the preset of `bubbles`: a cortex, and plates an
 
 
 def draw_paper(folder: Path) -> str:
-    """All of them; the section that shows them."""
+    """Draw all of them and return the section that shows them."""
     _draw_breads(folder)
     _draw_materials(folder)
     _draw_rivals(folder)
     _draw_cantilever(folder)
-    ours = _ARM + (_BUNNY if _drawn_bunny(folder) else "")
+    ours = _ARM + (_BUNNY if _draw_bunny(folder) else "")
     return _SECTION.format(ours=ours)
 
 
@@ -108,7 +111,7 @@ def _draw_rivals(folder: Path) -> None:
 
 
 def _draw_cantilever(folder: Path) -> None:
-    """As the how-to, larger."""
+    """Draw the cantilever of the how-to, larger."""
     z, y, x = np.indices((64, 64, 64))
     level = np.cos(np.pi * z / 5) + np.cos(np.pi * y / 5) + np.cos(np.pi * x / 5)
     sample = Image(
@@ -129,8 +132,8 @@ def _draw_cantilever(folder: Path) -> None:
     )
 
 
-def _drawn_bunny(folder: Path) -> bool:
-    """Whether there is a mesh to fill."""
+def _draw_bunny(folder: Path) -> bool:
+    """Draw the bunny and tell whether there was a mesh to fill."""
     if not (SCANS / "mesh_bunny.ply").exists():
         return False
     form = fitted(tb.read_mesh(SCANS / "mesh_bunny.ply"), shape=200, spacing=1.0)

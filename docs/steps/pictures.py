@@ -21,7 +21,7 @@ _LOOK_OF = {"bone": "bone", "foam": "foam"}
 
 
 def draw(folder: Path) -> None:
-    """Every picture and the page that shows them."""
+    """Draw every picture and write the page that shows them."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     parts = [_INTRODUCTION]
@@ -35,7 +35,7 @@ def draw(folder: Path) -> None:
 
 
 def draw_sample(name: str, folder: Path) -> str:
-    """A sample, more of it, their slices and the certificate; the section that shows them."""
+    """Draw a sample, more of it, their slices and the certificate; return their section."""
     exemplar = tb.sample(name)
     material = tb.finish.connect(tb.method("texture").fit(exemplar).generate(_SIDE, seed=_SEED))
     look = _LOOK_OF.get(name, "stone")
@@ -56,7 +56,7 @@ def draw_sample(name: str, folder: Path) -> str:
 
 
 def draw_shapes(folder: Path) -> str:
-    """A filled form cut open, a tile set beside itself, a repaired hole; the section that shows
+    """Draw a filled form cut open, a tile set beside itself, a repaired hole; return the section of
     them.
     """
     foam, bone = tb.sample("foam"), tb.sample("bone")
@@ -90,7 +90,7 @@ def draw_shapes(folder: Path) -> str:
 
 
 def draw_looks(folder: Path) -> str:
-    """One crop in every look; the table that shows them."""
+    """Draw one crop in every look; return their table."""
     piece = tb.crop(tb.sample("bone"), 64)
     for name in LOOKS:
         tb.render(piece, folder / f"look-{name}.png", look=name, size=(320, 240))
@@ -98,7 +98,8 @@ def draw_looks(folder: Path) -> str:
     shown = " | ".join(f"![the look {name}](look-{name}.png)" for name in LOOKS)
     return f"""## Looks
 
-`--look` of `trabecula render`, `look=` of {{py:func}}`trabecula.render`: the same 64^3 voxels of `sample:bone`.
+`--look` of `trabecula render`, `look=` of {{py:func}}`trabecula.render`: the same 64^3 voxels of
+`sample:bone`.
 A look is colour, gloss and how light goes through; it changes no voxel ([more](../howto/look.md)).
 
 | {names} |
@@ -109,31 +110,33 @@ A look is colour, gloss and how light goes through; it changes no voxel ([more](
 
 _INTRODUCTION = """# Gallery
 
-Drawn anew at every build of this documentation, from the samples that the package makes. The samples are stand-ins for
-scans: right in kind, wrong in detail. Nothing here is
-chosen: it is one seed, the first that was tried, and the [certificate](../howto/certificate.md) stands below it.
+Drawn anew at every build of this documentation, from the samples that the package makes. The
+samples are stand-ins for scans: right in kind, wrong in detail. Nothing here is chosen: it is one
+seed, the first that was tried, with its [certificate](../howto/certificate.md) below.
 """
 
 _SHAPES = """## Forms, tiles, repairs
 
-How they are made: [fill a form, repeat, repair](../howto/shapes.md).
+How they are made: [forms, tiles and repairs](../howto/shapes.md).
 
-| a ring filled with foam and connected, a corner cut out | a periodic tile of 56^3, set beside itself in a block of 2 x 2 x 2 |
+| a ring filled with foam and connected, cut open | 2 x 2 x 2 of a periodic tile of 56^3 |
 | --- | --- |
-| ![a ring of foam, cut open](shape-ring.png) | ![eight tiles of foam without a seam](shape-tile.png) |
+| ![a ring of foam, cut open](shape-ring.png) | ![eight tiles of foam](shape-tile.png) |
 
 ![slices of a bone, of the same with a hole, and of the repaired one](shape-repair.png)
 
-The exemplar of the repair is the half that has no hole: what comes into it is new, and meets what is around it.
+The exemplar of the repair is the half that has no hole: what comes into it is new, and meets
+what is around it.
 """
 
 _SAMPLE = """## {name}
 
-{summary}. Left the sample, {own}^3 voxels; right {side}^3 voxels made from it by `texture` and then connected.
+{summary}. Left the sample, {own}^3 voxels; right {side}^3 voxels made from it by `texture` and
+then connected.
 
 | sample:{name} | made from it |
 | --- | --- |
-| ![a still of sample:{name}]({name}.png) | ![a still of what texture makes of it]({name}-more.png) |
+| ![a still of sample:{name}]({name}.png) | ![a still of the result of texture]({name}-more.png) |
 
 ![middle slices across z, y and x, of both]({name}-slices.png)
 

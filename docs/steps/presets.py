@@ -25,25 +25,25 @@ _LOAVES = {"bread": (116, 128, 176), "baguette": (88, 104, 232)}
 
 _SECTION = """## Presets of {method}
 
-Made without an exemplar, seed {seed}, each in the look of its name or one near to it: {names}. The settings are on
-[the method's page](../methods/{method}.md).
+Made without an exemplar, seed {seed}, each in the look of its name or one near to it: {names}.
+The settings are on [the method's page](../methods/{method}.md).
 
 ![stills of all presets of {method}]({method}.png)
 """
 
 
 def pictured() -> dict[str, tuple[str, ...]]:
-    """Presets that have a picture, by method."""
+    """Return the presets that have a picture, by method."""
     return {name: spec.presets for name, spec in methods().items() if spec.alone and spec.presets}
 
 
 def draw_presets(folder: Path) -> str:
-    """All of them; the sections that show them."""
+    """Draw all of them and return the sections that show them."""
     sections = []
     for method, presets in pictured().items():
         stills = []
         for preset in presets:
-            still, slice_ = _drawn(method, preset)
+            still, slice_ = _draw(method, preset)
             stills.append(still)
             Pillow.fromarray(_beside([still, slice_])).save(folder / f"{method}-{preset}.png")
         half = -(-len(stills) // 2)
@@ -61,8 +61,8 @@ def draw_presets(folder: Path) -> str:
     return "\n".join(sections)
 
 
-def _drawn(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
-    """A still, and the middle slice that shows most."""
+def _draw(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
+    """Draw a still, and the middle slice that shows most."""
     look: Any = LOOKS[_LOOK_OF.get(preset, preset if preset in LOOKS else "stone")]
     mask = loaf(_LOAVES[preset]) if preset in _LOAVES else None
     sides = _SIDES if mask is None else mask.shape
@@ -86,7 +86,7 @@ def _drawn(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loaf(sides: tuple[int, ...]) -> np.ndarray:
-    """Flat below, round above, blunt at its ends."""
+    """Return a form that is flat below, round above and blunt at its ends."""
     z, y, x = (
         2 * (index + 0.5) / side - 1 for index, side in zip(np.indices(sides), sides, strict=True)
     )
@@ -94,7 +94,7 @@ def loaf(sides: tuple[int, ...]) -> np.ndarray:
 
 
 def _beside(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """Pictures of the same height or less in a row, on the first one's ground."""
+    """Join pictures of the same height or less in a row, on the first one's ground."""
     ground, tall = pictures[0][0, 0], max(len(picture) for picture in pictures)
     row = []
     for picture in pictures:

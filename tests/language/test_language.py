@@ -1,4 +1,4 @@
-"""Hold the package to the language of `docs/guide/vocabulary.md`: docstrings, names, lines, words."""
+"""Hold the package to `docs/guide/vocabulary.md`: docstrings, names, lines, words."""
 
 from __future__ import annotations
 
