@@ -36,7 +36,7 @@ def thin(monkeypatch):
     monkeypatch.setattr(runs, "_MANY", 1)
     monkeypatch.setenv("TRABECULA_THREADS", "2")
     monkeypatch.setattr(memmap, "LEAST", 1)
-    monkeypatch.setattr(finishing.scratch, "spilled", partial(memmap.spilled, thickest=3))
+    monkeypatch.setattr(finishing.memmap, "spilled", partial(memmap.spilled, thickest=3))
     monkeypatch.setattr(bridges, "SIDE", 9)
 
 
