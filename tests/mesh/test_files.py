@@ -12,7 +12,8 @@ import trabecula as tb
 from trabecula.core.errors import FileError, InputError, UnknownNameError
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import write_mesh
-from trabecula.mesh.formats import FORMATS, recipe_digest
+from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.text import recipe_digest
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 

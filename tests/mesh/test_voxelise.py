@@ -10,7 +10,7 @@ import trabecula as tb
 from trabecula.errors import InputError, MemoryBudgetError
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
-from trabecula.mesh.voxels import fitted, scaled, voxelise
+from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 
 def of(surface, **fields):
@@ -156,11 +156,11 @@ def test_the_form_lies_in_the_middle_with_the_margin_asked_for():
 def test_scaling_to_a_box_keeps_proportions():
     box = of(trimesh.creation.box((2, 3, 4)))
     image = voxelise(
-        fitted(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10)
+        fit_mesh(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10)
     )
     extents = np.ptp(np.nonzero(image.values), axis=1) + 1
     assert extents.tolist() == [40, 30, 10] and image.values.sum() == 40 * 30 * 10
-    double = scaled(box, 2, unit="mm")
+    double = scale_mesh(box, 2, unit="mm")
     assert double.unit == "mm" and volume(voxelise(double, spacing=0.5)) == 8 * 24
     assert [step["verb"] for step in voxelise(double, spacing=0.5).recipe.steps[0]["mesh"]] == [
         "scale"
@@ -251,7 +251,7 @@ def winding_number(mesh, points):
 
 @pytest.mark.parametrize("name", ["mesh_bunny.ply", "mesh_spot.ply"])
 def test_real_meshes_agree_with_a_second_opinion(data, name):
-    mesh = fitted(read_mesh(data / name), shape=64, spacing=1)
+    mesh = fit_mesh(read_mesh(data / name), shape=64, spacing=1)
     image = voxelise(mesh, spacing=1, shape=64)
     assert image.values.sum() == pytest.approx(
         trimesh.Trimesh(mesh.vertices, mesh.faces).volume, rel=2e-3

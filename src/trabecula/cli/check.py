@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     """Print what was found. A part that would be refused is a result, not an error: status 0."""
     from trabecula.finish import print_check
     from trabecula.io.units import to_metres
-    from trabecula.mesh.sizes import say_size
+    from trabecula.mesh.sizes import notify_size
     from trabecula.pipeline.demo import with_lengths
 
     limits = shared.settings(options.set)
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     found = print_check(
         image, printer=options.printer, phase=options.phase, memory=options.memory, **limits
     )
-    say_size(
+    notify_size(
         [side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]],
         image.unit,
     )

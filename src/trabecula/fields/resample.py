@@ -38,7 +38,7 @@ def resample(field: Image, shape: int | Sequence[int]) -> Image:
     spacing = [
         edge * old / new for edge, old, new in zip(field.spacing, field.shape, sides, strict=True)
     ]
-    values, before = resampled(field.values, sides), history_of(field)
+    values, before = resample_array(field.values, sides), history_of(field)
     return as_field(
         values, "resample", {"shape": sides}, spacing=spacing, unit=field.unit, before=before
     )
@@ -90,7 +90,7 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
     )
 
 
-def resampled(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+def resample_array(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
     """Linear interpolation between the voxels' middles, one axis after another, float64."""
     found = np.asarray(values, np.float64)
     for axis, side in enumerate(shape):

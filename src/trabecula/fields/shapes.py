@@ -12,7 +12,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.expression import Expression
 from trabecula.core.image import Image
 from trabecula.fields.grid import AXES, as_axis, as_field, as_sides, history_of, middles
-from trabecula.fields.resample import resampled
+from trabecula.fields.resample import resample_array
 
 _FAR = 1e6  # values beyond this are no descriptor's
 
@@ -251,7 +251,7 @@ def picture(
     flat = len(sides) == 2
     along = 0 if flat else as_axis(axis, 3)
     face = sides if flat else tuple(side for k, side in enumerate(sides) if k != along)
-    drawn = ends[0] + (ends[1] - ends[0]) * resampled(share, face)
+    drawn = ends[0] + (ends[1] - ends[0]) * resample_array(share, face)
     deep = drawn if flat else np.broadcast_to(np.expand_dims(drawn, along), sides)
     edges = as_spacing(spacing, ndim=len(sides))
     settings = {
