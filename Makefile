@@ -21,7 +21,7 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 	$(BIN)/python -m pytest tests/engine/test_cluster.py
 
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
-	$(BIN)/python -m pytest tests/remote tests/engine/test_locations.py
+	$(BIN)/python -m pytest tests/remote tests/engine/test_storage.py
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array: they are installed, 1.2 GB
 	$(BIN)/python -m pytest tests/peers
@@ -32,11 +32,12 @@ test-newest:                        ## the wheel on the newest Python at hand, w
 test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each
 	$(PYTHON) tests/matrix/run.py
 
-check: $(VENV)/dev.stamp            ## ruff, mypy, import rules
+check: $(VENV)/dev.stamp            ## ruff, mypy, import rules of rooms and files
 	$(BIN)/ruff check src tests benchmarks docs
 	$(BIN)/ruff format --check src tests benchmarks docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m pytest tests/language/test_layers.py
 
 docs: $(VENV)/docs.stamp            ## executes every example, builds docs/_build/html
 	$(BIN)/python docs/build.py

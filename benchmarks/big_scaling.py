@@ -25,7 +25,7 @@ from big import place
 from common import table
 from trabecula.core.recipe import digest
 from trabecula.engine.chunking import Task, sources_of, tasks_of
-from trabecula.engine.multiscale import halved, shapes_of
+from trabecula.engine.multiscale import halve_resolution, shapes_of
 from trabecula.engine.store import CHUNK
 from trabecula.synth.api.windows import WindowModel
 
@@ -113,7 +113,7 @@ def _costs(model: WindowModel, edge: int) -> tuple[list[Cost], float]:
     model.values_of(request, tuple((0, 16) for _ in range(3)))
     making, values = _timed(lambda: model.values_of(request, box))
     fine = np.tile(values[:CHUNK, :CHUNK, :CHUNK], (2, 2, 2))
-    halving, coarse = _timed(lambda: halved(fine, labels=True))
+    halving, coarse = _timed(lambda: halve_resolution(fine, labels=True))
     with place() as folder:
         writing, size = _written(values, folder / "block.zarr")
         coarser, less = _written(coarse, folder / "coarse.zarr")

@@ -1,4 +1,4 @@
-"""Table 1 of the paper on what trains on a processor: the losses that the judge's features offer,
+"""Table 1 of the paper on what trains on a processor: the losses that the discriminator's features offer,
 at equal processor time.
 """
 
@@ -45,7 +45,7 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
     "all": ({**_SCORE, "gram": 0.1, "structural": 1.0}, "0.59 3.05 6/3"),
 }
 """Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in
-percent, D2 (not of this package's scale), components / floating. The paper's judges at width 16;
+percent, D2 (not of this package's scale), components / floating. The paper's discriminators at width 16;
 generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no sliced
 distributions after the warm-up."""
 
@@ -106,24 +106,26 @@ def _costs(image: tb.Image) -> list[float]:
     """
     import torch
 
-    from trabecula.synth.gan.adversarial import Players
-    from trabecula.synth.gan.data import fields_of
-    from trabecula.synth.gan.perceptual import Table
+    from trabecula.synth.gan.adversarial import AdversarialPair
+    from trabecula.synth.gan.data import exemplar_fields
+    from trabecula.synth.gan.losses import CandidateTable
     from trabecula.synth.gan.train import CHUNK, TABLE
 
     configs = [GanConfig(**settings) for settings, _ in VARIANTS.values()]
-    fields = fields_of(image, configs[0])
-    players = [Players(config, 1, torch.device("cpu")) for config in configs]
+    fields = exemplar_fields(image, configs[0])
+    players = [AdversarialPair(config, 1, torch.device("cpu")) for config in configs]
     for one in players:
-        one.table = Table(fields.crops(min(TABLE, 4 * one.config.batch), 0, 2**40), chunk=CHUNK)
+        one.table = CandidateTable(
+            fields.crops(min(TABLE, 4 * one.config.batch), 0, 2**40), chunk=CHUNK
+        )
     draw = torch.Generator().manual_seed(0)
     spent = np.zeros((2, len(players)))
     for turn in range(2 + _TURNS):
         real = fields.crops(configs[0].batch, 0, turn)
         for number, one in enumerate(players):
             warm, play = (
-                busy(lambda p=one, r=real: p.warm(r, draw)),
-                busy(lambda p=one, r=real, t=turn: p.play(r, draw, t, 0.1)),
+                busy(lambda p=one, r=real: p.warmup_step(r, draw)),
+                busy(lambda p=one, r=real, t=turn: p.train_step(r, draw, t, 0.1)),
             )
             if turn >= 2:
                 spent[:, number] += warm[0] / _TURNS, play[0] / _TURNS

@@ -15,7 +15,7 @@ DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 @pytest.fixture(autouse=True)
 def small_work_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there are other processes they get the small arrays of tests as well."""
-    monkeypatch.setattr(memmap, "WORTH", 0)
+    monkeypatch.setattr(memmap, "WORTH_SENDING", 0)
 
 
 @pytest.fixture

@@ -164,7 +164,7 @@ def presets_of(spec: Capabilities) -> str:
     """
     if not spec.presets:
         return ""
-    module, _, attribute = spec.target.partition(":")
+    module, _, attribute = spec.method.partition(":")
     config = getattr(importlib.import_module(module), attribute).config_type
     rows = []
     for name in spec.presets:
@@ -192,7 +192,7 @@ before a preset's.
 
 def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
     """Name, default and meaning of every setting: fields of the config and the strings below them."""
-    module, _, attribute = spec.target.partition(":")
+    module, _, attribute = spec.method.partition(":")
     config = getattr(importlib.import_module(module), attribute).config_type
     meanings = _strings_below_fields(config)
     return [
@@ -399,7 +399,7 @@ def _spelled(action: argparse.Action) -> str:
 
 
 def _folder(spec: Capabilities) -> str:
-    return spec.target.partition(":")[0].split(".")[2]
+    return spec.method.partition(":")[0].split(".")[2]
 
 
 def _strings_below_fields(config: type) -> dict[str, str]:

@@ -16,7 +16,7 @@ import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula.core.recipe import digest
 from trabecula.engine import blocks
-from trabecula.engine.multiscale import halved
+from trabecula.engine.multiscale import halve_resolution
 from trabecula.engine.store import open_unfinished
 
 REACH = ("--set", "reach=4", "--set", "corrections=2")
@@ -47,7 +47,7 @@ def place(home, tmp_path, monkeypatch):
 def interrupted(place, monkeypatch):
     """The same run in blocks of 32, stopped by Ctrl-C after two of them."""
     with monkeypatch.context() as patch:
-        real, count = blocks.do, []
+        real, count = blocks.do_task, []
 
         def stopped(*words, **more):
             count.append(words)
@@ -55,10 +55,10 @@ def interrupted(place, monkeypatch):
                 raise KeyboardInterrupt
             real(*words, **more)
 
-        patch.setattr(blocks, "do", stopped)
+        patch.setattr(blocks, "do_task", stopped)
         left = attempt("generate", *ASKED, "--out", "big.zarr", "--chunks", 32)
     assert left.status == 130
-    assert "goes on from big.zarr.part (generate --resume big.zarr)" in left.err
+    assert "resumes from big.zarr.part (generate --resume big.zarr)" in left.err
     return place
 
 
@@ -66,7 +66,7 @@ def test_resume_needs_no_other_word(interrupted):
     begun = {path: path.stat().st_mtime_ns for path in Path("big.zarr.part").rglob("0/c/*/*/*")}
     assert len(begun) == 2
     done = trabecula("generate", "--resume", "big.zarr")
-    assert done.sha256 == interrupted and "going on from big.zarr.part" in done.err
+    assert done.sha256 == interrupted and "resuming from big.zarr.part" in done.err
     assert "150x40x90 labels" in done.out and not Path("big.zarr.part").exists()
     for path, written in begun.items():
         now = Path("big.zarr") / path.relative_to("big.zarr.part")
@@ -218,7 +218,7 @@ def test_chunks_that_do_not_fit_are_refused(place, words, message):
 def test_the_levels_of_what_was_made(place):
     trabecula("generate", *ASKED, "--out", "big.zarr", "--chunks", 64)
     coarse = tb.read("big.zarr", level=1)
-    assert np.array_equal(coarse.values, halved(tb.read("big.zarr").values, labels=True))
+    assert np.array_equal(coarse.values, halve_resolution(tb.read("big.zarr").values, labels=True))
     trabecula(
         "export", "big.zarr", "--out", "coarse.npy", "--level", 1
     ) if exports_levels() else None

@@ -104,8 +104,8 @@ def test_a_finish_that_was_interrupted_is_gone_on_with_by_its_own_command(
     with monkeypatch.context() as patch:
         patch.setattr("trabecula.engine.blocks.digest_of", stopped)
         left = attempt(*words)
-    assert left.status == 130 and "goes on from x.zarr.part (by the same command)" in left.err
+    assert left.status == 130 and "resumes from x.zarr.part (by the same command)" in left.err
     assert "the same command (trabecula finish ...)" in refused(
         "generate", "--resume", tmp_path / "x.zarr"
     )
-    assert "going on from x.zarr.part" in trabecula(*words).err
+    assert "resuming from x.zarr.part" in trabecula(*words).err

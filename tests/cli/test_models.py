@@ -128,11 +128,11 @@ def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(
 
     monkeypatch.setattr(store, "slices_of", interrupted)
     stopped = attempt(*asked, "--out", "big.zarr", *budget)
-    assert stopped.status == 130 and "the same run goes on from big.zarr.part" in stopped.err
+    assert stopped.status == 130 and "the same run resumes from big.zarr.part" in stopped.err
     monkeypatch.setattr(store, "slices_of", real)
     assert "did not finish" in refused("measure", "big.zarr.part")
     done = trabecula(*asked, "--out", "big.zarr", *budget)
-    assert "going on from big.zarr.part" in done.err and done.sha256 == whole.sha256
+    assert "resuming from big.zarr.part" in done.err and done.sha256 == whole.sha256
     image = tb.read("big.zarr")
     assert digest(image.values) == done.sha256 and repr(image) in done.out
     assert image.recipe.to_json() == tb.read("whole.npy").recipe.to_json()

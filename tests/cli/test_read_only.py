@@ -123,7 +123,7 @@ def test_a_folder_that_refuses_when_it_is_written(place, closed, command):
 def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
     # As if the whole took more memory than there is, and no array were too small for a file.
     monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
-    monkeypatch.setattr("trabecula.engine.memmap.LEAST", 1)
+    monkeypatch.setattr("trabecula.engine.memmap.SMALLEST", 1)
     before = contents(place)
     words = (
         ("--out", "closed/old.zarr", "--scratch", ".")
@@ -139,7 +139,7 @@ def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
 
 
 def test_a_run_that_cannot_go_on_keeps_its_blocks(place, monkeypatch):
-    real, done = blocks.do, []
+    real, done = blocks.do_task, []
 
     def stopped(*words, **more):
         if len(done) == 3:
@@ -148,7 +148,7 @@ def test_a_run_that_cannot_go_on_keeps_its_blocks(place, monkeypatch):
         real(*words, **more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(blocks, "do", stopped)
+        patch.setattr(blocks, "do_task", stopped)
         assert (
             attempt(*BUBBLES, "--shape", 70, "--chunks", 32, "--out", "closed/new.zarr").status
             == 130

@@ -1,4 +1,4 @@
-"""Results show themselves in a terminal: short, and with the numbers that a person would look at."""
+"""Results in a terminal: short, and with the numbers that a person would look at."""
 
 from dataclasses import dataclass
 
@@ -25,8 +25,8 @@ def test_large_arrays_are_shown_by_shape_and_range_small_ones_are_written_out():
         np.linspace(0, 1, 10**6).reshape(100, 100, 100), 1 / 3, np.ones((100, 100), bool)
     )
     assert (
-        repr(large)
-        == "Result(values=<array 100x100x100 float64, 0 .. 1>, share=0.333333, mask=<array 100x100 bool>)"
+        repr(large) == "Result(values=<array 100x100x100 float64, 0 .. 1>, share=0.333333, "
+        "mask=<array 100x100 bool>)"
     )
     assert (
         repr(Result(np.arange(3), 0.5, names=("pore",)))
@@ -59,7 +59,7 @@ def test_what_a_session_meets_shows_itself_in_a_few_lines(bone):
     )
     assert (
         repr(model.facts[0])
-        == "<Facts of an image 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
+        == "<ExemplarInfo 24x24x24 labels, voxel 40x40x40 um, phases void/solid>"
     )
     request = tb.Request(24, mask=np.ones((24, 24, 24), bool), target={"porosity": 0.5})
     assert (

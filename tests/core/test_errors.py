@@ -14,6 +14,7 @@ BUILTINS = {
     "FileError": OSError,
     "MemoryBudgetError": MemoryError,
     "MissingExtraError": ImportError,
+    "PluginError": ImportError,
     "NotReproducedError": RuntimeError,
     "TrainingError": RuntimeError,
     "ClusterError": ConnectionError,

@@ -27,7 +27,8 @@ NAMES = ("x", "y", "X")
         ("hypot(x, y)", 5),
         ("atan2(1, 1) * 4 / pi", 1),
         (
-            "sin(pi / 2) + cos(0) + exp(0) + log(e) + sqrt(4) + abs(-1) + floor(1.5) + tanh(0) + tan(0)",
+            "sin(pi / 2) + cos(0) + exp(0) + log(e) + sqrt(4) + abs(-1) + floor(1.5) + tanh(0) + "
+            "tan(0)",
             8,
         ),
         ("7 % 4", 3),

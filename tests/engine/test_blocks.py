@@ -19,7 +19,7 @@ from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
 from trabecula.engine import blocks, store
 from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
-from trabecula.engine.multiscale import halved
+from trabecula.engine.multiscale import halve_resolution
 from trabecula.engine.storage import local
 from trabecula.errors import FileError
 
@@ -55,7 +55,7 @@ def volume(make, identity="one", shape=SHAPE):
         make=make,
         describe=lambda sha256: {
             **FIELDS,
-            "recipe": Recipe().then_made("generate", sha256).to_json(),
+            "recipe": Recipe().then_digest("generate", sha256).to_json(),
         },
         identity=identity,
         scale=(2.0,) * 3,
@@ -75,7 +75,7 @@ def run(tmp_path):
 
 
 def contents(folder):
-    """Every array's voxels, and all that the store says of itself but when and of what it was made."""
+    """Return every array's voxels, and the store's metadata without its times and sources."""
     group = zarr.open_group(folder, mode="r")
     own = {name: group.attrs["trabecula"][name] for name in (*FIELDS, "complete")}
     return {name: array[...].tobytes() for name, array in group.arrays()}, group.attrs["ome"], own
@@ -119,7 +119,7 @@ def test_what_is_finished_is_not_made_again(run, tmp_path):
     second = Maker()
     sha256, said = run(second)
     assert second.made == boxes_of(SHAPE, 128)[7:]
-    assert sha256 == digest(WHOLE) and said == ["going on from x.zarr.part"]
+    assert sha256 == digest(WHOLE) and said == ["resuming from x.zarr.part"]
 
 
 def test_a_spoilt_or_lost_chunk_is_made_again(run, tmp_path):
@@ -231,7 +231,9 @@ def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(
     make = Maker()
     run(make)
     assert make.made == []
-    assert np.array_equal(tb.read(tmp_path / "x.zarr", level=1).values, halved(WHOLE, labels=True))
+    assert np.array_equal(
+        tb.read(tmp_path / "x.zarr", level=1).values, halve_resolution(WHOLE, labels=True)
+    )
 
 
 def test_what_a_run_left_that_was_killed_between_two_names_goes(run, tmp_path):
@@ -259,7 +261,7 @@ stream(volume(make), Path({path!r}), part=Path({path!r} + ".part"), side=128)
 
 
 def test_killed_at_random_moments(run, tmp_path):
-    """A process that is killed again and again goes on until it is done; no chunk is half a chunk."""
+    """A process that is killed again and again resumes until it is done; no chunk is half one."""
     path = tmp_path / "x.zarr"
     program = SLOW.format(tests=str(Path(__file__).parent), path=str(path))
     rng = np.random.default_rng(0)
@@ -311,7 +313,9 @@ def test_channels_go_along(tmp_path):
     for level in (0, 1):
         found = store.open_finished(path, level)
         assert np.array_equal(found.load(), np.moveaxis(values, -1, 0))
-        values = np.moveaxis(halved(np.moveaxis(values, -1, 0), labels=False, axes=3), 0, -1)
+        values = np.moveaxis(
+            halve_resolution(np.moveaxis(values, -1, 0), labels=False, axes=3), 0, -1
+        )
     assert not part.exists()
 
 

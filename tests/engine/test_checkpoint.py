@@ -17,8 +17,8 @@ from trabecula.core.recipe import digest
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
-from trabecula.engine.checkpoint import kept_at, offer, resumed, running
-from trabecula.engine.plan import Plan
+from trabecula.engine.checkpoint import kept_at, offer, resume, running
+from trabecula.engine.memory import Plan
 from trabecula.synth.api import registry
 from trabecula.synth.api.method import Capabilities, Method, Model
 from trabecula.synth.noise.config import NoiseConfig
@@ -43,7 +43,7 @@ def walk(request, *, stop=None, told=None, pause=0.0):
     """
     field, last = np.zeros(request.shape, np.int64), None
     stages = ("coarse", "fine")
-    left = [resumed(stage) for stage in reversed(stages)][::-1]
+    left = [resume(stage) for stage in reversed(stages)][::-1]
     first = next((n for n, state in enumerate(left) if state is not None), 0)
     for index, stage in enumerate(stages):
         if index < first:
@@ -76,7 +76,7 @@ class Walk(Method):
     def _plan_fit(self, exemplars):
         return Plan()
 
-    def _fit(self, exemplars):
+    def learn(self, exemplars):
         return Walked(self.config, exemplars)
 
 
@@ -86,7 +86,7 @@ class Walked(Model):
     def _plan(self, request):
         return Plan()
 
-    def _generate(self, request):
+    def make(self, request):
         return (walk(request, pause=float(os.environ.get("WALK_PAUSE", "0"))) % 2).astype(np.uint8)
 
     def _result_fields(self):
@@ -123,7 +123,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, at):
     field, rounds, lines = gone_on(tmp_path / "rock.zarr.part", request)
     assert np.array_equal(field, whole(request))
     assert rounds[0] == at
-    assert "going on" in lines[0] and "rock.zarr.part" in lines[0]
+    assert "resuming" in lines[0] and "rock.zarr.part" in lines[0]
     assert list(tmp_path.iterdir()) == [], "the state is removed with the block"
 
 
@@ -222,7 +222,7 @@ def test_models_use_the_place_that_is_set(tmp_path):
     lines = []
     with listen(lambda line, fraction: lines.append(line)), kept_at(tmp_path / "a.part"):
         assert np.array_equal(model.generate(request).values, expected)
-    assert "going on" in lines[0]
+    assert "resuming" in lines[0]
 
 
 # Run as a program: `generate` on the command line, with the method above in the registry.
@@ -257,7 +257,12 @@ def _command(tmp_path, *, seed=5, pause=0.03, resume=False):
     ]
     words += ["--phases", "void", "solid", "--kind", "labels"]
     words = ["generate", "--resume", "rock.npy"] if resume else words
-    environment = {**os.environ, "WALK_PAUSE": str(pause), "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {
+        **os.environ,
+        "WALK_PAUSE": str(pause),
+        "PYTHONPATH": os.pathsep.join(paths),
+    }
     program = f"import sys, test_checkpoint; sys.exit(test_checkpoint._program({words!r}))"
     return {
         "args": [sys.executable, "-c", program],
@@ -282,9 +287,9 @@ def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
     assert child.returncode == (130 if sign == signal.SIGINT else -sign), err
     assert part.exists() and not (tmp_path / "rock.npy").exists()
     if sign == signal.SIGINT:
-        assert "goes on from rock.npy.part" in err
+        assert "resumes from rock.npy.part" in err
     done = subprocess.run(**_command(tmp_path, resume=sign == signal.SIGKILL), check=True)
-    assert "going on from rock.npy.part" in done.stderr
+    assert "resuming from rock.npy.part" in done.stderr
     assert not part.exists()
     expected = (whole(Request(6, seed=5)) % 2).astype(np.uint8)
     assert digest(np.load(tmp_path / "rock.npy")) == digest(expected)

@@ -16,7 +16,7 @@ from trabecula.core.errors import ClusterError, InputError, MemoryBudgetError
 from trabecula.core.progress import listen
 from trabecula.engine import blocks
 from trabecula.engine.cluster import Cluster, Workers, workers_of
-from trabecula.engine.multiscale import halved
+from trabecula.engine.multiscale import halve_resolution
 from trabecula.pipeline.generate import generate_to, partial_path
 
 distributed = pytest.importorskip("distributed", reason="workers need the extra cluster")
@@ -59,9 +59,11 @@ def test_two_workers_make_the_same_voxels(two, model, whole, tmp_path):
     assert found.sha256 == whole.recipe.steps[-1]["sha256"]
     assert np.array_equal(image.values, whole.values)
     assert image.recipe.to_json() == whole.recipe.to_json()
-    coarse = halved(whole.values, labels=True)
+    coarse = halve_resolution(whole.values, labels=True)
     assert np.array_equal(tb.read(tmp_path / "x.zarr", level=1).values, coarse)
-    assert np.array_equal(tb.read(tmp_path / "x.zarr", level=2).values, halved(coarse, labels=True))
+    assert np.array_equal(
+        tb.read(tmp_path / "x.zarr", level=2).values, halve_resolution(coarse, labels=True)
+    )
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
 
 
@@ -84,7 +86,7 @@ def test_a_lost_worker_costs_its_block(two, model, whole, tmp_path):
 
 
 def test_workers_go_on_from_what_one_process_left(two, model, whole, tmp_path, monkeypatch):
-    real, count = blocks.do, []
+    real, count = blocks.do_task, []
 
     def stopped(task, *words, **more):
         count.append(task)
@@ -92,7 +94,7 @@ def test_workers_go_on_from_what_one_process_left(two, model, whole, tmp_path, m
             raise KeyboardInterrupt
         real(task, *words, **more)
 
-    monkeypatch.setattr(blocks, "do", stopped)
+    monkeypatch.setattr(blocks, "do_task", stopped)
     with pytest.raises(KeyboardInterrupt):
         generate_to(model, tb.Request(SHAPE, seed=3), tmp_path / "x.zarr", chunks=16)
     monkeypatch.undo()
@@ -121,14 +123,14 @@ def test_workers_that_do_not_see_the_store_say_so(two, model, tmp_path, monkeypa
     """The store is taken away behind the back of the run, as if the workers had another file
     system.
     """
-    real = blocks._to_do
+    real = blocks._missing_tasks
 
     def hidden(opened, side):
         tasks = real(opened, side)
         opened.place.path.rename(opened.place.path.with_name("elsewhere"))
         return tasks
 
-    monkeypatch.setattr(blocks, "_to_do", hidden)
+    monkeypatch.setattr(blocks, "_missing_tasks", hidden)
     with pytest.raises(ClusterError, match=r"does not see .*x\.zarr\.part"):
         made(model, tmp_path / "x.zarr", Cluster(two.scheduler_address))
 

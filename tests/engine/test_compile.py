@@ -85,7 +85,8 @@ def test_compiling_is_said_once_and_not_at_all_from_the_cache(tmp_path):
     )
     assert (
         first
-        == "[('compiling kernels (once on this machine; later runs load them from the cache)', -1.0)]"
+        == "[('compiling kernels (once on this machine; later runs load them from the cache)', "
+        "-1.0)]"
     )
     assert second == "[]"
 

@@ -1,5 +1,6 @@
 """One process at a time: others are refused, whoever dies is forgotten, and nothing is left."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -9,17 +10,21 @@ from contextvars import copy_context
 import pytest
 
 from commands import refused
-from trabecula.engine import lock
 from trabecula.engine.checkpoint import kept_at
-from trabecula.engine.lock import locked
+from trabecula.engine.lock import hold_lock
 from trabecula.errors import FileError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 HOLD = """
 import sys
 from pathlib import Path
-from trabecula.engine.lock import locked
+from trabecula.engine.lock import hold_lock
 
-with locked(Path(sys.argv[1])):
+with hold_lock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -42,15 +47,15 @@ def other(tmp_path):
 
 def test_another_process_is_refused_until_this_one_ends(tmp_path, other):
     told = rf"x.zarr.part is being written by another run \(process {other.pid} on .*wait"
-    with pytest.raises(FileError, match=told), locked(tmp_path / "x.zarr.part"):
+    with pytest.raises(FileError, match=told), hold_lock(tmp_path / "x.zarr.part"):
         pass
     with pytest.raises(FileError, match="another run"), kept_at(tmp_path / "x.zarr.part"):
         pass
-    with locked(tmp_path / "y.part"):  # of something else it knows nothing
+    with hold_lock(tmp_path / "y.part"):  # of something else it knows nothing
         pass
     other.communicate("")
     assert not list(tmp_path.iterdir())
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         assert [path.name for path in tmp_path.iterdir()] == [".x.zarr.part.lock"]
     assert not list(tmp_path.iterdir())
 
@@ -69,7 +74,7 @@ def test_what_a_killed_process_left_means_nothing(tmp_path, other):
     other.kill()
     other.wait()
     assert (tmp_path / ".x.zarr.part.lock").exists()
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         pass
     assert not list(tmp_path.iterdir())
 
@@ -79,13 +84,13 @@ def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_pat
 
     def elsewhere():
         try:
-            with locked(tmp_path / "x.zarr.part"):
+            with hold_lock(tmp_path / "x.zarr.part"):
                 found.append("locked")
         except FileError:
             found.append("refused")
 
-    with locked(tmp_path / "x.zarr.part"):
-        with locked(tmp_path / "." / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
+        with hold_lock(tmp_path / "." / "x.zarr.part"):
             pass
         context = copy_context()
         # the second as threads over slabs are started
@@ -99,39 +104,42 @@ def test_the_same_run_may_lock_again_and_another_of_this_process_may_not(tmp_pat
 
 
 def test_an_error_gives_the_lock_back(tmp_path):
-    with pytest.raises(ZeroDivisionError), locked(tmp_path / "x.zarr.part"):
+    with pytest.raises(ZeroDivisionError), hold_lock(tmp_path / "x.zarr.part"):
         raise ZeroDivisionError
-    with locked(tmp_path / "x.zarr.part"):
+    with hold_lock(tmp_path / "x.zarr.part"):
         pass
 
 
-@pytest.mark.parametrize("where", ["open", "_lock"])
+@pytest.mark.parametrize("where", ["open", "flock"])
+@pytest.mark.skipif(fcntl is None, reason="Windows has other locks")
 def test_where_nothing_can_be_locked_the_work_goes_on(tmp_path, monkeypatch, where):
     """A file system that is read-only, or knows no locks: who writes there tells what is wrong."""
 
     def cannot(*words):
-        raise OSError(30 if where == "open" else 37, "no")
+        raise OSError(errno.EROFS if where == "open" else errno.ENOSYS, "no")
 
-    monkeypatch.setattr(os if where == "open" else lock, where, cannot)
-    with locked(tmp_path / "x.zarr.part"):
+    monkeypatch.setattr(os if where == "open" else fcntl, where, cannot)
+    with hold_lock(tmp_path / "x.zarr.part"):
         done = True
     assert done
 
 
+@pytest.mark.skipif(fcntl is None, reason="Windows has other locks")
 def test_a_file_that_was_removed_between_opening_and_locking_is_not_taken_for_the_lock(
     tmp_path, monkeypatch
 ):
-    real, seen = lock._lock, []
+    real, seen = fcntl.flock, []
 
-    def late(descriptor):
+    def late(descriptor, how):
         if not seen:
             (tmp_path / ".x.zarr.part.lock").unlink()  # its owner ends just now
         seen.append(descriptor)
-        real(descriptor)
+        real(descriptor, how)
 
-    monkeypatch.setattr(lock, "_lock", late)
-    with locked(tmp_path / "x.zarr.part"):
-        assert len(seen) == 2 and (tmp_path / ".x.zarr.part.lock").exists()
+    monkeypatch.setattr(fcntl, "flock", late)
+    with hold_lock(tmp_path / "x.zarr.part"):
+        assert len(seen) == 2
+        assert (tmp_path / ".x.zarr.part.lock").exists()
 
 
 def test_two_threads_never_have_it_both(tmp_path):
@@ -140,7 +148,7 @@ def test_two_threads_never_have_it_both(tmp_path):
     def work():
         while len(done) < 60:
             try:
-                with locked(tmp_path / "x.zarr.part"):
+                with hold_lock(tmp_path / "x.zarr.part"):
                     inside.append(1)
                     most.append(len(inside))
                     inside.pop()

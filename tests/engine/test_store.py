@@ -9,7 +9,7 @@ import zarr
 import trabecula as tb
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine import store
-from trabecula.engine.multiscale import halved
+from trabecula.engine.multiscale import halve_resolution
 
 VALUES = np.arange(3 * 130 * 5, dtype=np.uint16).reshape(3, 130, 5)
 
@@ -162,7 +162,7 @@ def test_a_level_is_read_as_an_image_of_larger_voxels(tmp_path, monkeypatch, kin
         "um",
     )
     channels = np.moveaxis(values, -1, 0) if kind == "colour" else values[None]
-    expected = np.stack([halved(one, labels=kind == "labels") for one in channels])
+    expected = np.stack([halve_resolution(one, labels=kind == "labels") for one in channels])
     assert np.array_equal(
         image.values, np.moveaxis(expected, 0, -1) if kind == "colour" else expected[0]
     )

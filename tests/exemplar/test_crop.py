@@ -57,7 +57,8 @@ def test_a_recorded_crop_can_be_done_again(data):
         (
             5,
             None,
-            r"^a crop of \(5, 5, 5\) does not lie inside the image of \(4, 6, 9\): give a smaller one$",
+            r"^a crop of \(5, 5, 5\) does not lie inside the image of \(4, 6, 9\): "
+            r"give a smaller one$",
         ),
         (2, (3, 0, 0), r"a crop of \(2, 2, 2\) at \(3, 0, 0\) does not lie inside"),
         (2, (-1, 0, 0), "does not lie inside"),

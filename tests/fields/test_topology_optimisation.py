@@ -1,4 +1,6 @@
-"""Topology optimisation: mechanics against an assembled matrix, optimality against its conditions."""
+"""Topology optimisation: mechanics against an assemble matrix, optimality against its
+conditions.
+"""
 
 import json
 import tracemalloc
@@ -12,10 +14,9 @@ from trabecula import fields
 from trabecula.engine import parallel
 from trabecula.errors import FileError, InputError, MemoryBudgetError, UnknownNameError
 from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, nodes_of, to_json
-from trabecula.fields.topology.multigrid import largest_eigenvalue, levels_of, preconditioned
-from trabecula.fields.topology.optimise import _BYTES, _Filter
-from trabecula.fields.topology.part import Part
-from trabecula.fields.topology.solve import solved
+from trabecula.fields.topology.displacements import DensitySystem, solve_displacements
+from trabecula.fields.topology.elements import ElementGrid
+from trabecula.fields.topology.optimise import _BYTES, DensityFilter
 from trabecula.measure.mechanics.elements import CORNERS
 
 END = ((0.0, 1.0), (0.0, 1.0), (0.0, 0.0))
@@ -26,16 +27,16 @@ def report(field):
     return field.recipe.steps[-1]["report"]["compliance"]
 
 
-def assembled(part, density):
-    """The matrix, row and column 3 node + component."""
-    number = np.arange(part.free[..., 0].size).reshape(part.free.shape[:3])
+def assemble(grid, density):
+    """Assemble the matrix, row and column 3 node + component."""
+    number = np.arange(grid.free[..., 0].size).reshape(grid.free.shape[:3])
     rows, columns, entries = [], [], []
-    for at in np.argwhere(part.inside):
+    for at in np.argwhere(grid.inside):
         nodes = np.array([number[tuple(at + corner)] for corner in CORNERS])
         index = (3 * nodes[:, None] + np.arange(3)).ravel()
         rows.append(np.repeat(index, 24))
         columns.append(np.tile(index, 24))
-        entries.append((density[tuple(at)] * part.stiffness).ravel())
+        entries.append((density[tuple(at)] * grid.stiffness).ravel())
     size = 3 * number.size
     return coo_matrix(
         (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), (size, size)
@@ -46,26 +47,28 @@ def test_displacements_are_those_of_the_assembled_matrix():
     inside = np.ones((3, 4, 5), bool)
     inside[2, :, 3:] = False
     density = np.where(inside, np.random.default_rng(0).uniform(0.3, 0.85, inside.shape), 0)
-    part = Part.of(CASES["cantilever"], inside, edges=(1, 1.5, 0.8), poisson=0.3)
-    u = solved(part, density, np.zeros_like(part.load), tolerance=1e-9, most=5000)
-    free = part.free.ravel()
-    matrix = assembled(part, density)
+    grid = ElementGrid.of(CASES["cantilever"], inside, edges=(1, 1.5, 0.8), poisson=0.3)
+    u = solve_displacements(grid, density, np.zeros_like(grid.load), tolerance=1e-9, most=5000)
+    free = grid.free.ravel()
+    matrix = assemble(grid, density)
     expected = np.zeros(free.size)
-    expected[free] = spsolve(matrix[free][:, free].tocsc(), part.load.ravel()[free])
+    expected[free] = spsolve(matrix[free][:, free].tocsc(), grid.load.ravel()[free])
     assert np.allclose(u.ravel(), expected, atol=1e-6 * np.abs(expected).max())
-    assert (density * part.energy(u)).sum() == pytest.approx(
-        float(part.load.ravel() @ expected), rel=1e-6
+    assert (density * grid.energy(u)).sum() == pytest.approx(
+        float(grid.load.ravel() @ expected), rel=1e-6
     )
 
 
 def test_a_bar_that_is_pulled_stretches_as_hooke_says():
     pulled = Case("bar", "", (3, 3, 12), (Support(END),), (Load(OTHER, (0.0, 0.0, 1.0)),))
-    part = Part.of(pulled, np.ones((3, 3, 12), bool), edges=(1.0, 1.0, 1.0), poisson=0.0)
+    grid = ElementGrid.of(pulled, np.ones((3, 3, 12), bool), edges=(1.0, 1.0, 1.0), poisson=0.0)
     nodes = np.ones((4, 4))
     nodes[[0, -1]] /= 2
     nodes[:, [0, -1]] /= 2
-    part.load[:, :, -1, 2] = nodes / 9  # an even traction: half at the rim, a quarter at a corner
-    u = solved(part, np.full((3, 3, 12), 0.5), np.zeros_like(part.load), tolerance=1e-10, most=1000)
+    grid.load[:, :, -1, 2] = nodes / 9  # an even traction: half at the rim, a quarter at a corner
+    u = solve_displacements(
+        grid, np.full((3, 3, 12), 0.5), np.zeros_like(grid.load), tolerance=1e-10, most=1000
+    )
     assert np.allclose(u[:, :, :, 2], np.arange(13) / (9 * 0.5), atol=1e-6)
 
 
@@ -87,12 +90,16 @@ def test_the_cantilever_keeps_bounds_and_volume_and_is_stiffer():
 
 
 def test_no_other_density_of_that_volume_is_stiffer():
-    """Penalty 1 without a filter is convex: what is between the bounds gains alike everywhere."""
+    """Check that what is between the bounds gains alike everywhere: penalty 1 without a filter is
+    convex.
+    """
     field = fields.simp("cantilever", (6, 3, 10), radius=0, tolerance=1e-7, rounds=400)
     density = field.values.astype(float)
-    part = Part.of(CASES["cantilever"], np.ones(density.shape, bool), edges=(1.0,) * 3, poisson=0.3)
-    u = solved(part, density, np.zeros_like(part.load), tolerance=1e-8, most=5000)
-    gain = part.energy(u)
+    grid = ElementGrid.of(
+        CASES["cantilever"], np.ones(density.shape, bool), edges=(1.0,) * 3, poisson=0.3
+    )
+    u = solve_displacements(grid, density, np.zeros_like(grid.load), tolerance=1e-8, most=5000)
+    gain = grid.energy(u)
     between = (density > 0.32) & (density < 0.83)
     price = np.median(gain[between])
     assert np.all(np.abs(gain[between] / price - 1) < 0.05)
@@ -112,7 +119,7 @@ def test_penalty_drives_densities_to_the_bounds():
 
 def test_slopes_go_back_through_the_filter():
     inside = np.random.default_rng(1).random((5, 6, 4)) < 0.8
-    smooth = _Filter(inside, 2.5)
+    smooth = DensityFilter(inside, 2.5)
     a, b = (np.where(inside, np.random.default_rng(k).random(inside.shape), 0) for k in (2, 3))
     assert (smooth(a) * b).sum() == pytest.approx((a * smooth.back(b)).sum())
     assert np.allclose(smooth(inside.astype(float)), inside)
@@ -138,11 +145,11 @@ def test_a_mask_is_left_alone_and_the_rest_carries():
 def test_threads_change_no_bit(monkeypatch):
     whole = fields.simp("cantilever", (9, 3, 8), rounds=4).values
 
-    def scattered(work, length, count, least):
+    def scatter(work, length, count, least):
         for a in reversed(range(length)):
             work(a, a + 1)
 
-    monkeypatch.setattr(parallel, "_run", scattered)
+    monkeypatch.setattr(parallel, "_run", scatter)
     assert np.array_equal(fields.simp("cantilever", (9, 3, 8), rounds=4).values, whole)
 
 
@@ -198,16 +205,16 @@ def test_a_part_that_is_hinged_finds_no_balance():
 
 @pytest.mark.parametrize("shape", [(16, 8, 30), (9, 5, 11)])
 def test_few_steps_are_enough_and_the_preconditioner_is_symmetric(shape):
-    part = Part.of(CASES["cantilever"], np.ones(shape, bool), edges=(1.0,) * 3, poisson=0.3)
+    grid = ElementGrid.of(CASES["cantilever"], np.ones(shape, bool), edges=(1.0,) * 3, poisson=0.3)
     rng = np.random.default_rng(0)
     density = rng.uniform(0.3, 0.85, shape)
-    solved(part, density, np.zeros_like(part.load), tolerance=1e-4, most=20)  # else it raises
-    levels, largest = levels_of(part, density), largest_eigenvalue(part)
-    a, b = (np.where(part.free, rng.standard_normal(part.load.shape), 0) for _ in range(2))
-    ab, ba = (
-        (preconditioned(levels, one, largest) * other).sum() for one, other in ((a, b), (b, a))
-    )
-    assert ab == pytest.approx(ba, rel=1e-9) and (preconditioned(levels, a, largest) * a).sum() > 0
+    solve_displacements(
+        grid, density, np.zeros_like(grid.load), tolerance=1e-4, most=20
+    )  # else it raises
+    precondition = DensitySystem(grid, density).precondition
+    a, b = (np.where(grid.free, rng.standard_normal(grid.load.shape), 0) for _ in range(2))
+    ab, ba = ((precondition(one) * other).sum() for one, other in ((a, b), (b, a)))
+    assert ab == pytest.approx(ba, rel=1e-9) and (precondition(a) * a).sum() > 0
 
 
 def test_memory_stays_below_what_is_checked():

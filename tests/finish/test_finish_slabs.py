@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 import trabecula as tb
 from trabecula.engine import blocks, memmap
-from trabecula.engine.lazy_volume import slabs_of
+from trabecula.engine.lazy_volume import as_slabs
 from trabecula.errors import InputError, MemoryBudgetError, UnknownNameError
 from trabecula.finish import OPERATIONS, bridges, connect
 from trabecula.finish import slabs as finishing
@@ -35,8 +35,8 @@ def thin(monkeypatch):
     """Every array in a scratch file, slabs of three planes, and two threads."""
     monkeypatch.setattr(runs, "_MANY", 1)
     monkeypatch.setenv("TRABECULA_THREADS", "2")
-    monkeypatch.setattr(memmap, "LEAST", 1)
-    monkeypatch.setattr(finishing.memmap, "spilled", partial(memmap.spilled, thickest=3))
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
+    monkeypatch.setattr(finishing.memmap, "map_large_arrays", partial(memmap.map_large_arrays, thickest=3))
     monkeypatch.setattr(bridges, "SIDE", 9)
 
 
@@ -75,7 +75,7 @@ def test_the_store_is_that_of_the_whole(thin, tmp_path, name):
 def test_one_phase_of_three_and_coarser_levels(thin, tmp_path):
     image = tb.Image(grains((40, 30, 300), phases=3), "labels", phases=("void", "a", "b"))
     finish_slabs(
-        slabs_of(image),
+        as_slabs(image),
         tmp_path / "out.zarr",
         [("connect", {"phase": "a"}), ("fill_trapped", {"phase": "b"})],
     )
@@ -89,7 +89,7 @@ def test_one_phase_of_three_and_coarser_levels(thin, tmp_path):
 def test_pores_between_two_phases_need_the_whole(thin, tmp_path):
     image = tb.Image(grains((20, 20, 20), phases=3), "labels", phases=("void", "a", "b"))
     with pytest.raises(InputError, match="pores among a, b take the nearest"):
-        finish_slabs(slabs_of(image), tmp_path / "out.zarr", [("fill_trapped", {})])
+        finish_slabs(as_slabs(image), tmp_path / "out.zarr", [("fill_trapped", {})])
     assert not list(tmp_path.iterdir())
 
 
@@ -119,7 +119,7 @@ def test_the_shortest_join_does_not_depend_on_the_blocks_it_is_sought_in(solid, 
 
 def test_a_run_that_was_interrupted_writes_the_rest(tmp_path, monkeypatch):
     image = tb.Image(grains((40, 150, 30)), "labels")
-    real, done = blocks.do, []
+    real, done = blocks.do_task, []
 
     def stopped(task, *words, **more):
         if len(done) == 1:
@@ -127,20 +127,20 @@ def test_a_run_that_was_interrupted_writes_the_rest(tmp_path, monkeypatch):
         done.append(task)
         real(task, *words, **more)
 
-    monkeypatch.setattr(blocks, "do", stopped)
+    monkeypatch.setattr(blocks, "do_task", stopped)
     with pytest.raises(KeyboardInterrupt):
-        finish_slabs(slabs_of(image), tmp_path / "out.zarr", CASES["connect"])
+        finish_slabs(as_slabs(image), tmp_path / "out.zarr", CASES["connect"])
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr.part"]
     monkeypatch.setattr(
         blocks, "do", lambda task, *words, **more: (done.append(task), real(task, *words, **more))
     )
-    finish_slabs(slabs_of(image), tmp_path / "out.zarr", CASES["connect"])
+    finish_slabs(as_slabs(image), tmp_path / "out.zarr", CASES["connect"])
     assert len(done) == len(set(done)) == 2
     assert np.array_equal(tb.read(tmp_path / "out.zarr").values, connect(image).values)
 
 
 def test_refusals_leave_nothing(tmp_path):
-    volume = slabs_of(tb.Image(grains((40, 30, 30)), "labels"))
+    volume = as_slabs(tb.Image(grains((40, 30, 30)), "labels"))
     for steps, path, error, words in (
         ([("thicken", {})], "out.zarr", UnknownNameError, "operation in slabs"),
         ([("connect", {"far": 3})], "out.zarr", UnknownNameError, "setting of connect"),
@@ -159,13 +159,13 @@ def test_a_full_disk_is_told_and_nothing_left(tmp_path, monkeypatch):
     def full(*words):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
     monkeypatch.setattr(memmap.os, "posix_fallocate", full, raising=False)
     with pytest.raises(
         tb.errors.FileError, match="No space left on device; scratch files of up to six times"
     ):
         finish_slabs(
-            slabs_of(tb.Image(grains((40, 30, 30)), "labels")),
+            as_slabs(tb.Image(grains((40, 30, 30)), "labels")),
             tmp_path / "out.zarr",
             CASES["connect"],
         )

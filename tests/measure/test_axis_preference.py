@@ -9,7 +9,7 @@ from trabecula.measure import axis_preference, covariance_form, two_point
 
 
 def balls(seed, side=64, *, count=60, radius=6):
-    """Overlapping balls: isotropic but for voxels and chance."""
+    """Draw overlapping balls: isotropic but for voxels and chance."""
     rng, values = np.random.default_rng(seed), np.zeros((side,) * 3, np.uint8)
     grid = np.indices(values.shape)
     for centre in rng.uniform(0, side, (count, 3)):
@@ -18,7 +18,7 @@ def balls(seed, side=64, *, count=60, radius=6):
 
 
 def rods(seed, side=64, *, count=40):
-    """Bars along the three axes, and nothing oblique."""
+    """Draw bars along the three axes, and nothing oblique."""
     rng, values = np.random.default_rng(seed), np.zeros((side,) * 3, np.uint8)
     for n in range(count):
         size = np.full(3, 6)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trabecula as tb
-from trabecula.engine.lazy_volume import Slabs, depth_within, slabs_of
-from trabecula.engine.plan import Plan
+from trabecula.engine.lazy_volume import Slabs, as_slabs, depth_within
+from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
 from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
 from trabecula.measure.labelling import label_components
@@ -57,7 +57,7 @@ def test_slabs_describe_a_volume_as_the_whole_does(values, extra, names, depth, 
     labels = np.where(values > 0, further, 0)
     image = tb.Image(labels, "labels", spacing=(2.0, 1.0, 1.5) if wide else 1.0, phases=names)
     whole = describe(image, r_max=r_max, level="quick")
-    slabs = describe_slabs(slabs_of(image), r_max=r_max, depth=depth, level="quick")
+    slabs = describe_slabs(as_slabs(image), r_max=r_max, depth=depth, level="quick")
     if len(names) > 2:  # what slabs cannot tell
         assert any("cross_correlation, triples" in note for note in slabs["notes"])
         slabs["notes"] = [note for note in slabs["notes"] if "triples" not in note]
@@ -70,7 +70,7 @@ def test_slabs_describe_a_volume_as_the_whole_does(values, extra, names, depth, 
 @settings(max_examples=60)
 @given(values=volumes(), depth=st.integers(1, 9), connectivity=st.sampled_from([6, 18, 26]))
 def test_components_of_slabs_are_those_of_the_whole(values, depth, connectivity):
-    found = in_pieces(slabs_of(tb.Image(values, "labels")), Pieces(connectivity), depth).result()
+    found = in_pieces(as_slabs(tb.Image(values, "labels")), Pieces(connectivity), depth).result()
     assert found.sizes().tolist() == component_sizes(values, connectivity=connectivity).tolist()
     assert found.components == len(found.sizes()) and found.voxels == values.sum()
     for axis in range(3):
@@ -81,11 +81,11 @@ def test_components_of_slabs_are_those_of_the_whole(values, depth, connectivity)
 def test_a_spiral_that_closes_in_the_last_plane_is_one_component():
     values = np.zeros((9, 8, 8), np.uint8)
     values[:, ::2, ::2] = 1  # sixteen columns, which nothing but the last plane joins
-    volume = slabs_of(tb.Image(values, "labels"))
+    volume = as_slabs(tb.Image(values, "labels"))
     assert in_pieces(volume, Pieces(), 2).result().components == 16
     values = values.copy()
     values[-1] = 1
-    joined = in_pieces(slabs_of(tb.Image(values, "labels")), Pieces(), 2).result()
+    joined = in_pieces(as_slabs(tb.Image(values, "labels")), Pieces(), 2).result()
     assert joined.components == 1 and joined.through(0) == joined.through(2) == values.sum()
 
 
@@ -102,7 +102,7 @@ def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
 def test_the_cubes_of_an_object_are_those_with_a_margin_around_it(inside, depth):
     from trabecula.measure.configurations import count_cubes
 
-    cubes = in_pieces(slabs_of(tb.Image(inside, "labels")), Cubes(), depth)
+    cubes = in_pieces(as_slabs(tb.Image(inside, "labels")), Cubes(), depth)
     assert cubes.object().tolist() == count_cubes(np.pad(inside, 1), None).tolist()
     assert cubes.inside().tolist() == count_cubes(inside, None).tolist()
 
@@ -127,7 +127,7 @@ def test_only_what_is_asked_for_is_read():
 
 def test_what_slabs_cannot_tell_is_left_out_by_name():
     values = np.random.default_rng(1).integers(0, 2, (12, 12, 12)).astype(np.uint8)
-    volume = slabs_of(tb.Image(values, "labels"))
+    volume = as_slabs(tb.Image(values, "labels"))
     found = describe_slabs(volume, depth=5)
     assert set(found) == set(describe(values))
     assert all(
@@ -142,7 +142,7 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
 def test_transport_is_that_of_the_box_in_the_middle(bone):
     values = bone.values[:20, :20, :20]
     image = tb.Image(values, "labels", spacing=bone.spacing, unit=bone.unit)
-    found = describe_slabs(slabs_of(image), depth=7, level="full", box=10)
+    found = describe_slabs(as_slabs(image), depth=7, level="full", box=10)
     assert found["conductivity"] == describe(image, level="full", box=10)["conductivity"]
 
 
@@ -174,7 +174,7 @@ def test_the_forecast_bounds_what_a_pass_takes(smooth):
     noise = np.random.default_rng(7).random((96, 64, 60))
     for axis in range(3 * smooth):
         noise = noise + np.roll(noise, 1, axis) + np.roll(noise, 2, axis)
-    volume = slabs_of(tb.Image(noise > np.median(noise), "labels"))
+    volume = as_slabs(tb.Image(noise > np.median(noise), "labels"))
     count_slabs(volume, r_max=20, depth=32)  # kernels are loaded
     tracemalloc.start()
     count_slabs(volume, r_max=20, depth=32)
@@ -188,7 +188,7 @@ def test_the_forecast_bounds_a_pass_of_every_phase():
     for axis in range(3):
         noise = noise + np.roll(noise, 1, axis) + np.roll(noise, 2, axis)
     labels = np.digitize(noise, np.quantile(noise, [0.3, 0.6])).astype(np.uint8)
-    volume = slabs_of(tb.Image(labels, "labels", phases=("void", "a", "b")))
+    volume = as_slabs(tb.Image(labels, "labels", phases=("void", "a", "b")))
     tracemalloc.start()
     count_slabs(volume, r_max=20, depth=32, phases=True)
     peak = tracemalloc.get_traced_memory()[1]
@@ -211,10 +211,10 @@ def test_a_slab_with_a_label_that_has_no_name_is_refused():
 @given(arrays(bool, SHAPES), st.integers(1, 9))
 def test_slabs_of_an_image_are_its_planes(inside, depth):
     image = tb.Image(inside, "labels")
-    slabs = list(slabs_of(image).slabs(depth))
+    slabs = list(as_slabs(image).slabs(depth))
     assert np.array_equal(np.concatenate([slab.values for slab in slabs]), image.values)
     assert {len(slab.values) for slab in slabs[:-1]} <= {depth}
     assert (
         len(label_components(inside)[1])
-        == in_pieces(slabs_of(image), Pieces(), depth).result().components
+        == in_pieces(as_slabs(image), Pieces(), depth).result().components
     )

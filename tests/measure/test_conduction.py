@@ -20,12 +20,14 @@ volumes = arrays(np.uint8, (6, 6, 6), elements=st.integers(0, 1))
 
 
 def medium(seed, shape=(12, 11, 10), solid=0.4):
-    """White noise: many dead ends and floating pores."""
+    """Draw white noise: many dead ends and floating pores."""
     return (np.random.default_rng(seed).random(shape) < solid).astype(np.uint8)
 
 
 def direct(values, sigma, edges):
-    """Conductivity along the first axis by a sparse direct solve; every phase must conduct."""
+    """Solve for the conductivity along the first axis by a sparse direct solve; every phase must
+    conduct.
+    """
     number = np.arange(values.size).reshape(values.shape)
     local = np.asarray(sigma, float)[values]
     rows, columns, couplings = [], [], []

@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
-from trabecula.measure.copying.index import Geometry, cut, grow, search
+from trabecula.measure.copying.index import Geometry, build_tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
 
 
 def blobs(shape, *, seed, phases=2, width=3):
-    """Independent material with structures of a few voxels: smoothed noise, cut into equal shares."""
+    """Draw independent material with structures of a few voxels: smoothed noise, cut into equal
+    shares.
+    """
     field = np.random.default_rng(seed).normal(size=shape)
     for axis in range(len(shape)):
         for _ in range(width):
@@ -25,7 +27,7 @@ def blobs(shape, *, seed, phases=2, width=3):
 
 
 def neighbourhoods(values, size):
-    """Every neighbourhood as a row, by plain NumPy."""
+    """Return every neighbourhood as a row, by plain NumPy."""
     views = np.lib.stride_tricks.sliding_window_view(values, (size,) * values.ndim)
     return views.reshape(*views.shape[: values.ndim], -1)
 
@@ -35,12 +37,15 @@ SCAN = blobs((40, 40, 40), seed=0)
 
 @pytest.mark.parametrize(("phases", "size", "step"), [(2, 9, 1), (2, 5, 2), (3, 7, 1), (5, 5, 1)])
 def test_the_search_is_exact(phases, size, step):
-    """Oracle: every candidate compared in NumPy, for the distance, a source that has it, and the
-    best of all that move along.
+    """Compare with every candidate in NumPy: the distance, a source that has it, and the best of
+    all that move along.
     """
     exemplar, image = (blobs((18, 19, 20), seed=seed, phases=phases) for seed in (1, 2))
     geometry = Geometry((size,) * 3, step, max(1, (phases - 1).bit_length()), 1)
-    tree, cubes = grow(cut(exemplar, geometry), geometry, leaf=32), cut(image, geometry)
+    tree, cubes = (
+        build_tree(neighbourhoods_of(exemplar, geometry), geometry, leaf=32),
+        neighbourhoods_of(image, geometry),
+    )
     rng = np.random.default_rng(3)
     sites = np.stack([rng.integers(2, side - 2, 12) for side in cubes.counts.shape], -1)
     moves = np.tile(np.array([[2, 0, 0], [0, 0, -1]]), (len(sites), 1, 1))
@@ -104,7 +109,7 @@ def test_half_resolution_has_the_same_frame():
 
 
 def test_a_mosaic_falls_into_its_tiles():
-    """Tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile,
+    """Copy tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile,
     patches about a tile.
     """
     rng, s, tiles = np.random.default_rng(4), 16, 3

@@ -1,4 +1,4 @@
-"""Two-point function: pairs counted one by one, and what is refused."""
+"""Two-point function: pairs count_pairs one by one, and what is refused."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from trabecula.engine.parallel import threads
 from trabecula.measure.correlation import covariance_form, two_point
 
 
-def counted(inside, r_max, *, spacing=(1, 1, 1), mask=None, periodic=(False,) * 3):
-    """S2 by visiting every pair of voxels."""
+def count_pairs(inside, r_max, *, spacing=(1, 1, 1), mask=None, periodic=(False,) * 3):
+    """Compute S2 by visiting every pair of voxels."""
     points = np.argwhere(np.ones(inside.shape, bool) if mask is None else mask)
     value = inside[tuple(points.T)]
     steps = np.array(spacing[-inside.ndim :]) / min(spacing[-inside.ndim :])
@@ -43,7 +43,7 @@ def test_equals_pairs_counted_one_by_one(inside, spacing, periodic, masked, seed
     image = tb.Image(inside, "labels", spacing=spacing[-inside.ndim :])
     periodic = periodic[-inside.ndim :]
     result = two_point(image, r_max=r_max, periodic=periodic, mask=mask)
-    expected = counted(
+    expected = count_pairs(
         inside, r_max, spacing=spacing, mask=mask, periodic=(False,) * (3 - inside.ndim) + periodic
     )
     np.testing.assert_allclose(result, expected, atol=1e-12)
@@ -95,7 +95,7 @@ def test_two_dimensions_and_phases():
     assert union[0] == pytest.approx(
         two_point(image, r_max=5, phase="a")[0] + two_point(image, r_max=5, phase=2)[0]
     )
-    np.testing.assert_allclose(union, counted(image.values > 0, 5), atol=1e-12)
+    np.testing.assert_allclose(union, count_pairs(image.values > 0, 5), atol=1e-12)
 
 
 def test_covariance_of_an_empty_phase_is_finite():
@@ -140,7 +140,7 @@ def test_a_volume_of_0_and_255_is_refused_and_not_measured_wrongly():
 
 
 def lattice_count(inside, mask, offset, periodic):
-    """Pairs in the phase and pairs that fit, one `offset` apart."""
+    """Count the pairs in the phase and the pairs that fit, one `offset` apart."""
     hits = pairs = 0
     for here in np.argwhere(mask):
         there = here + offset
@@ -213,7 +213,7 @@ def test_where_few_pairs_fit_they_are_still_counted_exactly():
     corners[:2, :2, :2] = corners[-2:, -2:, -2:] = corners[:2, -2:, :2] = True
     corners |= rng.random(solid.shape) < 0.02
     result = two_point(solid, r_max=31, mask=corners)
-    np.testing.assert_allclose(result, counted(solid & corners, 31, mask=corners), atol=1e-12)
+    np.testing.assert_allclose(result, count_pairs(solid & corners, 31, mask=corners), atol=1e-12)
 
 
 def test_errors_of_float32_stay_below_a_millionth_wherever_pairs_are_few(monkeypatch):
@@ -223,7 +223,7 @@ def test_errors_of_float32_stay_below_a_millionth_wherever_pairs_are_few(monkeyp
         counts = mirrored_counts(first, second, *args, exact=True)
         return counts if exact else counts + 5e-8 * np.count_nonzero(first)
 
-    mirrored_counts = pair_geometry.mirrored_counts
+    mirrored_counts = pair_geometry.count_mirror_pairs
     rng = np.random.default_rng(11)
     solid, sparse = rng.random((30, 31, 32)) < 0.7, rng.random((30, 31, 32)) < 0.03
     for options in [
@@ -234,7 +234,7 @@ def test_errors_of_float32_stay_below_a_millionth_wherever_pairs_are_few(monkeyp
     ]:
         truth = two_point(solid, **options)
         with monkeypatch.context() as patch:
-            patch.setattr(pair_geometry, "mirrored_counts", with_the_largest_error)
+            patch.setattr(pair_geometry, "count_mirror_pairs", with_the_largest_error)
             np.testing.assert_allclose(two_point(solid, **options), truth, rtol=0, atol=1.2e-6)
             assert two_point(solid | True, **options).max() <= 1
 
@@ -249,12 +249,12 @@ def test_a_distance_without_a_pair_is_told():
 
 
 def test_float32_is_as_good_as_float64():
-    from trabecula.measure.correlation.fourier import mirrored_counts
+    from trabecula.measure.correlation.fourier import count_mirror_pairs
 
     # Nearly full: the largest counts beside which an error can hide.
     solid = np.random.default_rng(9).random((90, 100, 110)) < 0.97
-    rough = mirrored_counts(solid, None, (20, 20, 20), (False, False, True))
-    exact = mirrored_counts(solid, None, (20, 20, 20), (False, False, True), exact=True)
+    rough = count_mirror_pairs(solid, None, (20, 20, 20), (False, False, True))
+    exact = count_mirror_pairs(solid, None, (20, 20, 20), (False, False, True), exact=True)
     np.testing.assert_allclose(rough, exact, rtol=0, atol=1e-7 * solid.sum())
     shifted = solid[:-3, 4:] & solid[3:, :-4]
     mirror = solid[:-3, :-4] & solid[3:, 4:]

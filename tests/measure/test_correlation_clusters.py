@@ -1,4 +1,4 @@
-"""Two-point cluster function: pairs counted one by one, and bodies whose overlap is known."""
+"""Two-point cluster function: pairs count_pairs one by one, and bodies whose overlap is known."""
 
 from collections import deque
 from itertools import pairwise, product
@@ -15,8 +15,8 @@ from trabecula.measure.correlation import clusters, two_point, two_point_cluster
 FAR = {4: 1, 6: 1, 8: 2, 18: 2, 26: 3}
 
 
-def flooded(inside, connectivity, periodic):
-    """Labels by visiting neighbours one by one."""
+def flood(inside, connectivity, periodic):
+    """Label by visiting neighbours one by one."""
     labels = np.zeros(inside.shape, int)
     steps = [
         step
@@ -39,7 +39,7 @@ def flooded(inside, connectivity, periodic):
     return labels
 
 
-def counted(labels, r_max, mask, spacing, periodic):
+def count_pairs(labels, r_max, mask, spacing, periodic):
     points = np.argwhere(mask)
     value = labels[tuple(points.T)]
     steps, shape = np.array(spacing) / min(spacing), np.array(labels.shape)
@@ -57,7 +57,7 @@ def counted(labels, r_max, mask, spacing, periodic):
 
 @pytest.fixture(params=["one by one", "transformed"])
 def way(request, monkeypatch):
-    """Each of the two ways of counting, for every cluster."""
+    """Return each of the two ways of counting, for every cluster."""
     monkeypatch.setattr(clusters, "_PAIR", 0.0 if request.param == "one by one" else 1e6)
 
 
@@ -76,13 +76,13 @@ def test_equals_pairs_counted_one_by_one(seconds, inside, neighbours, periodic, 
     if not masked:
         mask[:] = True
     spacing = (1.0, 1.0, 1.25)[: inside.ndim]
-    labels = flooded(inside & mask, connectivity, periodic)
+    labels = flood(inside & mask, connectivity, periodic)
     options = {"connectivity": connectivity, "periodic": periodic, "mask": mask if masked else None}
     image = tb.Image(inside, "labels", spacing=spacing)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(clusters, "_PAIR", seconds)
         radial = two_point_cluster(image, r_max=2, **options)
-    np.testing.assert_allclose(radial, counted(labels, 2, mask, spacing, periodic), atol=1e-12)
+    np.testing.assert_allclose(radial, count_pairs(labels, 2, mask, spacing, periodic), atol=1e-12)
     along = two_point_cluster(image, r_max=2, axis=-1, **options)
     for r in range(3):
         there, fits = np.roll(labels, -r, axis=-1), mask & np.roll(mask, -r, axis=-1)

@@ -1,4 +1,4 @@
-"""Cross-phase two-point probability: pairs counted one by one, and its sums over phases."""
+"""Cross-phase two-point probability: pairs count_pairs one by one, and its sums over phases."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from trabecula.measure.correlation import cross_correlation, two_point
 NAMES = ("void", "binder", "active")
 
 
-def counted(labels, i, j, r_max, mask, spacing, periodic):
-    """S_ij by visiting every ordered pair of voxels."""
+def count_pairs(labels, i, j, r_max, mask, spacing, periodic):
+    """Compute S_ij by visiting every ordered pair of voxels."""
     points = np.argwhere(mask)
     value = labels[tuple(points.T)]
     steps, shape = np.array(spacing) / min(spacing), np.array(labels.shape)
@@ -46,7 +46,7 @@ def test_equals_pairs_counted_one_by_one(labels, periodic, phases, seed):
     i, j = phases
     result = cross_correlation(image, first=i, second=j, r_max=3, mask=mask, periodic=periodic)
     np.testing.assert_allclose(
-        result, counted(labels, i, j, 3, mask, spacing, periodic), atol=1e-12
+        result, count_pairs(labels, i, j, 3, mask, spacing, periodic), atol=1e-12
     )
 
 

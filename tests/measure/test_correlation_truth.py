@@ -60,7 +60,7 @@ def test_overlapping_spheres_follow_their_formula():
 
 
 def gaussian_fields(seeds, *, side, width):
-    """Periodic Gaussian fields with covariance exp(-(r / width)^2), variance 1."""
+    """Draw periodic Gaussian fields with covariance exp(-(r / width)^2), variance 1."""
     lag = np.minimum(np.arange(side), side - np.arange(side))
     covariance = np.exp(-((lag / width) ** 2))
     amplitude = np.sqrt(np.maximum(np.fft.fft(covariance).real, 0))
@@ -71,7 +71,7 @@ def gaussian_fields(seeds, *, side, width):
 
 
 def over_offsets(function, r_max):
-    """Mean of a function of distance over the offsets that round to r: for r = 1 they are 1 or
+    """Average a function of distance over the offsets that round to r: for r = 1 they are 1 or
     sqrt(2) long.
     """
     lengths = np.sqrt(

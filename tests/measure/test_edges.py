@@ -10,7 +10,7 @@ import pytest
 import trabecula as tb
 from trabecula.engine.parallel import threads
 from trabecula.measure.effective_properties import physics_notes
-from trabecula.measure.fft import fast_side, sums_by_offset
+from trabecula.numerics.transforms import fast_side, sums_by_offset
 
 InputError = tb.errors.InputError
 
@@ -163,7 +163,7 @@ def test_a_covariance_is_of_one_curve_of_numbers(s2):
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-18, 1e18, 1e30])
 def test_texture_does_not_know_the_unit_of_grey_levels(scale):
-    """Squares of such levels do not fit into float32."""
+    """Take levels whose squares do not fit into float32."""
     values = np.random.default_rng(8).random((12, 14)).astype(np.float32)
     plain, scaled = (
         tb.Image(values, "grey"),

@@ -16,7 +16,7 @@ def noise(shape, share=0.3, seed=0):
 
 
 def test_white_noise_has_the_variance_of_its_windows():
-    """Of independent voxels the mean over n of them has the variance phi (1 - phi) / n."""
+    """Compare with independent voxels: the mean over n of them has variance phi (1 - phi) / n."""
     found = evenness(noise((96, 96, 96)), windows=[8, 16, 24])
     for spread, n in zip(found.fraction, (8, 16, 24), strict=True):
         assert spread.edge == n and spread.mean == pytest.approx(0.3, abs=0.003)

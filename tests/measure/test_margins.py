@@ -12,7 +12,7 @@ Z = np.arange(SIDE)[:, None, None]
 
 
 def field(seed=0, *, shape=(SIDE,) * 3, sigma=2.0, fraction=0.4):
-    """A Gaussian field cut at a level: material without margins."""
+    """Return a Gaussian field cut at a level: material without margins."""
     noise = (
         np.random.default_rng(seed)
         .normal(size=tuple(side + 32 for side in shape))
@@ -144,7 +144,8 @@ def test_the_note_says_what_it_does_to_the_porosity():
     note = margin_note(image(values))
     with_them, without = (values == 0).mean(), (values[1:-1, 1:-1, 1:-1] == 0).mean()
     assert note == (
-        "the first and the last plane along z, y, x hold void alone: crop them (--crop auto, tb.crop_margins), or they "
+        "the first and the last plane along z, y, x hold void alone: crop them (--crop auto, "
+        "tb.crop_margins), or they "
         f"count as material; porosity {with_them:.3f} with them, {without:.3f} without"
     )
 

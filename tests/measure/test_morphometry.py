@@ -17,7 +17,7 @@ def layers(period, thick, count=4):
 
 
 def lattice(period=12, wide=4, count=3):
-    """Struts along the three axes: one node and three struts to a cell."""
+    """Return struts along the three axes: one node and three struts to a cell."""
     near = np.arange(period * count) % period < wide
     z, y, x = near[:, None, None], near[:, None], near
     return ((z & y) | (z & x) | (y & x)).astype(np.uint8)

@@ -2,6 +2,7 @@
 invariances.
 """
 
+import importlib
 import math
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import trabecula as tb
-from trabecula.measure.transport import permeability, stokes
+from trabecula.measure.transport import permeability
 
 
 def medium(seed, shape=(10, 9, 8), solid=0.3):
@@ -20,24 +21,24 @@ def medium(seed, shape=(10, 9, 8), solid=0.3):
 
 
 def ball(sides, fraction):
-    """One sphere in the middle of a unit cell of `sides` voxels, and its radius."""
+    """Return one sphere in the middle of a unit cell of `sides` voxels, and its radius."""
     z, y, x = [((np.arange(n) + 0.5) / n - 0.5) ** 2 for n in sides]
     radius = (3 * fraction / (4 * np.pi)) ** (1 / 3)
     return (z[:, None, None] + y[:, None] + x < radius**2).astype(np.uint8), radius
 
 
 def direct(values, edges):
-    """The same scheme, written down face by face, by a sparse direct solve of velocity and pressure
-    at once.
+    """Solve the same scheme, written down face by face, by a sparse direct solve of velocity and
+    pressure at once.
     """
     void = {tuple(c) for c in np.argwhere(values == 0)}
     shape, volume = values.shape, math.prod(edges)
 
-    def shifted(c, d, step):
+    def shift(c, d, step):
         return (*c[:d], c[d] + step, *c[d + 1 :])
 
     def is_face(d, c):  # the face below voxel c
-        below = shifted(c, d, -1)
+        below = shift(c, d, -1)
         if d == 0 and c[0] in (0, shape[0]):
             return (c if c[0] == 0 else below) in void
         return c in void and below in void
@@ -49,18 +50,18 @@ def direct(values, edges):
     right = np.zeros(matrix.shape[0])
     for (d, c), i in index.items():
         end = d == 0 and c[0] in (0, shape[0])
-        below = shifted(c, d, -1)
+        below = shift(c, d, -1)
         for e in range(3):
             for step in (-1, 1):
                 strength = volume / edges[e] ** 2 * (0.5 if end and e != 0 else 1)
-                to = shifted(c, e, step)
+                to = shift(c, e, step)
                 beside = [v for v in (c, below) if 0 <= v[d] < shape[d]]
                 outside = e != d and not 0 <= to[e] < shape[e]
                 if (outside and e != 0) or (end and e == 0 and not 0 <= to[0] <= shape[0]):
                     continue
                 if (d, to) in index:
                     matrix[i, index[d, to]] -= strength
-                elif e != d and (outside or all(shifted(v, e, step) not in void for v in beside)):
+                elif e != d and (outside or all(shift(v, e, step) not in void for v in beside)):
                     strength *= 2
                 matrix[i, i] += strength
         area = volume / edges[d]
@@ -221,7 +222,8 @@ def test_a_real_sandstone_is_balanced(data):
 
 
 def test_a_solve_cut_short_says_so(monkeypatch):
-    monkeypatch.setattr(stokes, "_MOST_STEPS", 2)
+    module = importlib.import_module("trabecula.measure.transport.permeability")
+    monkeypatch.setattr(module, "_MOST_STEPS", 2)
     found = permeability(medium(7, (16, 16, 16)), axis=0)
     assert not found.converged and found.iterations == 2 and found.imbalance > 1e-4
 

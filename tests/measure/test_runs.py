@@ -13,8 +13,8 @@ from trabecula.measure.runs import runs_of
 
 
 @st.composite
-def found(draw):
-    """An array of labels, which of them are members, and its components both ways."""
+def reference(draw):
+    """Draw an array of labels, which of them are members, and its components both ways."""
     shape = draw(st.tuples(st.integers(1, 6), st.integers(1, 6), st.integers(1, 7)))
     values = (
         np.random.default_rng(draw(st.integers(0, 2**32))).integers(0, 3, shape).astype(np.uint8)
@@ -28,7 +28,7 @@ def found(draw):
     )
 
 
-@given(found(), st.data())
+@given(reference(), st.data())
 def test_any_box_is_painted_as_it_lies_in_the_whole(case, data):
     _, runs, labels, sizes = case
     ends = [
@@ -40,7 +40,7 @@ def test_any_box_is_painted_as_it_lies_in_the_whole(case, data):
     assert np.array_equal(runs.sizes, sizes)
 
 
-@given(found())
+@given(reference())
 def test_boxes_hold_their_component_and_no_empty_layer(case):
     _, runs, labels, sizes = case
     boxes = runs.boxes()
@@ -49,7 +49,7 @@ def test_boxes_hold_their_component_and_no_empty_layer(case):
         assert boxes[number - 1].tolist() == [*places.min(axis=0), *(places.max(axis=0) + 1)]
 
 
-@given(found(), st.integers(0, 2**32))
+@given(reference(), st.integers(0, 2**32))
 def test_only_the_chosen_components_are_written(case, seed):
     values, runs, labels, sizes = case
     chosen = np.random.default_rng(seed).random(len(sizes)) < 0.5

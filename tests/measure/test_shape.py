@@ -19,7 +19,7 @@ ball = (z**2 + y**2 + x**2 < 20.3**2).astype(np.uint8)
 
 
 def cells(inside):
-    """Cells of the closed complex of voxels: those that lie in a voxel, found one by one, as
+    """List the cells of the closed complex of voxels: those in a voxel, found one by one, as
     doubled coordinates.
     """
     found = set()
@@ -210,7 +210,9 @@ def test_local_thickness_equals_the_largest_sphere_of_all(inside, first):
 
 
 def largest_spheres(inside, region, spacing, periodic):
-    """Local thickness by trying every sphere on every voxel, its images on a torus included."""
+    """Measure local thickness by trying every sphere on every voxel, its images on a torus
+    included.
+    """
     margin = [
         (4 * side, 4 * side) if wrap else (0, 0)
         for side, wrap in zip(inside.shape, periodic, strict=True)

@@ -21,8 +21,8 @@ volumes = arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=1, max_side
 
 
 def truly_simple(cube: np.ndarray) -> bool:
-    """By definition, 26 neighbours inside and 6 outside: one piece of each around the centre, and
-    neither empty.
+    """Decide by definition, 26 neighbours inside and 6 outside: one component of each around the
+    centre, and neither empty.
     """
     inside, outside = cube.copy(), ~cube & EDGES
     inside[1, 1, 1] = outside[1, 1, 1] = False

@@ -41,12 +41,17 @@ def material(side):
 def resident(name):
     return int(re.search(name + r":\\s+(\\d+)", open("/proc/self/status").read()).group(1)) * 1024
 
-solve = {"flow": lambda i: permeability(i, axis=0), "conduction": lambda i: diffusivity(i, axis=0), "stiffness": stiffness}
+solve = {
+    "flow": lambda i: permeability(i, axis=0),
+    "conduction": lambda i: diffusivity(i, axis=0),
+    "stiffness": stiffness,
+}
 image = material(40)
 np.save(sys.argv[2], image)
 solve[sys.argv[1]](material(20))
 gc.collect()
-ctypes.CDLL(None).malloc_trim(0)  # else what imports and the first run have freed serves the second, and no peak is seen
+# else what imports and the first run have freed serves the second, and no peak is seen
+ctypes.CDLL(None).malloc_trim(0)
 with open("/proc/self/clear_refs", "w") as file:
     file.write("5")
 before = resident("VmRSS")
@@ -61,7 +66,7 @@ def medium(side: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_too_large_a_solve_is_refused_and_told_to_take_a_box(name, monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1 << 20)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 1 << 20)
     with pytest.raises(tb.errors.MemoryBudgetError, match=r"box=, or --box"):
         SOLVERS[name](medium(24))
     SOLVERS[name](medium(24), box=6)
@@ -69,7 +74,7 @@ def test_too_large_a_solve_is_refused_and_told_to_take_a_box(name, monkeypatch):
 
 @pytest.mark.parametrize("name", ["permeability", "diffusivity", "stiffness"])
 def test_halving_is_part_of_the_forecast(name, monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 8 << 20)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 8 << 20)
     SOLVERS[name](medium(14))
     with pytest.raises(tb.errors.MemoryBudgetError):
         SOLVERS[name](medium(24 if name == "diffusivity" else 14), halving=True)
@@ -77,18 +82,18 @@ def test_halving_is_part_of_the_forecast(name, monkeypatch):
 
 def test_as_many_solves_at_once_as_fit(monkeypatch):
     image = tb.Image(medium(30), "labels")
-    one = section.needed(image.values == 0, FLOW_BYTES)
+    one = section.forecast_bytes(image.values == 0, FLOW_BYTES)
     monkeypatch.setattr(effective_properties, "available_memory", lambda: 3 * one + 10)
-    assert effective_properties._fitting(image, None, False) == 3
-    assert effective_properties._fitting(image, 15, False) > 20
+    assert effective_properties._count_solves(image, None, False) == 3
+    assert effective_properties._count_solves(image, 15, False) > 20
     # The solid counts too where most of the image is solid.
     solid = tb.Image(np.ones((30, 30, 30), np.uint8), "labels")
     monkeypatch.setattr(
         effective_properties,
         "available_memory",
-        lambda: 2 * section.needed(solid.values == 1, CONDUCTION_BYTES),
+        lambda: 2 * section.forecast_bytes(solid.values == 1, CONDUCTION_BYTES),
     )
-    assert effective_properties._fitting(solid, None, False) == 2
+    assert effective_properties._count_solves(solid, None, False) == 2
 
 
 @pytest.mark.skipif(
@@ -97,7 +102,7 @@ def test_as_many_solves_at_once_as_fit(monkeypatch):
 )
 @pytest.mark.parametrize("name", ["flow", "conduction", "stiffness"])
 def test_forecasts_are_near_the_peak_and_above_it(name, tmp_path):
-    """Resident memory: what kernels allocate is not seen by tracemalloc."""
+    """Measure resident memory: what kernels allocate is not seen by tracemalloc."""
     thresholds = {
         "MALLOC_MMAP_THRESHOLD_": "65536",
         "MALLOC_TRIM_THRESHOLD_": "65536",
@@ -112,8 +117,8 @@ def test_forecasts_are_near_the_peak_and_above_it(name, tmp_path):
     )
     image = np.load(tmp_path / "image.npy")
     forecast = {
-        "flow": section.needed(image == 0, FLOW_BYTES),
-        "conduction": section.needed(image == 0, CONDUCTION_BYTES),
-        "stiffness": homogenise.needed(image == 1),
+        "flow": section.forecast_bytes(image == 0, FLOW_BYTES),
+        "conduction": section.forecast_bytes(image == 0, CONDUCTION_BYTES),
+        "stiffness": homogenise.forecast_bytes(image == 1),
     }[name]
     assert 0.6 * forecast < int(done.stdout) < forecast

@@ -15,7 +15,7 @@ import trabecula as tb
 from trabecula.engine.parallel import threads
 from trabecula.measure.mechanics import stiffness
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
-from trabecula.measure.mechanics.parts import load_bearing
+from trabecula.measure.percolation import wrapping_voxels
 
 SOFT, HARD = (1.0, 0.3), (10.0, 0.2)
 BOTH = {"soft": SOFT, "hard": HARD}
@@ -27,7 +27,7 @@ def two_phase(values, **fields):
 
 
 def blobs(shape, seed, share):
-    """A periodic random medium of some voxels' correlation length."""
+    """Draw a periodic random medium of some voxels' correlation length."""
     wave = np.fft.rfftn(np.random.default_rng(seed).normal(size=shape))
     k = sum(
         np.square(f)
@@ -40,7 +40,7 @@ def blobs(shape, seed, share):
 
 
 def direct(values, materials, edges):
-    """The same bricks, put together entry by entry and solved by elimination; label -1 is void."""
+    """Solve the same bricks, put together entry by entry, by elimination; label -1 is void."""
     shape = np.array(values.shape)
     strain, volume = mean_strain(edges).reshape(6, 24), np.prod(edges)
     rows, columns, entries = [], [], []
@@ -137,22 +137,22 @@ def test_what_bears_load_wraps_around():
     values = np.zeros((4, 6, 6), bool)
     # meets itself only where the two halves touch: they do not
     values[:2, 1, 1] = values[2:, 1, 2] = True
-    assert not load_bearing(values).any()
+    assert not wrapping_voxels(values).any()
     values[1, 1, 2] = True  # joined inside, but not across the face
-    assert not load_bearing(values).any()
+    assert not wrapping_voxels(values).any()
     values[0, 1, 2] = True
-    assert load_bearing(values).sum() == 6
+    assert wrapping_voxels(values).sum() == 6
     ring = np.zeros((1, 6, 6), bool)
     # four corners meet across the faces; a thin box wraps by itself
     ring[0, [0, 0, 5, 5], [0, 5, 0, 5]] = True
-    assert np.array_equal(load_bearing(ring), ring)
-    assert not load_bearing(np.concatenate([ring, np.zeros_like(ring)])).any()
+    assert np.array_equal(wrapping_voxels(ring), ring)
+    assert not wrapping_voxels(np.concatenate([ring, np.zeros_like(ring)])).any()
 
 
 @settings(max_examples=15)
 @given(small, st.sampled_from([(1.0, 1.0, 1.0), (1.0, 2.0, 0.6)]))
 def test_equals_elimination_with_void(values, edges):
-    bears = load_bearing(values == 1)
+    bears = wrapping_voxels(values == 1)
     assume(bears.any())
     result = stiffness(tb.Image(values, "labels", spacing=edges), moduli=SOFT, tolerance=1e-7)
     expected = direct(np.where(bears, 0, -1), [SOFT], tuple(e / min(edges) for e in edges))

@@ -1,4 +1,6 @@
-"""Connectivity 18, masks and periodic faces of the counting measures, component sizes, percolation."""
+"""Connectivity 18, masks and periodic faces of the counting measures, component sizes,
+percolation.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ z, y, x = np.ogrid[-20:21, -20:21, -20:21]
 ball = z**2 + y**2 + x**2 < 12.3**2
 
 
-def rolled(inside, shift):
+def roll(inside, shift):
     return np.roll(inside, shift, axis=tuple(range(inside.ndim)))
 
 
@@ -54,7 +56,7 @@ def test_euler_of_balls_hollow_balls_and_tori(connectivity):
     for body, number in [(ball, 1), (hollow, 2), (torus, 0), (five, 5)]:
         assert measure.euler(body, connectivity=connectivity) == number
         assert (
-            measure.euler(rolled(body, (21, 3, -17)), connectivity=connectivity, periodic=True)
+            measure.euler(roll(body, (21, 3, -17)), connectivity=connectivity, periodic=True)
             == number
         )
 
@@ -91,7 +93,7 @@ def test_periodic_layers_and_their_densities():
 
 @given(volumes, st.tuples(*[st.integers(0, 5)] * 3))
 def test_periodic_figures_do_not_depend_on_the_origin(inside, shift):
-    moved = rolled(inside, shift)
+    moved = roll(inside, shift)
     for connectivity in (6, 18, 26):
         assert measure.euler(moved, connectivity=connectivity, periodic=True) == measure.euler(
             inside, connectivity=connectivity, periodic=True
@@ -166,8 +168,9 @@ def test_a_box_as_mask_is_a_crop():
 
 
 def periodic_oracle(inside, order, closed):
-    """Components by SciPy, on the image three times along every periodic axis: pieces that are
-    copies of each other are one."""
+    """Label by SciPy, on the image three times along every periodic axis: components that are
+    copies of each other are one.
+    """
     tiled = np.pad(
         inside,
         [(side, side) if wrap else (0, 0) for side, wrap in zip(inside.shape, closed, strict=True)],

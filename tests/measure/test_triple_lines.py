@@ -18,7 +18,9 @@ NAMES = ("void", "a", "b")
 
 
 def sectors(side, direction, offset, angles=(120, 120, 120)):
-    """Three phases around a line through the middle, and the length of the line in the volume."""
+    """Return three phases around a line through the middle, and the length of the line in the
+    volume.
+    """
     along = np.array(direction, float) / np.linalg.norm(direction)
     first = np.cross(along, [0.31, 0.52, 0.8])
     first /= np.linalg.norm(first)
@@ -32,7 +34,7 @@ def sectors(side, direction, offset, angles=(120, 120, 120)):
 
 
 def oracle(values):
-    """Number of triple edges, and the sum of their chords, edge by edge in Python."""
+    """Count triple edges and sum their chords, edge by edge in Python."""
     leaving = {}
     for axis in range(3):
         across = [other for other in range(3) if other != axis]
@@ -128,7 +130,9 @@ def test_triple_points_of_a_picture():
 
 
 def test_the_active_share_is_that_of_lines_whose_three_phases_percolate():
-    """A pillar from face to face and an island, both in the interface of two phases that percolate."""
+    """Set a pillar from face to face and an island, both in the interface of two phases that
+    percolate.
+    """
     grounds = np.zeros((24, 24, 40), np.uint8)
     grounds[:, 12:] = 2
     pillar, island = grounds.copy(), grounds.copy()

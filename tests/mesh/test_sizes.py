@@ -7,7 +7,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.progress import listen
-from trabecula.engine.lazy_volume import slabs_of
+from trabecula.engine.lazy_volume import as_slabs
 from trabecula.mesh.sizes import extent_of, size_notes, size_text
 
 BLOCK = np.ones((4, 6, 8), np.uint8)
@@ -72,9 +72,9 @@ def test_sizes_that_are_hardly_meant_are_said(tmp_path, spacing, unit, says):
 def test_slabs_have_lengths_too(tmp_path):
     image = tb.Image(BLOCK, "labels")
     whole = exported(image, tmp_path / "a.stl", spacing=50, unit="um", scale=2)
-    slabs = exported(slabs_of(image), tmp_path / "b.stl", spacing=50, unit="um", scale=2)
+    slabs = exported(as_slabs(image), tmp_path / "b.stl", spacing=50, unit="um", scale=2)
     assert slabs == whole and whole[1] == pytest.approx((0.4, 0.6, 0.8))
-    assert "unit unknown" in exported(slabs_of(image), tmp_path / "b.stl")[0][0]
+    assert "unit unknown" in exported(as_slabs(image), tmp_path / "b.stl")[0][0]
 
 
 def test_volumes_take_lengths_and_their_recipe_tells(tmp_path):
@@ -100,7 +100,7 @@ def test_volumes_take_lengths_and_their_recipe_tells(tmp_path):
     ],
 )
 def test_lengths_that_are_none(tmp_path, lengths, error, says):
-    for image in (tb.Image(BLOCK, "labels"), slabs_of(tb.Image(BLOCK, "labels"))):
+    for image in (tb.Image(BLOCK, "labels"), as_slabs(tb.Image(BLOCK, "labels"))):
         with pytest.raises(error, match=says):
             tb.export(image, tmp_path / "x.stl", **lengths)
     assert not list(tmp_path.iterdir())

@@ -166,7 +166,7 @@ def test_an_unknown_phase_suggests_the_nearest():
 
 
 def test_a_surface_beyond_memory_is_refused(monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1000)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match="mesh a crop"):
         tb.mesh(ball(4.0, 10))
 

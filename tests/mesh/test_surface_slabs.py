@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.engine.lazy_volume import slabs_of
+from trabecula.engine.lazy_volume import as_slabs
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.slabs import count_layers, export_slabs
@@ -29,7 +29,7 @@ def foam(shape, seed, share=0.5):
 def both_files(folder, image, **how):
     depth = how.pop("depth", None)
     whole = write_mesh(mesh(image, **how), folder / "whole.stl").read_bytes()
-    export_slabs(slabs_of(image), folder / "slabs.stl", depth=depth, **how)
+    export_slabs(as_slabs(image), folder / "slabs.stl", depth=depth, **how)
     return whole, (folder / "slabs.stl").read_bytes()
 
 
@@ -55,7 +55,7 @@ def test_the_usual_smoothing_of_a_named_phase(tmp_path):
     assert slabs == whole
     found = check(read_mesh(tmp_path / "slabs.stl"))
     assert found.watertight and found.unit == "mm"
-    layers = count_layers(slabs_of(image), "void")
+    layers = count_layers(as_slabs(image), "void")
     assert (found.vertices, found.faces) == (layers.vertices.sum(), layers.faces.sum())
 
 
@@ -63,7 +63,7 @@ def test_planes_without_surface_are_left_out(tmp_path):
     values = np.zeros((60, 8, 8), np.uint8)
     values[50:54, 2:5, 2:5] = 1
     seen = []
-    volume = slabs_of(tb.Image(values, "labels"))
+    volume = as_slabs(tb.Image(values, "labels"))
 
     def read(box):
         seen.append(box[0])
@@ -75,20 +75,20 @@ def test_planes_without_surface_are_left_out(tmp_path):
 
 def test_the_forecast_bounds_what_is_taken(tmp_path):
     image = foam((64, 40, 40), 1)
-    layers = count_layers(slabs_of(image))
+    layers = count_layers(as_slabs(image))
     need = layers.need(16, 4, 42 * 42, Writer.memory)
     tracemalloc.start()
-    export_slabs(slabs_of(image), tmp_path / "slabs.stl", depth=16, smooth=2)
+    export_slabs(as_slabs(image), tmp_path / "slabs.stl", depth=16, smooth=2)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert 0.3 * need.peak < peak < need.peak
 
 
 def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tmp_path):
-    volume = slabs_of(foam((12, 8, 8), 2))
+    volume = as_slabs(foam((12, 8, 8), 2))
     path = tmp_path / "part.stl"
     path.write_bytes(b"old")
-    empty = slabs_of(tb.Image(np.zeros((4, 4, 4), np.uint8), "labels"))
+    empty = as_slabs(tb.Image(np.zeros((4, 4, 4), np.uint8), "labels"))
     for refused, how, word in (
         (volume, {"memory": 1000}, "memory"),
         (empty, {}, "empty"),
@@ -106,7 +106,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tmp_path):
 
 
 def test_a_run_that_breaks_off_leaves_no_half_of_a_file(tmp_path):
-    volume = slabs_of(foam((40, 8, 8), 2))
+    volume = as_slabs(foam((40, 8, 8), 2))
 
     calls = []
 

@@ -18,7 +18,7 @@ import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula.core.recipe import digest
 from trabecula.engine import blocks
-from trabecula.engine.multiscale import halved
+from trabecula.engine.multiscale import halve_resolution
 from trabecula.errors import FileError, InputError
 from trabecula.finish.slabs import finish_slabs
 
@@ -41,7 +41,7 @@ def interrupted(bucket, monkeypatch):
     """The address of the same run, stopped by Ctrl-C after two blocks."""
     foam = f"{bucket}/foam.zarr"
     with monkeypatch.context() as patch:
-        real, count = blocks.do, []
+        real, count = blocks.do_task, []
 
         def stopped(*words, **more):
             count.append(words)
@@ -49,10 +49,10 @@ def interrupted(bucket, monkeypatch):
                 raise KeyboardInterrupt
             real(*words, **more)
 
-        patch.setattr(blocks, "do", stopped)
+        patch.setattr(blocks, "do_task", stopped)
         left = attempt("generate", *ASKED, "--out", foam, "--chunks", 32)
     assert left.status == 130
-    assert f"the same run goes on from {foam} (generate --resume {foam})" in left.err
+    assert f"the same run resumes from {foam} (generate --resume {foam})" in left.err
     return foam
 
 
@@ -66,13 +66,13 @@ def finished(bucket, whole):
 @pytest.fixture
 def tasks(monkeypatch):
     """The tasks that are done."""
-    real, done = blocks.do, []
+    real, done = blocks.do_task, []
 
     def told(task, *words, **more):
         done.append(task)
         real(task, *words, **more)
 
-    monkeypatch.setattr(blocks, "do", told)
+    monkeypatch.setattr(blocks, "do_task", told)
     return done
 
 
@@ -83,7 +83,7 @@ def sha256_of(path):
 def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, tasks, objects):
     assert len([name for name in objects() if "/0/c/" in name]) == 2
     done = trabecula("generate", "--resume", interrupted)
-    assert f"going on from {interrupted}" in done.err and "70x30x40 labels" in done.out
+    assert f"resuming from {interrupted}" in done.err and "70x30x40 labels" in done.out
     assert done.sha256 == sha256_of(whole)
     assert len([task for task in tasks if task.level == 0]) == BLOCKS - 2, (
         "a finished block was made again"
@@ -91,7 +91,7 @@ def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, 
     image = tb.read(interrupted)
     assert digest(image.values) == done.sha256
     assert image.recipe.to_json() == tb.read(whole).recipe.to_json()
-    assert np.array_equal(tb.read(interrupted, level=1).values, halved(image.values, labels=True))
+    assert np.array_equal(tb.read(interrupted, level=1).values, halve_resolution(image.values, labels=True))
     assert objects() == {
         f"foam.zarr/{path.relative_to(whole).as_posix()}"
         for path in whole.rglob("*")
@@ -216,7 +216,7 @@ def test_a_volume_made_at_once_appears_whole_and_is_not_replaced(bucket, objects
     again = tb.read(place)
     assert np.array_equal(again.values, block.values)
     assert (again.spacing, again.unit, again.phases) == (block.spacing, block.unit, block.phases)
-    assert np.array_equal(tb.read(place, level=1).values, halved(block.values, labels=True))
+    assert np.array_equal(tb.read(place, level=1).values, halve_resolution(block.values, labels=True))
     before = objects()
     with pytest.raises(
         FileError, match="something is there, and an object store cannot replace it"
@@ -301,7 +301,7 @@ def test_killed_and_gone_on_with(bucket, whole, tasks, objects):
 def test_a_service_that_goes_away_and_comes_back(service, bucket, whole, monkeypatch):
     foam = f"{bucket}/foam.zarr"
     monkeypatch.setattr(fsspec.get_filesystem_class("s3"), "retries", 1)
-    real, count = blocks.do, []
+    real, count = blocks.do_task, []
 
     def cut_off(*words, **more):
         count.append(words)
@@ -310,7 +310,7 @@ def test_a_service_that_goes_away_and_comes_back(service, bucket, whole, monkeyp
         real(*words, **more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(blocks, "do", cut_off)
+        patch.setattr(blocks, "do_task", cut_off)
         line = refused_after_a_start("generate", *ASKED, "--out", foam, "--chunks", 32)
     service.start()
     assert line.startswith(f"cannot reach {foam}: ") and f"(generate --resume {foam})" in line

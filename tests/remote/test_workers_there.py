@@ -34,4 +34,4 @@ def test_workers_without_the_keys_say_what_is_wrong(bucket, monkeypatch):
     assert "credentials" in left.lines[-1]
     monkeypatch.undo()
     assert "did not finish" in refused("measure", f"{bucket}/foam.zarr")
-    assert "going on from" in trabecula("generate", "--resume", f"{bucket}/foam.zarr").err
+    assert "resuming from" in trabecula("generate", "--resume", f"{bucket}/foam.zarr").err

@@ -5,7 +5,7 @@ import pytest
 
 import trabecula as tb
 from commands import trabecula
-from trabecula.engine.lazy_volume import slabs_of
+from trabecula.engine.lazy_volume import as_slabs
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def pair():
 def test_figures_and_verdicts_are_those_of_the_whole(pair):
     exemplar, image = pair
     whole = tb.verify(exemplar, image, level="quick")
-    slabs = tb.verify(exemplar, slabs_of(image))
+    slabs = tb.verify(exemplar, as_slabs(image))
     assert slabs.to_json()["metrics"] == whole.to_json()["metrics"]
     assert slabs.about["image"] == whole.about["image"] and slabs.about["level"] == "quick"
     assert any(
@@ -32,19 +32,19 @@ def test_figures_and_verdicts_are_those_of_the_whole(pair):
 
 def test_images_and_slabs_side_by_side_are_judged_alike(pair):
     exemplar, image = pair
-    first, second = tb.verify(exemplar, image, slabs_of(image), names=["small", "large"])
+    first, second = tb.verify(exemplar, image, as_slabs(image), names=["small", "large"])
     assert first.to_json()["metrics"] == second.to_json()["metrics"]
     assert all(any("size of large" in note for note in one.notes) for one in (first, second))
 
 
 def test_slabs_are_checked_as_images_are(pair):
     exemplar, image = pair
-    other = slabs_of(tb.Image(image.values, "labels", spacing=3.0, unit="um"))
+    other = as_slabs(tb.Image(image.values, "labels", spacing=3.0, unit="um"))
     with pytest.raises(tb.errors.InputError, match="correspond"):
         tb.verify(exemplar, other)
     picture = tb.Image(exemplar.values[0], "labels", spacing=2.0, unit="um")
     with pytest.raises(tb.errors.InputError, match="crop"):
-        tb.verify(picture, slabs_of(image))
+        tb.verify(picture, as_slabs(image))
 
 
 def test_a_file_that_does_not_fit_is_judged_in_slabs_as_the_exemplar_says(pair, tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.engine.lazy_volume import slabs_of
+from trabecula.engine.lazy_volume import as_slabs
 from trabecula.errors import InputError
 from trabecula.report.inspection import inspect
 from trabecula.report.recommend import recommend
@@ -304,7 +304,7 @@ def test_slabs_are_inspected_in_their_middle(monkeypatch):
     from trabecula.report import inspection
 
     monkeypatch.setattr(inspection, "SLAB_BOX", 48)
-    found = inspect(slabs_of(gaussian_field(0)))
+    found = inspect(as_slabs(gaussian_field(0)))
     assert found.shape == (48,) * 3 and found.whole == (SIDE,) * 3 and not found.margins
     assert "the centre box of 96 x 96 x 96" in str(
         found

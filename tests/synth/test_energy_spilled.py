@@ -12,8 +12,8 @@ import pytest
 import trabecula as tb
 from trabecula import fields
 from trabecula.engine import memmap
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.parallel import threads
-from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import sums
 from trabecula.synth.shared.matching.grid import Grid, nearest_matches
 from trabecula.synth.shared.matching.region import Region
@@ -32,11 +32,11 @@ CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 @pytest.fixture
 def spilled(tmp_path, monkeypatch):
     """Where even arrays of a page lie in files, and slabs are thin; in the end nothing is left."""
-    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
 
     @contextmanager
     def thin():
-        with memmap.spilled(tmp_path / "s", memory=1 << 14, thickest=5):
+        with memmap.map_large_arrays(tmp_path / "s", memory=1 << 14, thickest=5):
             yield
 
     yield thin
@@ -199,7 +199,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in (*bounds, *bounds):
             pickle.loads(packed)(start, stop)
 
@@ -210,7 +210,7 @@ def test_the_exact_search_can_be_done_by_others(tmp_path):
     old = np.full(grid.shape, grid.candidates.numbers[3], np.int32)
     features = grid.candidates.features[np.arange(old.size).reshape(old.shape)]
     whole = nearest_matches(grid, old, features, index_penalty=0.1)
-    with memmap.spilled(tmp_path, memory=1 << 14, thickest=3, hands=Others()):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 14, thickest=3, workers=Others()):
         made = nearest_matches(grid, old, features, index_penalty=0.1)
         assert all(np.array_equal(a, b) for a, b in zip(whole, made, strict=True))
     assert (whole[0] != old).any()

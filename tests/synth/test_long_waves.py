@@ -139,7 +139,7 @@ def test_threads_change_nothing():
 
 def test_scratch_files_change_nothing(tmp_path):
     whole = adjusted(HOLLOW, spread_of(EVEN))
-    with memmap.spilled(tmp_path, memory=1 << 16, thickest=5):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 16, thickest=5):
         assert np.array_equal(adjusted(HOLLOW, spread_of(EVEN)), whole)
 
 

@@ -11,7 +11,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.mrf import site_class
 
 SHAPE = (11, 14, 13)
@@ -41,7 +41,7 @@ class Others:
     worked = 0
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -107,16 +107,16 @@ def test_in_scratch_files_the_voxels_are_the_same(
     model = tb.method("mrf", **{"oblique": False, **settings}).fit(pictures[kind])
     request = Request(SHAPE, seed=5, **parts_of(pictures[kind], parts))
     whole, told = model.make(request)
-    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
     as_if_large(monkeypatch)
     # A part of everything at once; two threads where there are few passes, of which each starts
     # them anew.
     with (
-        memmap.spilled(tmp_path, memory=1 << 15),
+        memmap.map_large_arrays(tmp_path, memory=1 << 15),
         parallel.threads(2 if settings.get("heuristic") == "h1b" else 1),
     ):
         made, again = model.make(request)
-        assert memmap.place_of(made) is not None
+        assert memmap.file_of(made) is not None
         assert np.array_equal(made, whole)
     assert again == told
     assert whole.std() > 0 and sum(told["scales"][-1]["changed"]) > 0
@@ -133,7 +133,7 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
     whole = model.make(request)[0]
     as_if_large(monkeypatch)
     others = Others()
-    with memmap.spilled(tmp_path, memory=1 << 30, thickest=9, hands=others):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 30, thickest=9, workers=others):
         assert np.array_equal(model.make(request)[0], whole)
     assert others.worked
 
@@ -150,13 +150,13 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
     for depth in (22, 88):
         form = {"mask": np.ones((depth, 30, 34), bool)} if parts else {}
         request = Request((depth, 30, 34), seed=1, **form)
-        with tb.threads(1), memmap.spilled(tmp_path, memory=1 << 16):
+        with tb.threads(1), memmap.map_large_arrays(tmp_path, memory=1 << 16):
             tracemalloc.start()
             model.make(request)
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         with tb.threads(1):
-            plan = model._plan_spilled(request)
+            plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "slab"}
         assert peaks[-1] <= plan["slab"], "a slab takes more than was forecast"
     assert peaks[1] <= 1.1 * peaks[0], peaks

@@ -78,7 +78,7 @@ CASES = [
 
 @pytest.fixture
 def small_arrays_too(monkeypatch):
-    monkeypatch.setattr(memmap, "LEAST", 512)
+    monkeypatch.setattr(memmap, "SMALLEST", 512)
 
 
 @pytest.mark.parametrize(("name", "image", "options", "parts"), CASES)
@@ -86,9 +86,9 @@ def test_scratch_files_do_not_matter(name, image, options, parts, tmp_path, smal
     model = tb.method(name, **(QUICK[name] | options)).fit(image)
     request = Request(SHAPE, seed=2, **parts)
     whole = model.make(request)
-    with memmap.spilled(tmp_path, memory=1 << 16, thickest=7):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 16, thickest=7):
         made = model.make(request)
-        assert memmap.place_of(made) is not None, "held in memory as a whole"
+        assert memmap.file_of(made) is not None, "held in memory as a whole"
         assert np.array_equal(made, whole)
         del made
     assert not list(tmp_path.iterdir()), "files of arrays that nobody needs"
@@ -146,7 +146,7 @@ def test_an_interrupted_run_goes_on_to_the_same_voxels(
 )
 @settings(max_examples=15, deadline=None)
 def test_turned_arrays_come_back(axis, values, thick, tmp_path_factory):
-    with memmap.spilled(tmp_path_factory.mktemp("turned"), memory=1 << 20, thickest=thick):
+    with memmap.map_large_arrays(tmp_path_factory.mktemp("turned"), memory=1 << 20, thickest=thick):
         seen = turned(values, axis)
         assert np.array_equal(seen, np.moveaxis(values, 1 + axis, 1))
         assert seen.flags.c_contiguous
@@ -181,7 +181,7 @@ def test_what_planes_say_does_not_depend_on_slabs(wraps, thick, tmp_path):
         return votes, *chosen_planes(frame, matches, weights, votes, dear=dear, trim=1)
 
     whole = said()
-    with threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=thick):
+    with threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=thick):
         for ours, theirs in zip(said(), whole, strict=True):
             assert np.array_equal(ours, theirs)
 

@@ -10,7 +10,7 @@ import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.shared.content import Labels
 from trabecula.synth.shared.fields import FULL
 from trabecula.synth.shared.matching.region import Region
@@ -50,7 +50,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -130,8 +130,8 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
         pytest.importorskip("cloudpickle")
     here = run()
     if hands is None:
-        monkeypatch.setattr(memmap, "LEAST", 64)
-    with memmap.spilled(tmp_path / "scratch", memory=1 << 16, thickest=5, hands=hands):
+        monkeypatch.setattr(memmap, "SMALLEST", 64)
+    with memmap.map_large_arrays(tmp_path / "scratch", memory=1 << 16, thickest=5, workers=hands):
         there = run()
         for a, b in zip(here, there, strict=True):
             assert np.array_equal(a, b)
@@ -239,7 +239,7 @@ def test_what_stays_in_memory_is_forecast(run, forecast, tmp_path):
     """Arrays in scratch files are none of Python's memory, nor are the kernels, which are loaded
     before.
     """
-    with tb.threads(1), memmap.spilled(tmp_path, memory=1 << 20):
+    with tb.threads(1), memmap.map_large_arrays(tmp_path, memory=1 << 20):
         run()
         tracemalloc.start()
         run()
@@ -264,7 +264,7 @@ def whole(model):
 
 
 def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
-    with memmap.spilled(tmp_path, memory=1 << 19, thickest=5):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 19, thickest=5):
         assert np.array_equal(model.make(Request(SHAPE, seed=3))[0], whole)
 
 

@@ -29,7 +29,7 @@ QUICK = {
 
 @pytest.fixture(autouse=True)
 def _every_array_in_a_file(monkeypatch):
-    monkeypatch.setattr(memmap, "LEAST", 64)
+    monkeypatch.setattr(memmap, "SMALLEST", 64)
 
 
 @pytest.fixture(scope="module")
@@ -101,9 +101,9 @@ def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     model = tb.method("texture", **{**QUICK, **settings}).fit(exemplar)
     request = tb.Request(SHAPE, seed=3, **parts(exemplar))
     at_once, _ = model.made(request)
-    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=3):
+    with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=3):
         values, _ = model.made(request)
-        assert memmap.place_of(values) is not None
+        assert memmap.file_of(values) is not None
         assert np.array_equal(values, at_once)
         del values
     assert not list(tmp_path.iterdir()), "a file stayed"
@@ -146,7 +146,7 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
             stop = 1  # the first time after a round, then after two
     assert np.array_equal(made, values)
     assert told == report, "the energies are those of one run"
-    assert any(line.startswith("going on from x.part") for line in went_on)
+    assert any(line.startswith("resuming from x.part") for line in went_on)
     assert len(went_on) >= 2
     assert not list(tmp_path.iterdir())
 
@@ -174,7 +174,7 @@ def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
 
 def test_ties_are_settled_in_raster_order_across_slabs(tmp_path):
     field = np.zeros((11, 4, 5), np.int16)
-    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=2):
+    with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=2):
         chosen = np.array(brightest(field, 87))
     assert np.array_equal(chosen.ravel(), np.arange(field.size) < 87)
 
@@ -258,7 +258,7 @@ def test_slabs_change_no_field(tmp_path):
         ]
 
     whole = everything()
-    with tb.threads(2), memmap.spilled(tmp_path, memory=1 << 20, thickest=2):
+    with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=2):
         slabs = everything()
     assert all(np.array_equal(a, b) for a, b in zip(whole, slabs, strict=True))
     # What is active by its definition: a free voxel in the neighbourhood, which goes round where

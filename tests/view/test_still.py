@@ -370,7 +370,7 @@ def test_another_suffix_than_png_is_refused_and_leaves_nothing(tmp_path):
 
 
 def test_a_volume_beyond_memory_is_refused(monkeypatch):
-    monkeypatch.setattr("trabecula.engine.plan.available_memory", lambda: 1000)
+    monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match="render a crop"):
         tb.render(foam(8))
 

@@ -51,7 +51,7 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
             image,
             method.capabilities.name,
             method.capabilities.exemplar,
-            flat=method.capabilities.flat,
+            flat="picture" in method.capabilities.makes,
         )
         if why is not None:
             raise InputError(why)

@@ -145,13 +145,13 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     """
     from trabecula.core.errors import TrabeculaError
     from trabecula.core.progress import notify
-    from trabecula.engine.storage.location import located
+    from trabecula.engine.storage.location import location_of
     from trabecula.finish import mask_steps
     from trabecula.pipeline.demo import form_of, load_mask
 
     if not (options.prune or options.connect) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
-    folder = located(options.file).folder
+    folder = location_of(options.file).folder
     if options.mask is not None:
         known = mask_steps(part.recipe) is not None
         return (
@@ -180,7 +180,7 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
         It does not, and one of the steps needs it so, or what is written.
     """
     from trabecula.core.errors import MemoryBudgetError
-    from trabecula.engine.plan import available_memory, format_bytes
+    from trabecula.engine.memory import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
     from trabecula.pipeline.demo import volume_shape
 

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the forecast."""
-    from trabecula.engine.plan import Plan, available_memory, format_bytes
+    from trabecula.engine.memory import Plan, available_memory, format_bytes
 
     job = prepare(options)
     learning = Plan() if job.method is None else job.method.plan_fit(job.exemplars)

@@ -1,5 +1,5 @@
-"""How results show themselves in a terminal: every field, numbers short, and of large arrays the
-shape and the range alone.
+"""Text of results in a terminal: every field, numbers short, and of large arrays the shape and the
+range alone.
 """
 
 from __future__ import annotations

@@ -42,12 +42,13 @@ def check_finite(values: np.ndarray, *, name: str) -> None:
     bad = values.size - int(np.count_nonzero(np.isfinite(values)))
     if bad:
         raise InputError(
-            f"{name} holds {bad} NaN or infinite values of {values.size}: fill or crop them first (np.nan_to_num, a crop)"
+            f"{name} holds {bad} NaN or infinite values of {values.size}: fill or crop them first "
+            "(np.nan_to_num, a crop)"
         )
 
 
 def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") -> tuple[int, ...]:
-    """A shape of `ndim` positive integers; one integer means a cube (a square)."""
+    """Return a shape of `ndim` positive integers; one integer means a cube (a square)."""
     try:
         raw = [value] if isinstance(value, (int, np.integer, float)) else list(value)
         sides = [int(side) for side in raw]
@@ -61,7 +62,8 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
         sides = sides * ndim
     if len(sides) != ndim:
         raise InputError(
-            f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest axis first"
+            f"{name} {tuple(raw)} has {len(raw)} numbers: give one (a cube) or {ndim}, slowest "
+            "axis first"
         )
     if min(sides) < 1:
         raise InputError(f"{name} {tuple(sides)} must be positive along every axis")
@@ -73,7 +75,7 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
 
 
 def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[float, ...]:
-    """Voxel edges, one per axis, positive and finite; `None` means 1 along every axis."""
+    """Return voxel edges, one per axis, positive and finite; `None` means 1 along every axis."""
     if value is None:
         return (1.0,) * ndim
     try:
@@ -93,14 +95,15 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
         raise InputError(f"spacing {tuple(edges)} must be positive and finite along every axis")
     if min(edges) < 1 / WIDEST or max(edges) > WIDEST or max(edges) > MOST_ANISOTROPIC * min(edges):
         raise InputError(
-            f"spacing {tuple(edges)} is outside {1 / WIDEST:g} .. {WIDEST:g}, or differs between axes by more than "
-            f"{MOST_ANISOTROPIC:g} times: check its numbers, or choose another unit"
+            f"spacing {tuple(edges)} is outside {1 / WIDEST:g} .. {WIDEST:g}, or differs between "
+            f"axes by more than {MOST_ANISOTROPIC:g} times: check its numbers, or choose another "
+            "unit"
         )
     return tuple(edges)
 
 
 def as_seed(value: int) -> int:
-    """A seed: an integer from 0 to 2**63 - 1."""
+    """Return a seed: an integer from 0 to 2**63 - 1."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise InputError(f"seed {value!r} is not an integer")
     if not 0 <= int(value) < 2**63:
@@ -111,7 +114,9 @@ def as_seed(value: int) -> int:
 def as_number(
     value: Any, *, name: str, low: float, high: float, whole: bool = False
 ) -> float | int:
-    """A number from `low` to `high`, an int where `whole`; for the fields of a method's config."""
+    """Return a number from `low` to `high`, an int where `whole`; for the fields of a method's
+    config.
+    """
     kind = "a whole number" if whole else "a number"
     number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
         value, bool

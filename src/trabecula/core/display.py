@@ -14,7 +14,7 @@ draws.
 
 
 def as_html(image: Any) -> str | None:
-    """The image as HTML, or None: then a notebook prints it in a line."""
+    """Return the image as HTML, or None: then a notebook prints it in a line."""
     if html is None:
         return None
     module, _, name = html.partition(":")

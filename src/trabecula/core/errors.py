@@ -27,7 +27,7 @@ class UnknownNameError(InputError):
 
 
 class UnnamedVoidError(InputError):
-    """An image of which no phase is named void, where pores have to be told from the solid.
+    """An image of which no phase is named void, where pores have to be told apart from solid.
 
     Parameters
     ----------
@@ -76,6 +76,10 @@ class MemoryBudgetError(TrabeculaError, MemoryError):
 
 class MissingExtraError(TrabeculaError, ImportError):
     """An optional package that a feature needs and that is not installed."""
+
+
+class PluginError(TrabeculaError, ImportError):
+    """A method of another package that cannot be loaded."""
 
 
 class NotReproducedError(TrabeculaError, RuntimeError):

@@ -93,14 +93,15 @@ class Expression:
         ) & set(names)
 
     def __call__(self, **values: Any) -> np.ndarray:
-        """The formula's value in float64; where it has none (0 / 0) it is NaN."""
+        """Return the formula's value in float64; where it has none (0 / 0) it is NaN."""
         known: dict[str, Any] = {**CONSTANTS, **values}
         with np.errstate(all="ignore"):
             return np.asarray(_value(self._tree, known), np.float64)
 
 
 def expressions(text: str, names: Collection[str], *, count: int) -> list[Expression]:
-    """`count` formulas, separated by commas outside brackets: the components of a vector field.
+    """Read `count` formulas, separated by commas outside brackets: the components of a vector
+    field.
 
     Raises
     ------
@@ -130,12 +131,13 @@ def _tree_of(text: str) -> ast.expr:
         return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError(
-            f"the formula {text!r} cannot be read ({getattr(error, 'msg', error)}): write such as '0.3 + 0.2 * z / Z'"
+            f"the formula {text!r} cannot be read ({getattr(error, 'msg', error)}): write such as "
+            "'0.3 + 0.2 * z / Z'"
         ) from None
 
 
 def _check_part(tree: ast.expr, names: tuple[str, ...], text: str) -> None:
-    """Walk the whole tree: what is not named here is refused, whether it would be reached or not."""
+    """Check the whole tree: anything not named here is refused, reached or not."""
     parts = list(ast.walk(tree))
     if len(parts) > _MOST_PARTS:
         raise InputError(f"the formula has {len(parts)} parts: give at most {_MOST_PARTS}")
@@ -149,7 +151,8 @@ def _check_part(tree: ast.expr, names: tuple[str, ...], text: str) -> None:
         elif isinstance(part, ast.Constant):
             if isinstance(part.value, bool) or not isinstance(part.value, (int, float)):
                 raise InputError(
-                    f"the formula {text!r} holds {part.value!r}: only numbers and names are understood"
+                    f"the formula {text!r} holds {part.value!r}: only numbers and names are "
+                    "understood"
                 )
         elif not isinstance(
             part,
@@ -157,14 +160,16 @@ def _check_part(tree: ast.expr, names: tuple[str, ...], text: str) -> None:
         ):
             what = type(part).__name__
             raise InputError(
-                f"the formula {text!r} holds a {what}: only arithmetic, comparisons and functions are understood"
+                f"the formula {text!r} holds a {what}: only arithmetic, comparisons and functions "
+                "are understood"
             )
 
 
 def _check_call(part: ast.Call, text: str) -> None:
     if not isinstance(part.func, ast.Name) or part.keywords:
         raise InputError(
-            f"the formula {text!r} calls something else than a plain function: known are {', '.join(FUNCTIONS)}"
+            f"the formula {text!r} calls something else than a plain function: known are "
+            f"{', '.join(FUNCTIONS)}"
         )
     check_name(part.func.id, FUNCTIONS, name="function in a formula")
     takes = FUNCTIONS[part.func.id][1]

@@ -1,7 +1,7 @@
 """The one noun: `Image`, values with what they mean.
 
 Axes are `(z, y, x)` or `(y, x)`, colour last. Index 0 along an axis is the voxel whose *corner*
-lies at the origin; a voxel's edge along an axis is `spacing` of that axis, in `unit`.
+is at the origin; a voxel's edge along an axis is `spacing` of that axis, in `unit`.
 
 An image is taken for an array wherever one is expected (`np.asarray(image)` are its values, not
 copied) and is sliced like one. What is computed from it by operators, NumPy, or an array's own
@@ -71,7 +71,7 @@ _OF_ARRAYS = frozenset(
         ),
     )
 )
-"""What code that was written for arrays asks of them; none of it changes the values."""
+"""Attributes of arrays that code written for them reads; none of it changes the values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,28 +125,31 @@ class Image(NDArrayOperatorsMixin):
         ndim = values.ndim - (self.kind == "colour")
         if ndim not in (2, 3):
             raise InputError(
-                f"an image of kind {self.kind!r} has 2 or 3 axes (colour one more): got shape {values.shape}"
+                f"an image of kind {self.kind!r} has 2 or 3 axes (colour one more): got shape "
+                f"{values.shape}"
             )
         if values.size == 0:
             raise InputError(f"the image is empty: shape {values.shape}")
         check_finite(values, name="the image")
-        object.__setattr__(self, "spacing", as_spacing(_given(self.spacing), ndim=ndim))
-        object.__setattr__(self, "values", _checked_values(values, self.kind))
-        object.__setattr__(self, "phases", _checked_phases(self.values, self.kind, self.phases))
+        object.__setattr__(self, "spacing", as_spacing(_none_if_empty(self.spacing), ndim=ndim))
+        object.__setattr__(self, "values", _as_values(values, self.kind))
+        object.__setattr__(self, "phases", _as_phases(self.values, self.kind, self.phases))
 
     @property
     def ndim(self) -> int:
-        """Number of spatial axes, 2 or 3."""
+        """Return the number of spatial axes, 2 or 3."""
         return len(self.spacing)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Voxels along every spatial axis (colour left out; `np.asarray(image).shape` has it)."""
+        """Return the voxels along every spatial axis (colour left out; `np.asarray(image).shape`
+        has it).
+        """
         return self.values.shape[: self.ndim]
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the values."""
+        """Return the type of the values."""
         return self.values.dtype
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
@@ -235,7 +238,7 @@ class Image(NDArrayOperatorsMixin):
 def outline(
     shape: Sequence[int], kind: str, spacing: Sequence[float], unit: str, phases: Sequence[str]
 ) -> str:
-    """An image in a line, whether or not its values are in memory."""
+    """Return an image in a line, whether or not its values are in memory."""
     size = "x".join(map(str, shape))
     edge = "x".join(f"{s:g}" for s in spacing)
     names = f", phases {'/'.join(phases)}" if phases else ""
@@ -258,14 +261,14 @@ def _real_array(values: ArrayLike) -> np.ndarray:
     return array
 
 
-def _given(spacing: float | Sequence[float] | None) -> float | Sequence[float] | None:
-    """None where the spacing was left out: the field's default is (), and 0 is a mistake that has
-    to be told.
+def _none_if_empty(spacing: float | Sequence[float] | None) -> float | Sequence[float] | None:
+    """Return None where the spacing was left out: the field's default is (), and 0 is a mistake to
+    report.
     """
     return None if np.size(spacing) == 0 else spacing  # type: ignore[arg-type]
 
 
-def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
+def _as_values(values: np.ndarray, kind: str) -> np.ndarray:
     if kind == "colour":
         if values.shape[-1] != 3 or values.dtype != np.uint8:
             raise InputError(
@@ -278,19 +281,19 @@ def _checked_values(values: np.ndarray, kind: str) -> np.ndarray:
         return values
     if not (values.dtype == bool or np.issubdtype(values.dtype, np.integer)):
         raise InputError(
-            f"labels must be integers, got {values.dtype}: segment a grey image (tb.segment), or convert with "
-            "values.astype(np.uint8) if these are labels"
+            f"labels must be integers, got {values.dtype}: segment a grey image (tb.segment), or "
+            "convert with values.astype(np.uint8) if these are labels"
         )
     low, high = int(values.min()), int(values.max())
     if low < 0 or high >= MAX_PHASES:
         raise InputError(
-            f"labels run from 0 to at most {MAX_PHASES - 1}, got {low}..{high}: use tb.labels(array) to number the levels "
-            "of a 0/255 volume, or kind='grey'"
+            f"labels run from 0 to at most {MAX_PHASES - 1}, got {low}..{high}: use "
+            "tb.labels(array) to number the levels of a 0/255 volume, or kind='grey'"
         )
     return values.astype(np.uint8, copy=False)
 
 
-def _checked_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[str, ...]:
+def _as_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[str, ...]:
     phases = () if phases is None else phases
     if kind != "labels":
         if len(phases):
@@ -311,13 +314,13 @@ def _checked_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tup
 
 
 def default_phases(count: int) -> tuple[str, ...]:
-    """Names for `count` labels when none are given."""
+    """Return names for `count` labels when none are given."""
     return ("void", "solid", *(f"phase{i}" for i in range(2, count)))[:count]
 
 
 def labels(values: ArrayLike, **fields: Any) -> Image:
-    """An Image of labels from an array of few levels, such as 0/255: the levels, in rising order,
-    become 0..n-1.
+    """Return an Image of labels from an array of few levels, such as 0/255: the levels, in rising
+    order, become 0..n-1.
 
     Raises
     ------
@@ -335,7 +338,8 @@ def labels(values: ArrayLike, **fields: Any) -> Image:
         )
     if np.any(levels != np.round(levels)):
         raise InputError(
-            f"labels are whole numbers, the array holds {levels[levels != np.round(levels)][0]}: segment it (tb.segment)"
+            f"labels are whole numbers, the array holds {levels[levels != np.round(levels)][0]}: "
+            "segment it (tb.segment)"
         )
     # a table: ten times faster than a search, and an eighth of its memory
     if array.dtype in (np.uint8, np.uint16):
@@ -345,15 +349,15 @@ def labels(values: ArrayLike, **fields: Any) -> Image:
 
 
 def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
-    """The sorted distinct values, or None where there are more than `limit` (found without sorting
-    the whole array).
+    """Return the sorted distinct values, or None where there are more than `limit` (found without
+    sorting the whole array).
     """
     if values.dtype == bool:
         values = values.view(np.uint8)
     flat = values.ravel()
     small = values.dtype in (np.uint8, np.uint16)
     levels = np.unique(flat[:65536])
-    # In pieces, since bincount widens its input to 8 bytes a voxel.
+    # In parts, since bincount widens its input to 8 bytes a voxel.
     for start in range(65536, flat.size, 1 << 22):
         if len(levels) > limit:
             return None
@@ -365,8 +369,8 @@ def distinct_levels(values: np.ndarray, *, limit: int) -> np.ndarray | None:
 
 
 def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
-    """An Image as it is; an array of bool or of labels `0..n-1` as an Image of labels; other arrays
-    need a kind first.
+    """Return an Image as it is, and an array of bool or of labels `0..n-1` as an Image of labels;
+    other arrays need a kind first.
 
     Raises
     ------
@@ -384,8 +388,8 @@ def as_image(value: Image | ArrayLike, *, name: str = "image") -> Image:
     ):
         return Image(array, "labels")
     raise InputError(
-        f"{name} is a plain array of {array.dtype} whose meaning is open: pass tb.Image(array, kind='grey'), "
-        "or tb.labels(array) for a volume of few levels such as 0/255"
+        f"{name} is a plain array of {array.dtype} whose meaning is open: pass tb.Image(array, "
+        "kind='grey'), or tb.labels(array) for a volume of few levels such as 0/255"
     )
 
 
@@ -393,12 +397,13 @@ def check_labels(image: Image, *, name: str = "image") -> None:
     """Raise where the image is not of kind "labels"."""
     if image.kind != "labels":
         raise InputError(
-            f"{name} is {image.kind}, labels are needed: segment it first (tb.segment, or --threshold)"
+            f"{name} is {image.kind}, labels are needed: segment it first (tb.segment, or "
+            "--threshold)"
         )
 
 
 def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
-    """The label of a phase given by name or number; `None` means the phase named `default`.
+    """Return the label of a phase given by name or number; `None` means the phase named `default`.
 
     An image without a phase of that name has no default: the caller has to say which phase is
     meant.
@@ -416,22 +421,22 @@ def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
 def with_values(
     image: Image, values: np.ndarray, *, recipe: Recipe | None = None, **changes: Any
 ) -> Image:
-    """The same image with other values (and, where given, another recipe)."""
+    """Return the same image with other values (and, where given, another recipe)."""
     return replace(
         image, values=values, recipe=image.recipe if recipe is None else recipe, **changes
     )
 
 
-def declared(image: Image, **fields: Any) -> Image:
-    """The same voxels with a spacing, a unit or names of phases that their file does not state; the
-    recipe tells.
+def declare_fields(image: Image, **fields: Any) -> Image:
+    """Return the same voxels with a spacing, a unit or names of phases that their file does not
+    state, as a step of the recipe.
     """
     recipe = image.recipe.then("declare", image.values, fields=fields)
     return replace(image, recipe=recipe, **fields)
 
 
 def describe_fields(image: Image) -> Mapping[str, Any]:
-    """The fields beside the values, as plain JSON (for metadata of files)."""
+    """Return the fields beside the values, as plain JSON (for metadata of files)."""
     return {
         "kind": image.kind,
         "spacing": list(image.spacing),

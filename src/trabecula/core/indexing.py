@@ -1,6 +1,4 @@
-"""What stands in the brackets of `image[...]`: whole numbers, slices and `...`, one for every axis
-of space.
-"""
+"""The index of `image[...]`: whole numbers, slices and `...`, one for every axis of space."""
 
 from __future__ import annotations
 
@@ -41,7 +39,8 @@ def read_index(key: Any, *, shape: Sequence[int]) -> tuple[int | slice, ...]:
     dots = [place for place, item in enumerate(items) if item is Ellipsis]
     if len(dots) > 1 or len(items) - len(dots) > len(shape):
         raise InputError(
-            f"an image of {len(shape)} axes takes up to {len(shape)} indices and one ...: got {key!r}"
+            f"an image of {len(shape)} axes takes up to {len(shape)} indices and one ...: got "
+            f"{key!r}"
         )
     place = dots[0] if dots else len(items)
     missing = [slice(None)] * (len(shape) - len(items) + len(dots))
@@ -52,7 +51,8 @@ def read_index(key: Any, *, shape: Sequence[int]) -> tuple[int | slice, ...]:
     )
     if sum(isinstance(item, slice) for item in index) < 2:
         raise InputError(
-            f"{key!r} leaves fewer than 2 axes, an image has 2 or 3: index the array, image.values[...]"
+            f"{key!r} leaves fewer than 2 axes, an image has 2 or 3: index the array, "
+            "image.values[...]"
         )
     return index
 
@@ -66,8 +66,8 @@ def _item(item: Any, axis: str, side: int) -> int | slice:
         number = operator.index(item)
     except TypeError:
         raise InputError(
-            f"an image is indexed by whole numbers, slices and ...: got {type(item).__name__}; for a mask, a list or a new "
-            "axis index the array, image.values[...]"
+            f"an image is indexed by whole numbers, slices and ...: got {type(item).__name__}; for "
+            "a mask, a list or a new axis index the array, image.values[...]"
         ) from None
     if not -side <= number < side:
         raise InputError(f"index {number} is outside the image's {side} voxels along {axis}")
@@ -97,4 +97,7 @@ def to_json(index: Sequence[int | slice]) -> list[int | list[int | None]]:
 
 def from_json(plain: Sequence[int | Sequence[int | None]]) -> tuple[int | slice, ...]:
     """Return the index that `to_json` wrote."""
-    return tuple(slice(*item) if isinstance(item, (list, tuple)) else item for item in plain)  # type: ignore[misc]
+    return tuple(
+        slice(*item) if isinstance(item, (list, tuple)) else item  # type: ignore[misc]
+        for item in plain
+    )

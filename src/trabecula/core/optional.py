@@ -1,4 +1,4 @@
-"""The one door for packages that the base install does not bring."""
+"""The one place that imports packages which the base install does not bring."""
 
 from __future__ import annotations
 

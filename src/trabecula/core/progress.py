@@ -1,4 +1,4 @@
-"""Progress of long work, told to whoever listens.
+"""Progress of long work, sent to a listener.
 
 Work calls `track` (a loop) or `notify` (a line); nobody passes a bar around. Without a listener
 both cost nothing, so library code stays quiet and the command line shows a bar.
@@ -47,15 +47,15 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
 
 
 def notify(line: str) -> None:
-    """One line for the listener, such as a notice that something takes longer once."""
+    """Send a line to the listener, such as a notice that something takes longer once."""
     listener = _listener.get()
     if listener is not None:
         listener(line, -1.0)
 
 
 def report(label: str, done: float) -> None:
-    """The fraction done, 0..1, of work that is no loop over items; the label may change as it goes
-    on.
+    """Report the fraction done, 0..1, of work that is no loop over items; the label may change
+    meanwhile.
     """
     listener = _listener.get()
     if listener is not None:

@@ -1,5 +1,5 @@
-"""How an image came to be: a list of steps, each plain JSON, from the first file read to the last
-thing done.
+"""The history of an image: a list of steps, each plain JSON, from the first file read to the last
+operation.
 
 The recipe travels in every file written. A step names its verb and every parameter with its value,
 so that replaying the steps gives the same voxels; `sha256` is the digest of the voxels after the
@@ -31,21 +31,21 @@ class Recipe:
     steps: tuple[Mapping[str, Any], ...] = ()
 
     def then(self, verb: str, values: np.ndarray, /, **parameters: Any) -> Recipe:
-        """This recipe with one more step, whose result is `values`."""
-        return self.then_made(verb, digest(values), **parameters)
+        """Return this recipe with one more step, whose result is `values`."""
+        return self.then_digest(verb, digest(values), **parameters)
 
-    def then_made(self, verb: str, sha256: str, /, **parameters: Any) -> Recipe:
-        """This recipe with one more step, of whose result the digest is known."""
+    def then_digest(self, verb: str, sha256: str, /, **parameters: Any) -> Recipe:
+        """Return this recipe with one more step, for a result of known digest."""
         step = {"verb": verb, **_plain(parameters), "sha256": sha256, "versions": versions()}
         return Recipe((*self.steps, step))
 
     def to_json(self) -> list[dict[str, Any]]:
-        """The steps as plain JSON."""
+        """Return the steps as plain JSON."""
         return [copy.deepcopy(dict(step)) for step in self.steps]
 
     @classmethod
     def from_json(cls, steps: Any) -> Recipe:
-        """The recipe that `to_json` gave; `None` means an empty one."""
+        """Return the recipe that `to_json` gave; `None` means an empty one."""
         if steps is None:
             return cls()
         if not isinstance(steps, list) or not all(
@@ -68,15 +68,15 @@ class Recipe:
 
 
 def digest(values: np.ndarray) -> str:
-    """SHA-256 of type, shape and voxels, the same in memory and in every format that keeps the
-    type.
+    """Return the SHA-256 of type, shape and voxels, the same in memory and in every format that
+    keeps the type.
     """
     return digest_of(values.dtype, values.shape, [values])
 
 
 def digest_of(dtype: np.dtype, shape: Sequence[int], slabs: Iterable[np.ndarray]) -> str:
-    """The digest of an array of which not all is in memory: slabs along the first axis, in their
-    order.
+    """Return the digest of an array of which not all is in memory: slabs along the first axis, in
+    their order.
     """
     little = dtype.newbyteorder("<")
     digester = hashlib.sha256(f"{little.str.lstrip('<=|')}{tuple(shape)}".encode())
@@ -87,14 +87,14 @@ def digest_of(dtype: np.dtype, shape: Sequence[int], slabs: Iterable[np.ndarray]
 
 
 def versions() -> dict[str, str]:
-    """The versions that a result may depend on."""
+    """Return the versions that a result may depend on."""
     from trabecula import __version__
 
     return {"trabecula": __version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _plain(value: Any) -> Any:
-    """`value` as JSON would give it back, or an error: a recipe that cannot be written is no
+    """Return `value` as JSON would give it back, or raise: a recipe that cannot be written is no
     recipe.
     """
     return json.loads(json.dumps(value, default=_scalar, allow_nan=False))

@@ -1,4 +1,4 @@
-"""What to make: `Request`."""
+"""The request to a model: `Request`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _AXES = "zyx"
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a model is asked for. Methods say which fields beyond `shape` and `seed` they honour.
+    """A volume or picture to generate. Methods declare which fields beyond `shape` and `seed` they
+    honour.
 
     Parameters
     ----------
@@ -65,14 +66,15 @@ class Request:
         A mask, a fixed image, known voxels or a target of another shape or type; a mask without a
         voxel; nothing known, or nothing left to make; a target out of range.
     UnknownNameError
-        A target of a descriptor that cannot be asked for.
+        A descriptor that cannot be a target.
     RequestError
         Parts that contradict each other: known voxels at both ends of a periodic axis.
 
     Examples
     --------
     >>> import numpy as np, trabecula as tb
-    >>> ball = np.hypot.outer(np.arange(-9, 10), np.hypot.outer(np.arange(-9, 10), np.arange(-9, 10))) < 9
+    >>> line = np.arange(-9, 10)
+    >>> ball = np.hypot.outer(line, np.hypot.outer(line, line)) < 9
     >>> request = tb.Request(None, mask=ball, seed=7)
     >>> request.shape, sorted(request.asks_for())
     ((19, 19, 19), ['mask'])
@@ -98,13 +100,14 @@ class Request:
             "origins",
             {name: recipe for name, recipe in origins.items() if recipe is not None},
         )
-        object.__setattr__(self, "voxel", _stated_voxel(self.mask))
+        object.__setattr__(self, "voxel", _voxel_of(self.mask))
         object.__setattr__(self, "mask", _as_region(self.mask, name="mask"))
         object.__setattr__(self, "known", _as_region(self.known, name="known"))
         if self.shape is None:
             if self.mask is None:
                 raise InputError(
-                    "the request has no shape: give voxels along z, y, x, or a mask whose shape is taken"
+                    "the request has no shape: give voxels along z, y, x, or a mask whose shape is "
+                    "taken"
                 )
             object.__setattr__(self, "shape", self.mask.shape)
         object.__setattr__(
@@ -117,20 +120,20 @@ class Request:
         _check_fixed(self)
 
     def asks_for(self) -> frozenset[str]:
-        """The optional parts of the request that are in use."""
+        """Return the optional parts of the request that are in use."""
         used = {"periodic": any(self.periodic), "mask": self.mask is not None}
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
         return frozenset(name for name, asked in used.items() if asked)
 
     @property
     def is_tied(self) -> bool:
-        """Whether a part of it is tied to its shape: voxels or a field."""
+        """Return whether a part of the request is tied to its shape: voxels or a field."""
         fields = any(isinstance(value, np.ndarray) for value in self.target.values())
         return fields or self.mask is not None or self.fixed is not None
 
     def to_json(self) -> dict[str, Any]:
-        """What a result's recipe holds of the request: plain values, and of its arrays how they
-        came to be.
+        """Return the request as a result's recipe holds it: plain values, and for its arrays their
+        recipes.
         """
         plain: dict[str, Any] = {
             "shape": list(self.shape),
@@ -167,20 +170,22 @@ def check_exemplar(
         return
     if fixed.kind != exemplar.kind:
         raise RequestError(
-            f"the fixed voxels are {fixed.kind}, the exemplar is {exemplar.kind}: segment both alike, or neither"
+            f"the fixed voxels are {fixed.kind}, the exemplar is {exemplar.kind}: segment both "
+            "alike, or neither"
         )
     edges = spacing or (exemplar.spacing if exemplar.ndim == 3 else fixed.spacing)
     if fixed.unit != exemplar.unit or not np.allclose(fixed.spacing, edges, rtol=1e-6):
         raise RequestError(
-            f"the fixed voxels are {fixed.spacing} {fixed.unit}, the result's {tuple(edges)} {exemplar.unit}: "
-            "give the spacing of both, or resample one"
+            f"the fixed voxels are {fixed.spacing} {fixed.unit}, the result's {tuple(edges)} "
+            f"{exemplar.unit}: give the spacing of both, or resample one"
         )
     if fixed.kind != "labels":
         return
     if fixed.phases[: len(exemplar.phases)] != exemplar.phases[: len(fixed.phases)]:
         raise RequestError(
-            f"the fixed voxels are of {', '.join(fixed.phases)}, the exemplar of {', '.join(exemplar.phases)}: "
-            "name the phases of both alike, in the same order (--phases)"
+            f"the fixed voxels are of {', '.join(fixed.phases)}, the exemplar of "
+            f"{', '.join(exemplar.phases)}: name the phases of both alike, in the same order "
+            "(--phases)"
         )
     present = np.bincount(exemplar.values.ravel(), minlength=len(fixed.phases)) > 0
     held = np.zeros(256, np.bool_)
@@ -191,19 +196,20 @@ def check_exemplar(
     if strange:
         names = ", ".join(fixed.phases[label] for label in strange)
         raise RequestError(
-            f"the fixed voxels hold the phase {names}, which the exemplar lacks: give an exemplar with it"
+            f"the fixed voxels hold the phase {names}, which the exemplar lacks: give an exemplar "
+            "with it"
         )
 
 
 def _origin(part: Image | ArrayLike | None) -> Recipe | None:
-    """How a part came to be; an array in memory is known by its digest."""
+    """Return the recipe of a part; an array in memory is known by its digest."""
     if part is None or isinstance(part, Image):
         return None if part is None else part.recipe or Recipe().then("array", part.values)
     array = np.asarray(part)
     return Recipe().then("array", array.view(np.uint8) if array.dtype == bool else array)
 
 
-def _stated_voxel(part: Image | ArrayLike | None) -> tuple[tuple[float, ...], str] | None:
+def _voxel_of(part: Image | ArrayLike | None) -> tuple[tuple[float, ...], str] | None:
     if not isinstance(part, Image) or (
         part.unit == "voxel" and all(edge == 1 for edge in part.spacing)
     ):
@@ -223,7 +229,8 @@ def _as_region(region: Image | ArrayLike | None, *, name: str) -> np.ndarray | N
     array = np.asarray(region)
     if array.dtype != bool or array.ndim not in (2, 3):
         raise InputError(
-            f"the {name} is {array.dtype} of shape {array.shape}: give a boolean array (z, y, x), such as volume > 0"
+            f"the {name} is {array.dtype} of shape {array.shape}: give a boolean array (z, y, x), "
+            "such as volume > 0"
         )
     return array
 
@@ -233,30 +240,35 @@ def _check_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> None:
         return
     if mask.shape != shape:
         raise InputError(
-            f"the mask has shape {mask.shape}, the request {shape}: give one of them, or make them equal"
+            f"the mask has shape {mask.shape}, the request {shape}: give one of them, or make them "
+            "equal"
         )
     if not mask.any():
         raise InputError("the mask holds no voxel: mark with True what is to be filled")
 
 
 def _check_fixed(request: Request) -> None:
-    fixed, known, shape = request.fixed, request.known, request.shape
+    fixed, known = request.fixed, request.known
+    shape = request.shape
     if fixed is None and known is None:
         return
     if fixed is None:
         raise RequestError("known voxels without an image of them: give fixed as well")
     if known is None:
         raise RequestError(
-            "fixed voxels need known, a boolean array that is True where they were measured (--known)"
+            "fixed voxels need known, a boolean array that is True where they were measured "
+            "(--known)"
         )
     if not isinstance(fixed, Image):
         raise InputError(
-            f"fixed is a plain {type(fixed).__name__}: give an Image (tb.Image(array, kind='labels'))"
+            f"fixed is a plain {type(fixed).__name__}: give an Image (tb.Image(array, "
+            "kind='labels'))"
         )
     for name, have in (("fixed", fixed.shape), ("known", known.shape)):
         if have != shape:
             raise InputError(
-                f"{name} has shape {have}, the request {shape}: place it in the larger one first (--at)"
+                f"{name} has shape {have}, the request {shape}: place it in the larger one first "
+                "(--at)"
             )
     asked = known if request.mask is None else known[request.mask]
     if not asked.any():
@@ -271,8 +283,9 @@ def _check_fixed(request: Request) -> None:
     for axis, wraps in enumerate(request.periodic):
         if wraps and known.take(0, axis).any() and known.take(-1, axis).any():
             raise RequestError(
-                f"periodic with a fixed border: known voxels lie at both ends of {_AXES[axis - len(shape)]}, where the result "
-                "would have to go on from one to the other; leave that axis out of periodic, or one end unknown"
+                "periodic with a fixed border: known voxels lie at both ends of "
+                f"{_AXES[axis - len(shape)]}, where the result would have to go on from one to the "
+                "other; leave that axis out of periodic, or one end unknown"
             )
 
 
@@ -286,6 +299,7 @@ def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
         axes = axes[1:]
     if len(axes) != ndim:
         raise InputError(
-            f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} ({_AXES[-ndim:]}): got {value!r}"
+            f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} "
+            f"({_AXES[-ndim:]}): got {value!r}"
         )
     return axes

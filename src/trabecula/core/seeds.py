@@ -14,13 +14,13 @@ import numpy as np
 
 
 def key(seed: int, stage: str) -> np.uint64:
-    """A 64-bit key for one stage of one seed."""
+    """Return a 64-bit key for one stage of one seed."""
     digest = hashlib.blake2b(f"{seed}/{stage}".encode(), digest_size=8).digest()
     return np.uint64(int.from_bytes(digest, "little"))
 
 
 def generator(seed: int, stage: str, *coordinate: int) -> np.random.Generator:
-    """A NumPy generator for one coordinate (up to three integers) of a stage."""
+    """Return a NumPy generator for one coordinate (up to three integers) of a stage."""
     counter = np.zeros(4, np.uint64)
     counter[1 : 1 + len(coordinate)] = np.asarray(coordinate, np.int64).view(np.uint64)
     return np.random.Generator(np.random.Philox(key=int(key(seed, stage)), counter=counter))

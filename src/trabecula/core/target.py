@@ -1,4 +1,4 @@
-"""Descriptors that a result is to have: one number for all of it, or a field."""
+"""Target descriptors of a result: one number for all of it, or a field."""
 
 from __future__ import annotations
 
@@ -20,33 +20,34 @@ RANGES = {
     "mean_curvature": (-np.inf, np.inf),
     "euler": (-np.inf, np.inf),
 }
-"""Descriptors that can be asked for, each with what it can be. Lengths of a density are voxels."""
+"""Descriptors that can be targets, each with its range. Lengths of a density are voxels."""
 
 OF_A_PHASE = "volume_fraction:"
-"""What a phase's name follows: "volume_fraction:binder" is the share of the phase binder."""
+"""Prefix of a phase's name: "volume_fraction:binder" is the share of the phase binder."""
 
 Target = float | np.ndarray
 
 
 def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Target]:
-    """Targets by name: a float, or a float32 array of `shape`.
+    """Return targets by name: a float, or a float32 array of `shape`.
 
     Raises
     ------
     UnknownNameError
-        No descriptor of that name can be asked for.
+        No descriptor of that name can be a target.
     InputError
         Not numbers, NaN, out of range, another shape.
     """
     if not isinstance(given, Mapping):
         raise InputError(
-            f"target is a {type(given).__name__}: give names with values, such as {{'porosity': 0.3}}"
+            f"target is a {type(given).__name__}: give names with values, such as {{'porosity': "
+            "0.3}"
         )
     found = {}
     for name, value in given.items():
         if not (isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE):
             check_name(name, RANGES, name="target")
-        found[name] = _checked(value, shape, name=name)
+        found[name] = _as_value(value, shape, name=name)
     if {"porosity", "volume_fraction"} <= set(found):
         raise InputError(
             "the target has porosity and volume_fraction, which is 1 - porosity: give one of them"
@@ -55,8 +56,8 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
 
 
 def porosity_of(target: Mapping[str, Target]) -> Target | None:
-    """The porosity that targets ask for, by that name or as 1 - volume_fraction; None where they
-    say nothing of it.
+    """Return the target porosity, given by that name or as 1 - volume_fraction; None where there is
+    none.
     """
     if "volume_fraction" in target:
         return 1 - target["volume_fraction"]
@@ -64,7 +65,7 @@ def porosity_of(target: Mapping[str, Target]) -> Target | None:
 
 
 def origins_of(given: Any) -> dict[str, Recipe]:
-    """How the fields among the targets came to be; a number speaks for itself."""
+    """Return the recipes of the fields among the targets; a number needs none."""
     pairs = given.items() if isinstance(given, Mapping) else ()
     return {
         name: _origin(value) for name, value in pairs if isinstance(value, Image) or np.ndim(value)
@@ -77,7 +78,7 @@ def _origin(value: Any) -> Recipe:
     return Recipe().then("array", np.asarray(value))
 
 
-def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
+def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
     low, high = RANGES["volume_fraction" if name.startswith(OF_A_PHASE) else name]
     if isinstance(value, Image) and value.kind != "grey":
         raise InputError(
@@ -86,17 +87,20 @@ def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
     field = np.asarray(value.values if isinstance(value, Image) else value)
     if field.dtype.kind not in "iuf":
         raise InputError(
-            f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of them"
+            f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of "
+            "them"
         )
     check_finite(field, name=f"the target {name}")
     if field.ndim and field.shape != shape:
         raise InputError(
-            f"the target {name} has shape {field.shape}, the request {shape}: give one number, or a field of that shape"
+            f"the target {name} has shape {field.shape}, the request {shape}: give one number, or "
+            "a field of that shape"
         )
     least, most = float(field.min()), float(field.max())
     if not (low <= least and most <= high):
         raise InputError(
-            f"the target {name} runs from {least:g} to {most:g}, outside {low:g} .. {high:g}: rescale it"
+            f"the target {name} runs from {least:g} to {most:g}, outside {low:g} .. {high:g}: "
+            "rescale it"
             if field.ndim
             else f"the target {name} is {least:g}, outside {low:g} .. {high:g}"
         )
@@ -104,5 +108,5 @@ def _checked(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
 
 
 def _between(low: float, high: float) -> str:
-    """The range as words; none where it has no end."""
+    """Return the range as words; empty where it has no end."""
     return f" from {low:g} to {high:g}" if np.isfinite([low, high]).all() else ""

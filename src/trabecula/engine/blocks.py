@@ -1,13 +1,12 @@
-"""Volumes made block by block into a store: a finished block is never made again, and an unfinished
-store says what it is.
+"""Volumes generated block by block into a store. A finished block is never generated again.
 
-The store grows under the name `part` (at an address under its own: see engine.locations), as whole
-files that are each put in place at once; a run that was killed leaves it, and the same run goes on
-from it. A coarser level's cubes follow as soon as the blocks below them are there, and are read
-from those. When the last is there the store gets its recipe and its own name.
+The store grows under the name `part` (at an address under its own name: see engine.storage), as
+whole files that each appear at once. A killed run leaves it, and the same run resumes from it. The
+cubes of a coarser level follow as soon as the blocks below them are there, and are read from those.
+After the last one the store gets its recipe and its own name.
 
-The caller's `make` has to give the same voxels of a box whichever other boxes were made before it.
-Then how the volume is cut does not matter, nor who makes which part of it: no file belongs to two
+The caller's `make` returns the same voxels of a box whichever other boxes were made before. Then
+neither the cut of the volume nor the process that makes a block matters: no file belongs to two
 blocks.
 """
 
@@ -25,17 +24,17 @@ from trabecula.core.progress import notify, track
 from trabecula.core.recipe import digest_of
 from trabecula.engine import store
 from trabecula.engine.chunking import Box, Task, below, boxes_of, slices_of, sources_of, tasks_of
-from trabecula.engine.lock import locked
-from trabecula.engine.multiscale import halved
-from trabecula.engine.storage.location import AnyPath, Folder, Location, located
+from trabecula.engine.lock import hold_lock
+from trabecula.engine.multiscale import halve_resolution
+from trabecula.engine.storage.location import AnyPath, Folder, Location, location_of
 
 __all__ = [
+    "BlockWorkers",
     "Box",
-    "Hands",
     "StoredVolume",
     "boxes_of",
     "digest_bytes",
-    "do",
+    "do_task",
     "part_bytes",
     "slices_of",
     "stream",
@@ -49,7 +48,7 @@ _SLAB = 64  # planes of the level below that are read at once
 
 @dataclass(frozen=True)
 class StoredVolume:
-    """What is to be made, and how it is described.
+    """A volume to generate, and how the store describes it.
 
     Attributes
     ----------
@@ -58,14 +57,14 @@ class StoredVolume:
     describe : SHA-256 of all voxels -> plain JSON kept in the store, of an unfinished one with an
     empty digest
     identity : str
-        Of all that the voxels depend on: only a part of the same volume is gone on from.
+        SHA-256 of everything that the voxels depend on: a run resumes from its own blocks alone.
     scale, unit : as for `store.save`
     labels : bool
-        Whether the values are names, of which coarser levels hold the commonest, or have a mean.
+        True where the values are names, of which coarser levels hold the commonest; else the mean.
     channels : int
         Numbers of a voxel; 0 where it is one number, without an axis for them.
-    goes_on : str, optional
-        What a user does to go on with a run that was interrupted. Default: generate --resume.
+    resume_hint : str, optional
+        What resumes an interrupted run, for messages. Default: generate --resume.
     """
 
     shape: tuple[int, ...]
@@ -77,11 +76,11 @@ class StoredVolume:
     unit: str | None
     labels: bool = True
     channels: int = 0
-    goes_on: str | None = None
+    resume_hint: str | None = None
 
 
-class Hands(Protocol):
-    """Who makes the blocks, where it is not this process alone."""
+class BlockWorkers(Protocol):
+    """Processes that make blocks, where it is not this process alone."""
 
     def make(
         self,
@@ -90,8 +89,8 @@ class Hands(Protocol):
         tasks: Sequence[Task],
         sources: Sequence[Sequence[int]],
     ) -> Iterable[object]:
-        """Do the tasks (see `do`), each after those whose places in the list are its sources; yield
-        once after each.
+        """Run the tasks (see `do_task`), each after those at the places in the list that are its
+        sources; yield once after each.
         """
 
 
@@ -102,13 +101,13 @@ def stream(
     part: AnyPath | None = None,
     side: int,
     chunk: int | None = None,
-    hands: Hands | None = None,
+    workers: BlockWorkers | None = None,
 ) -> str:
     """Make a volume into a Zarr store, block by block.
 
     Parameters
     ----------
-    volume : Volume
+    volume : StoredVolume
     path : path or address
         The finished store; one that is there in a folder is replaced at the end.
     part : path, optional
@@ -117,8 +116,8 @@ def stream(
         Edge of a block, a multiple of `chunk`, so that no file belongs to two.
     chunk : int, optional
         Edge of the cubes that are a file each. Default: `store.CHUNK`.
-    hands : Hands, optional
-        Who makes the blocks. Default: this process, one after the other.
+    workers : BlockWorkers, optional
+        Processes that make the blocks. Default: this process, one after the other.
 
     Returns
     -------
@@ -128,35 +127,37 @@ def stream(
     Raises
     ------
     FileError
-        Something else lies at `part` or `path`, another run's blocks among it, or the disk is full:
+        Something else is at `part` or `path`, another run's blocks among it, or the disk is full:
         what is finished stays. Another process writes it.
     """
     chunk = store.CHUNK if chunk is None else chunk
     if side % chunk:
         raise ValueError(f"blocks of {side} voxels would share chunks of {chunk}")
-    place = located(path)
-    grown = place.growing() if part is None else located(part)
+    place = location_of(path)
+    grown = place.growing() if part is None else location_of(part)
     if isinstance(place, Folder):
         place.check_replaceable()
-    with locked(grown.path) if isinstance(grown, Folder) else nullcontext():
-        return _streamed(volume, place, grown, chunk, side, hands)
+    with hold_lock(grown.path) if isinstance(grown, Folder) else nullcontext():
+        return _write_blocks(volume, place, grown, chunk, side, workers)
 
 
-def _streamed(
+def _write_blocks(
     volume: StoredVolume,
     place: Location,
     grown: Location,
     chunk: int,
     side: int,
-    hands: Hands | None,
+    workers: BlockWorkers | None,
 ) -> str:
-    goes_on = volume.goes_on or f"generate --resume {place.name}"
+    resume_hint = volume.resume_hint or f"generate --resume {place.name}"
     try:
         if isinstance(grown, Folder):
             grown.path.parent.mkdir(parents=True, exist_ok=True)
-        opened = _begun(volume, grown, place, chunk, side)
-        tasks = _to_do(opened, side)
-        for _ in track(_done(volume, opened, tasks, side, hands), "blocks", total=len(tasks)):
+        opened = _open_part(volume, grown, place, chunk, side)
+        tasks = _missing_tasks(opened, side)
+        for _ in track(
+            _run_tasks(volume, opened, tasks, side, workers), "blocks", total=len(tasks)
+        ):
             pass
         for level, shape in enumerate(opened.shapes):
             _check_files(opened, level, tuple((0, length) for length in shape))
@@ -165,24 +166,24 @@ def _streamed(
         opened.finish(volume.describe(sha256))
         place.settle(grown)
     except KeyboardInterrupt:
-        notify(f"interrupted: the same run goes on from {grown.name} ({goes_on})")
+        notify(f"interrupted: the same run resumes from {grown.name} ({resume_hint})")
         raise
     except OSError as error:
         if isinstance(error, TrabeculaError):
             raise
         raise FileError(
-            f"cannot write {place}: {error.strerror or error}; the blocks that are finished stay in {grown.name}, and the same "
-            f"run goes on from it ({goes_on})"
+            f"cannot write {place}: {error.strerror or error}; the blocks that are finished stay "
+            f"in {grown.name}, and the same run resumes from it ({resume_hint})"
         ) from error
     return sha256
 
 
-def _begun(
+def _open_part(
     volume: StoredVolume, part: Location, place: Location, chunk: int, side: int
 ) -> store.Unfinished:
-    """The unfinished store: what the same run left, or a new one."""
-    left = _left(volume, part, chunk)
-    if left is None:
+    """Open the unfinished store that the same run left, or create one."""
+    found = _find_part(volume, part, chunk)
+    if found is None:
         number = len(boxes_of(volume.shape, side))
         notify(f"making {place.name} in {number} block{'s' if number > 1 else ''} of {side} voxels")
         return store.create_unfinished(
@@ -197,62 +198,67 @@ def _begun(
             chunk=chunk,
             block=side,
         )
-    notify(f"going on from {part.name}")
+    notify(f"resuming from {part.name}")
     part.sweep()
-    return left
+    return found
 
 
-def _left(volume: StoredVolume, part: Location, chunk: int) -> store.Unfinished | None:
+def _find_part(volume: StoredVolume, part: Location, chunk: int) -> store.Unfinished | None:
     if not part.is_there():
         return None
-    left = store.open_unfinished(part)
-    if left is None:
+    found = store.open_unfinished(part)
+    if found is None:
         raise FileError(
-            f"cannot write {part}: something else of that name is there; remove it, or choose another --out"
+            f"cannot write {part}: something else of that name is there; remove it, or choose "
+            "another --out"
         )
-    shape, dtype = left.shapes[0], left.arrays[0].dtype
-    if (left.identity, shape, dtype, left.channels) != (
+    shape, dtype = found.shapes[0], found.arrays[0].dtype
+    if (found.identity, shape, dtype, found.channels) != (
         volume.identity,
         volume.shape,
         volume.dtype,
         volume.channels,
     ):
         sides = "x".join(map(str, shape))
-        if left.complete:
+        if found.complete:
             raise FileError(
-                f"cannot write {part}: another volume, of {sides} voxels, is there; remove it, or choose another --out"
+                f"cannot write {part}: another volume, of {sides} voxels, is there; remove it, or "
+                "choose another --out"
             )
         raise FileError(
-            f"{part} holds the blocks of another run, of {sides} voxels: go on with that one (generate --resume), remove it, or "
-            "choose another --out"
+            f"{part} holds the blocks of another run, of {sides} voxels: go on with that one "
+            "(generate --resume), remove it, or choose another --out"
         )
-    if left.chunk != chunk:
+    if found.chunk != chunk:
         raise FileError(
-            f"{part} was begun in chunks of {left.chunk} voxels, not of {chunk}: give --chunks {left.chunk}"
+            f"{part} was begun in chunks of {found.chunk} voxels, not of {chunk}: give --chunks "
+            f"{found.chunk}"
         )
-    return left
+    return found
 
 
-def _done(
+def _run_tasks(
     volume: StoredVolume,
     opened: store.Unfinished,
     tasks: Sequence[Task],
     side: int,
-    hands: Hands | None,
+    workers: BlockWorkers | None,
 ) -> Iterable[object]:
-    if hands is not None:
+    if workers is not None:
         sources = sources_of(tasks, opened.shapes, side=side, chunk=opened.chunk)
-        return hands.make(volume, opened.place, tasks, sources)
-    return _alone(volume, opened, tasks)
+        return workers.make(volume, opened.place, tasks, sources)
+    return _run_here(volume, opened, tasks)
 
 
-def _alone(volume: StoredVolume, opened: store.Unfinished, tasks: Sequence[Task]) -> Iterator[None]:
+def _run_here(
+    volume: StoredVolume, opened: store.Unfinished, tasks: Sequence[Task]
+) -> Iterator[None]:
     for task in tasks:
-        do(task, opened, volume.make, labels=volume.labels)
+        do_task(task, opened, volume.make, labels=volume.labels)
         yield
 
 
-def do(
+def do_task(
     task: Task, opened: store.Unfinished, make: Callable[[Box], np.ndarray], *, labels: bool
 ) -> None:
     """Make a box of a level of an unfinished store and write it there, from `make` or from the
@@ -267,14 +273,14 @@ def do(
 
 
 def _coarser(opened: store.Unfinished, task: Task, labels: bool) -> np.ndarray:
-    """A box of a level from the one below, some planes at a time."""
+    """Return a box of a level, averaged from the level below, some planes at a time."""
     level = task.level - 1
     region = below(task.box, opened.shapes[level])
     _check_files(opened, level, region)
     (first, last), *across = region
     slabs = [(start, min(start + _SLAB, last)) for start in range(first, last, _SLAB)]
     parts = [
-        halved(opened.read(level, (slab, *across)), labels=labels, axes=len(region))
+        halve_resolution(opened.read(level, (slab, *across)), labels=labels, axes=len(region))
         for slab in slabs
     ]
     return np.concatenate(parts, axis=-len(region))
@@ -285,13 +291,14 @@ def _check_files(opened: store.Unfinished, level: int, box: Box) -> None:
     missing = opened.missing(level, box)
     if missing:
         raise FileError(
-            f"{len(missing)} files of {opened.place} were written and are not there, {missing[0]} among them: did another "
-            "program remove them, or has a shared file system not shown them yet? The same run goes on from it"
+            f"{len(missing)} files of {opened.place} were written and are not there, {missing[0]} "
+            "among them: did another program remove them, or has a shared file system not shown "
+            "them yet? The same run resumes from it"
         )
 
 
-def _to_do(opened: store.Unfinished, side: int) -> list[Task]:
-    """The tasks of which a file is missing or cannot be read."""
+def _missing_tasks(opened: store.Unfinished, side: int) -> list[Task]:
+    """Return the tasks of which a file is missing or cannot be read."""
     tasks = tasks_of(opened.shapes, side=side, chunk=opened.chunk)
     there = opened.place.files()
     return [task for task in tasks if not _is_there(opened, task, there)]
@@ -313,15 +320,15 @@ def _is_there(opened: store.Unfinished, task: Task, there: set[str]) -> bool:
 
 
 def digest_bytes(shape: Sequence[int], dtype: np.dtype) -> int:
-    """Memory of the planes that are read at once for the digest of a finished volume."""
+    """Return the memory of the planes that are read at once for the digest of a finished volume."""
     return (
         _depth(shape, dtype, store.CHUNK) * dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64))
     )
 
 
 def part_bytes(shape: Sequence[int], block: Sequence[int], dtype: np.dtype) -> int:
-    """Memory that a block takes beside what its making does: as made and as packed, coarser, and
-    planes for the digest.
+    """Return the memory that a block takes beside its generation: its voxels, packed and coarser
+    copies, and planes for the digest.
     """
     own = dtype.itemsize * int(np.prod(block, dtype=np.int64))
     coarser = 8 * min(own, dtype.itemsize * store.CHUNK ** len(block))
@@ -329,7 +336,9 @@ def part_bytes(shape: Sequence[int], block: Sequence[int], dtype: np.dtype) -> i
 
 
 def _depth(shape: Sequence[int], dtype: np.dtype, chunk: int) -> int:
-    """Planes that are read at once: those of a row of files, or a part of them that fits."""
+    """Return the number of planes that are read at once: those of a row of files, or a part of them
+    that fits.
+    """
     plane = max(1, dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64)))
     depth = max(1, min(chunk, store.CHUNK, shape[0], _AT_ONCE // plane))
     while chunk % depth and depth < shape[0]:  # so that no slab reaches into a second row of files
@@ -338,7 +347,7 @@ def _depth(shape: Sequence[int], dtype: np.dtype, chunk: int) -> int:
 
 
 def _slabs(opened: store.Unfinished) -> Iterator[np.ndarray]:
-    """All voxels, some planes at a time."""
+    """Yield all voxels, some planes at a time."""
     shape, dtype = opened.shapes[0], opened.arrays[0].dtype
     length, *across = shape
     depth = _depth(shape, dtype, opened.chunk)

@@ -1,10 +1,10 @@
-"""Long runs that can be interrupted: a loop offers its state between rounds, and the same run goes
-on from it.
+"""Checkpoints of long runs: a loop offers its state between rounds, and the same run resumes from
+it.
 
-`kept_at` names the file, `running` says what runs (so that no other run uses it), and a loop calls
-`resumed` before it starts and `offer` after every round. Without a place nothing is written and
-nothing is read. A state is written at most every `EVERY` seconds, under a temporary name that is
-then renamed, and is removed once the result is safe.
+`kept_at` names the file, `running` declares the run (no other run uses its checkpoint), and a loop
+calls `resume` before it starts and `offer` after every round. Without a file nothing is written or
+read. A checkpoint is written at most every `EVERY` seconds, under a temporary name that is then
+renamed, and is removed once the result is safe.
 
 The result does not depend on an interruption as long as a round is a function of the arrays and
 numbers in the state: random numbers come from seed, stage and round (core.seeds), so nothing else
@@ -34,9 +34,8 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
-from trabecula.engine.files import replacing
-from trabecula.engine.lock import locked
-from trabecula.engine.npz_stream import packed, unpacked
+from trabecula.engine.files import read_npz, replacing, write_npz
+from trabecula.engine.lock import hold_lock
 
 EVERY = 15.0
 """Seconds between two states, at least."""
@@ -52,7 +51,7 @@ _PREFIX = "state."  # so that no array's name collides with ours
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a loop was left.
+    """The state of a loop after some rounds.
 
     Attributes
     ----------
@@ -68,12 +67,14 @@ class Checkpoint:
 
 @dataclass
 class _Keeper:
+    """The checkpoint file of a run, and when it is written next."""
+
     path: Path
     identity: str = ""
-    step: Mapping[str, Any] = field(default_factory=dict)  # what was asked for, as a recipe says it
-    # stage and number of the state that an earlier run left, until it is used
-    left: dict[str, Any] | None = None
-    ours: bool = False  # the file on disk is a state of this run
+    step: Mapping[str, Any] = field(default_factory=dict)  # the request, as a recipe says it
+    # what an earlier run's checkpoint says of itself, until it is used
+    found: dict[str, Any] | None = None
+    ours: bool = False  # the file on disk is a checkpoint of this run
     pause: float = 0.0
     saved: float = field(default_factory=time.monotonic)
 
@@ -105,7 +106,7 @@ def kept_at(path: str | os.PathLike[str] | None) -> Iterator[None]:
         return
     # Where its folder is still to be made nobody has left or keeps anything.
     with (
-        locked(Path(path)) if Path(path).absolute().parent.is_dir() else nullcontext(),
+        hold_lock(Path(path)) if Path(path).absolute().parent.is_dir() else nullcontext(),
         _keeping(Path(path).absolute()),
     ):
         yield
@@ -122,18 +123,17 @@ def _keeping(path: Path) -> Iterator[None]:
         if keeper.ours and keeper.path.suffix == ".part":
             result = keeper.path.name.removesuffix(".part")
             notify(
-                f"interrupted: the same run goes on from {keeper.path.name} (generate --resume {result})"
+                f"interrupted: the same run resumes from {keeper.path.name} (generate --resume "
+                f"{result})"
             )
         raise
     finally:
         _keeper.reset(token)
     if keeper.ours:  # and what a run that was killed in the middle of writing left
-        for left in (
-            keeper.path,
-            *keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}"),
-        ):
+        unfinished = keeper.path.parent.glob(f".????????-{escape(keeper.path.name)}")
+        for file in (keeper.path, *unfinished):
             with suppress(OSError):
-                left.unlink(missing_ok=True)
+                file.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -145,63 +145,71 @@ def running(
     *,
     step: Callable[[], Mapping[str, Any]] = dict,
 ) -> Iterator[None]:
-    """Say what runs inside the block: only a state of exactly the same run is used.
+    """Declare the run inside the block: only a checkpoint of exactly the same run is used.
 
-    `step` tells what was asked for, as plain JSON, for who finds the state (`begun`).
+    `step` gives the request as plain JSON, for who finds the checkpoint (`step_in`).
     """
     keeper = _keeper.get()
     if keeper is None:
         yield
         return
     keeper.identity = identity_of(method, settings, request, exemplars)
-    keeper.left = _left_by_the_same(keeper)
+    keeper.found = _find_own(keeper)
     keeper.step = step()
     try:
         yield
     finally:
-        keeper.identity, keeper.left, keeper.step = "", None, {}
+        keeper.identity, keeper.found = "", None
+        keeper.step = {}
 
 
-def begun(path: Path) -> dict[str, Any] | None:
-    """What the run that left the state in a file was asked for; None where nothing tells."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return dict(json.loads(bytes(stored[_ABOUT]))["step"]) or None
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+def step_in(path: Path) -> dict[str, Any] | None:
+    """Read the request of the run whose checkpoint is in a file; None where nothing tells."""
+    return _about(path).get("step") or None
 
 
 def identity_in(path: Path) -> str | None:
-    """The identity of the run that left the state in a file; None where nothing tells."""
+    """Read the identity of the run whose checkpoint is in a file; None where nothing tells."""
+    return _about(path).get("identity")
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """Read identity, stage, number and step of a checkpoint; nothing of a file that is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            return str(json.loads(bytes(stored[_ABOUT]))["identity"])
+            about = json.loads(bytes(stored[_ABOUT]))
+            return {
+                "identity": str(about["identity"]),
+                "stage": str(about["stage"]),
+                "number": int(about["number"]),
+                "step": dict(about.get("step") or {}),
+            }
     except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+        return {}
 
 
-def resumed(stage: str) -> Checkpoint | None:
-    """The state that an interrupted run of the same kind left in `stage`, or None: then the loop
-    starts from nothing.
+def resume(stage: str) -> Checkpoint | None:
+    """Return the checkpoint that an interrupted run of the same kind left in `stage`, or None: then
+    the loop starts from nothing.
 
     There is one state, the last; with several stages ask for the last stage first. A damaged file
     is left aside, with a word.
     """
     keeper = _keeper.get()
-    if keeper is None or keeper.left is None or keeper.left["stage"] != stage:
+    if keeper is None or keeper.found is None or keeper.found["stage"] != stage:
         return None
-    number, keeper.left = int(keeper.left["number"]), None
+    number, keeper.found = int(keeper.found["number"]), None
     try:
-        arrays = unpacked(keeper.path, _PREFIX)
+        arrays = read_npz(keeper.path, _PREFIX)
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         notify(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
         return None
-    notify(f"going on from {keeper.path.name}: {stage}, {number} rounds done")
+    notify(f"resuming from {keeper.path.name}: {stage}, {number} rounds done")
     return Checkpoint(number, arrays)
 
 
 def due() -> bool:
-    """Whether `offer` would write now, for a state that is dear to put together."""
+    """Return whether `offer` would write now, for a state that is expensive to put together."""
     keeper = _keeper.get()
     return (
         keeper is not None
@@ -211,7 +219,7 @@ def due() -> bool:
 
 
 def offer(stage: str, number: int, /, **arrays: Any) -> None:
-    """Keep the state after `number` rounds of `stage`, where one is due.
+    """Write a checkpoint after `number` rounds of `stage`, where one is due.
 
     Parameters
     ----------
@@ -224,7 +232,7 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
 
     Notes
     -----
-    Where the place cannot be written (a full disk) the run goes on without keeping states, with a
+    Where the place cannot be written (a full disk) the run continues without checkpoints, with a
     word.
     """
     keeper = _keeper.get()
@@ -238,7 +246,7 @@ def offer(stage: str, number: int, /, **arrays: Any) -> None:
         notify(f"the run cannot be resumed if it is interrupted: {error}")
         keeper.pause = math.inf
         return
-    keeper.left, keeper.ours = None, True
+    keeper.found, keeper.ours = None, True
     keeper.saved = time.monotonic()
     keeper.pause = _SHARE * (keeper.saved - start)
 
@@ -247,36 +255,33 @@ def _write(keeper: _Keeper, about: Mapping[str, Any], arrays: Mapping[str, Any])
     members = {_PREFIX + name: np.asarray(array) for name, array in arrays.items()}
     members[_ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     with replacing(keeper.path) as temporary:
-        packed(temporary, members)
+        write_npz(temporary, members)
 
 
-def _left_by_the_same(keeper: _Keeper) -> dict[str, Any] | None:
-    """Stage and number of the state on disk, where it is whole and of this run."""
+def _find_own(keeper: _Keeper) -> dict[str, Any] | None:
+    """Return stage and number of the checkpoint on disk, where it is whole and of this run."""
     if not keeper.path.exists():
         return None
-    try:
-        with np.load(keeper.path, allow_pickle=False) as stored:
-            about = json.loads(bytes(stored[_ABOUT]))
-        same = about["identity"] == keeper.identity
-        left = {"stage": str(about["stage"]), "number": int(about["number"])}
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
-        # States are put in place whole, so a file that cannot be read as one is somebody else's.
+    about = _about(keeper.path)
+    if not about:
+        # Checkpoints are put in place whole: one that cannot be read is another program's file.
         notify(
-            f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be resumed"
+            f"{keeper.path.name} is no state of a run, and is left as it is: this run cannot be "
+            "resumed"
         )
         keeper.pause = math.inf
         return None
-    if not same:
+    if about["identity"] != keeper.identity:
         notify(f"{keeper.path.name} was left by another run: starting from the beginning")
         return None
     keeper.ours = True
-    return left
+    return about
 
 
 def identity_of(
     method: str, settings: Mapping[str, Any], request: Request, exemplars: Sequence[Image]
 ) -> str:
-    """SHA-256 of all that the voxels depend on."""
+    """Return the SHA-256 of everything that the voxels depend on."""
     parts = {
         "method": method,
         "settings": settings,
@@ -288,13 +293,14 @@ def identity_of(
         ],
         "target": {name: digest(np.asarray(value)) for name, value in request.target.items()},
         "images": [
-            None if image is None else _described(image) for image in (request.fixed, *exemplars)
+            None if image is None else _image_identity(image)
+            for image in (request.fixed, *exemplars)
         ],
         "versions": versions(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=repr).encode()).hexdigest()
 
 
-def _described(image: Image) -> list[Any]:
+def _image_identity(image: Image) -> list[Any]:
     fields = {name: value for name, value in describe_fields(image).items() if name != "recipe"}
     return [fields, digest(image.values)]

@@ -1,4 +1,4 @@
-"""Volumes cut into boxes, and what has to be done in which order."""
+"""Boxes of a volume, and the order in which they are made."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ Box = tuple[tuple[int, int], ...]
 
 
 class Task(NamedTuple):
-    """A box of a level of the volume that is to be made: of level 0 by a method, of the others from
-    the level below.
-    """
+    """A box of a level to make: of level 0 by a method, of the others from the level below."""
 
     level: int
     box: Box
 
 
 def boxes_of(shape: Sequence[int], side: int) -> list[Box]:
-    """Blocks of `side` voxels that cover a shape, the last of an axis what is left.
+    """Return the blocks of `side` voxels that cover a shape; the last along an axis holds what
+    remains.
 
     Examples
     --------
@@ -34,13 +33,12 @@ def boxes_of(shape: Sequence[int], side: int) -> list[Box]:
 
 
 def slices_of(box: Box) -> tuple[slice, ...]:
-    """The slices that cut a box out of an array."""
+    """Return the slices that cut a box out of an array."""
     return tuple(slice(first, last) for first, last in box)
 
 
 def tasks_of(shapes: Sequence[Sequence[int]], *, side: int, chunk: int) -> list[Task]:
-    """All that is to be made of levels of these shapes, in an order in which everything comes after
-    what it is made from.
+    """Return the tasks for levels of these shapes, each after the tasks that it depends on.
 
     Parameters
     ----------
@@ -54,7 +52,7 @@ def tasks_of(shapes: Sequence[Sequence[int]], *, side: int, chunk: int) -> list[
     last = [-(-length // side) - 1 for length in shapes[0]]
 
     def place(task: Task) -> tuple[int, int]:
-        """Number of the last block of level 0 that it stands for, then its level."""
+        """Return the number of the last block of level 0 that a task covers, then its level."""
         ends = [
             min(((end << task.level) - 1) // side, most)
             for (_, end), most in zip(task.box, last, strict=True)
@@ -73,7 +71,7 @@ def tasks_of(shapes: Sequence[Sequence[int]], *, side: int, chunk: int) -> list[
 def sources_of(
     tasks: Sequence[Task], shapes: Sequence[Sequence[int]], *, side: int, chunk: int
 ) -> list[list[int]]:
-    """For each task the places in the list of those that it is made from; arguments as for
+    """Return for each task the places in the list of the tasks that it depends on; arguments as for
     `tasks_of`.
     """
     places = {
@@ -90,12 +88,12 @@ def sources_of(
 
 
 def below(box: Box, shape: Sequence[int]) -> Box:
-    """The voxels of the level below, which has this shape, that a box of a level stands for."""
+    """Return the box of the level below, of this shape, that a box of a level averages."""
     return tuple(
         (2 * first, min(2 * last, side)) for (first, last), side in zip(box, shape, strict=True)
     )
 
 
 def cells_of(box: Box, side: int) -> list[tuple[int, ...]]:
-    """The first voxels of the cubes of a grid, of edge `side`, that a box meets."""
+    """Return the first voxels of the cubes of a grid, of edge `side`, that a box meets."""
     return list(product(*(range(first // side * side, last, side) for first, last in box)))

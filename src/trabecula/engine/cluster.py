@@ -1,5 +1,5 @@
-"""Blocks made, and slabs worked on, by the workers of a Dask cluster: processes of this machine, or
-a cluster that the user has.
+"""Blocks and slabs computed by the workers of a Dask cluster: processes of this machine, or a
+cluster that the user has.
 
 Only work leaves this process: what makes the blocks is sent once, the blocks go from the workers
 straight into the store, which they reach by the same path. A block that was lost with its worker is
@@ -8,9 +8,11 @@ made again by another; one that is in the store is not, since a worker looks the
 
 from __future__ import annotations
 
+import io
 import logging
 import pickle
 import platform
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,11 +25,10 @@ import numpy as np
 from trabecula.core.errors import ClusterError, InputError
 from trabecula.core.optional import need
 from trabecula.core.recipe import versions
-from trabecula.engine import store
-from trabecula.engine.blocks import StoredVolume, do
+from trabecula.engine import memmap, store
+from trabecula.engine.blocks import StoredVolume, do_task
 from trabecula.engine.chunking import Box, Task
 from trabecula.engine.parallel import one_blas_thread, thread_count, threads
-from trabecula.engine.pickling import ReferencedFiles
 from trabecula.engine.storage.location import Location
 
 T = TypeVar("T")
@@ -38,10 +39,56 @@ _WAIT = 10.0
 _WORKER = 96 << 20
 """Bytes that a worker takes beside what it makes."""
 
+_LARGE = 1 << 20
+"""Bytes of an array in memory that is sent by a file: once, not with every piece of work."""
+
+
+class ReferencedFiles:
+    """The files of the arrays that work was sent with."""
+
+    def __init__(self) -> None:
+        self._copies: dict[int, tuple[Any, np.ndarray]] = {}
+
+    def dumps(self, work: Callable[..., object]) -> bytes:
+        """Return work as bytes that `pickle.loads` reads in a process which sees the scratch
+        folder.
+        """
+        import cloudpickle  # comes with Dask
+
+        places = self
+
+        class Pickler(cloudpickle.Pickler):
+            def reducer_override(self, sent: Any) -> Any:
+                if type(sent) is np.ndarray:
+                    place = places.file_of(sent)
+                    if place is not None:
+                        return memmap.open_file, (place,)
+                return super().reducer_override(sent)
+
+        buffer = io.BytesIO()
+        Pickler(buffer).dump(work)
+        return buffer.getvalue()
+
+    def file_of(self, array: np.ndarray) -> memmap.MappedFile | None:
+        """Return the file of an array; None for one that is better sent itself."""
+        place = memmap.file_of(array)
+        if place is not None or array.nbytes < _LARGE or array.dtype.hasobject:
+            return place
+        number = id(array)
+        if number not in self._copies:
+            copy = memmap.empty(array.shape, array.dtype)
+            copy[...] = array
+            # The number is another array's as soon as this one is gone.
+            self._copies[number] = (
+                weakref.ref(array, lambda _: self._copies.pop(number, None)),
+                copy,
+            )
+        return memmap.file_of(self._copies[number][1])
+
 
 @dataclass(frozen=True)
 class Cluster:
-    """Where blocks are made.
+    """The address of a Dask scheduler, or a number of local workers.
 
     Parameters
     ----------
@@ -62,18 +109,20 @@ class Cluster:
     def __post_init__(self) -> None:
         if (self.scheduler is None) == (self.workers is None):
             raise InputError(
-                "give either the address of a scheduler (--scheduler), or a number of workers (--workers)"
+                "give either the address of a scheduler (--scheduler), or a number of workers "
+                "(--workers)"
             )
         if self.workers is not None and not 1 <= self.workers <= 4096:
             raise InputError(f"--workers {self.workers} should be from 1 to 4096")
         if self.scheduler is not None and "://" not in self.scheduler:
             raise InputError(
-                f"--scheduler {self.scheduler} is no address: write tcp://HOST:PORT, as the scheduler shows it"
+                f"--scheduler {self.scheduler} is no address: write tcp://HOST:PORT, as the "
+                "scheduler shows it"
             )
 
 
 class Workers:
-    """Workers that are there (see `blocks.Hands`).
+    """The workers of a running cluster (see `blocks.BlockWorkers`, `memmap.MappedWorkers`).
 
     Attributes
     ----------
@@ -84,7 +133,8 @@ class Workers:
     """
 
     def __init__(self, client: Any, *, each: int | None, memory: int | None) -> None:
-        self._client, self._each, self._places = client, each, ReferencedFiles()
+        self._client, self._each = client, each
+        self._places = ReferencedFiles()
         known = client.scheduler_info(n_workers=-1)["workers"].values()
         self.at_once = sum(worker["nthreads"] for worker in known)
         limits = [
@@ -102,38 +152,38 @@ class Workers:
         tasks: Sequence[Task],
         sources: Sequence[Sequence[int]],
     ) -> Iterator[None]:
-        """Do the tasks, each after those whose places in the list are its sources; yield once after
-        each.
+        """Run the tasks, each after those at the places in the list that are its sources; yield
+        once after each.
         """
         job = _Job(str(part), volume.identity, volume.labels, self._each, versions())
         # By a task and not by scatter: what a lost worker alone held is then sent again.
-        make = self._client.submit(_kept, volume.make, pure=False)
+        make = self._client.submit(_identity, volume.make, pure=False)
         futures: list[Any] = []
         for task, before in zip(tasks, sources, strict=True):
             futures.append(
                 self._client.submit(
-                    _done, task, job, make, [futures[n] for n in before], pure=False
+                    _make_box, task, job, make, [futures[n] for n in before], pure=False
                 )
             )
-        yield from self._ended(futures)
+        yield from self._wait_for(futures)
 
     def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
-        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files
-        go by their places.
+        """Call `work` on slabs, in any order, and return when all are done; memory-mapped arrays
+        are sent as file names.
         """
         futures: list[Any] = []
-        packed = self._client.submit(_kept, self._places.packed(work), pure=False)
+        packed = self._client.submit(_identity, self._places.dumps(work), pure=False)
         for start, stop in bounds:
             futures.append(
                 self._client.submit(
-                    _worked, packed, start, stop, self._each, versions(), pure=False
+                    _work_on_slab, packed, start, stop, self._each, versions(), pure=False
                 )
             )
-        for _ in self._ended(futures):
+        for _ in self._wait_for(futures):
             pass
 
-    def _ended(self, futures: list[Any]) -> Iterator[None]:
-        """Yield as they end, and cancel what is left where one fails."""
+    def _wait_for(self, futures: list[Any]) -> Iterator[None]:
+        """Yield as futures end, and cancel the rest where one fails."""
         from distributed import as_completed
 
         waiting = as_completed(futures, loop=self._client.loop)
@@ -156,19 +206,22 @@ class _Job:
     versions: dict[str, str]
 
 
-def _kept(sent: T) -> T:
+def _identity(sent: T) -> T:
     return sent
 
 
-def _worked(packed: bytes, start: int, stop: int, each: int | None, wanted: dict[str, str]) -> None:
-    """In a worker: work on a slab of arrays in scratch files."""
+def _work_on_slab(
+    packed: bytes, start: int, stop: int, each: int | None, wanted: dict[str, str]
+) -> None:
+    """Work on a slab of memory-mapped arrays, in a worker."""
     _check_versions(wanted)
     try:
         work = pickle.loads(packed)
     except FileNotFoundError as error:
         raise ClusterError(
-            f"the worker on {platform.node()} does not see {error.filename}: choose a --scratch that all workers reach by "
-            "the same path, where each sees at once what another writes (a parallel file system; NFS is not enough)"
+            f"the worker on {platform.node()} does not see {error.filename}: choose a --scratch "
+            "that all workers reach by the same path, where each sees at once what another writes "
+            "(a parallel file system; NFS is not enough)"
         ) from error
     with threads(thread_count() if each is None else each), one_blas_thread():
         work(start, stop)
@@ -179,24 +232,26 @@ def _check_versions(wanted: dict[str, str]) -> None:
     differ = [name for name in ("trabecula", "numpy") if have[name] != wanted[name]]
     if differ:
         raise ClusterError(
-            f"the worker on {platform.node()} has {differ[0]} {have[differ[0]]}, this process {wanted[differ[0]]}: "
-            "install the same on both, or their voxels may differ"
+            f"the worker on {platform.node()} has {differ[0]} {have[differ[0]]}, this process "
+            f"{wanted[differ[0]]}: install the same on both, or their voxels may differ"
         )
 
 
-def _done(task: Task, job: _Job, make: Callable[[Box], np.ndarray], before: Sequence[None]) -> None:
-    """In a worker: make a box and write it."""
+def _make_box(
+    task: Task, job: _Job, make: Callable[[Box], np.ndarray], before: Sequence[None]
+) -> None:
+    """Make a box and write it, in a worker."""
     _check_versions(job.versions)
     opened = store.open_unfinished(job.part)
     if opened is None or opened.identity != job.identity:
         raise ClusterError(
-            f"the worker on {platform.node()} does not see {job.part}, or cannot write there: choose an --out that all workers "
-            "reach by the same path"
+            f"the worker on {platform.node()} does not see {job.part}, or cannot write there: "
+            "choose an --out that all workers reach by the same path"
         )
     if not opened.missing(task.level, task.box):
         return
     with threads(thread_count() if job.threads is None else job.threads):
-        do(task, opened, make, labels=job.labels)
+        do_task(task, opened, make, labels=job.labels)
 
 
 def _check(future: Any) -> None:
@@ -206,8 +261,9 @@ def _check(future: Any) -> None:
         future.result()
     except KilledWorker as error:
         raise ClusterError(
-            "workers died one after another at the same block: out of memory? give --memory for smaller blocks, or larger "
-            "workers; the blocks that are finished stay, and generate --resume goes on"
+            "workers died one after another at the same block: out of memory? give --memory for "
+            "smaller blocks, or larger workers; the blocks that are finished stay, and generate "
+            "--resume resumes the run"
         ) from error
     except ModuleNotFoundError as error:
         raise ClusterError(
@@ -215,9 +271,9 @@ def _check(future: Any) -> None:
         ) from error
 
 
-def _connected(dask: Any, address: Any, wait: float) -> Any:
-    """A client. It is made in a thread, since Dask waits for ever for what takes the call and then
-    says nothing.
+def _connect(dask: Any, address: Any, wait: float) -> Any:
+    """Return a client. It is made in a thread, since Dask waits for ever where something else takes
+    the call and says nothing.
     """
     answer: SimpleQueue[Any] = SimpleQueue()
 
@@ -241,7 +297,7 @@ def _connected(dask: Any, address: Any, wait: float) -> Any:
 def workers_of(
     cluster: Cluster, *, memory: int | None = None, wait: float = _WAIT
 ) -> Iterator[Workers]:
-    """The workers of a cluster while the block lasts; those of this machine are started and ended.
+    """Yield the workers of a cluster; those of this machine are started and ended with the block.
 
     Parameters
     ----------
@@ -275,11 +331,12 @@ def workers_of(
                 dask.LocalCluster(n_workers=cluster.workers, silence_logs=logging.CRITICAL, **local)
             )
         try:
-            client = stack.enter_context(_connected(dask, address, wait))
+            client = stack.enter_context(_connect(dask, address, wait))
             client.wait_for_workers(1, timeout=wait)
         except (OSError, ValueError) as error:  # a timeout is an OSError
             raise ClusterError(
-                f"no answer from a scheduler at {cluster.scheduler} with a worker within {wait:g} s: check the address, and that "
-                "scheduler and workers are running (dask scheduler, dask worker)"
+                f"no answer from a scheduler at {cluster.scheduler} with a worker within {wait:g} "
+                "s: check the address, and that scheduler and workers are running (dask scheduler, "
+                "dask worker)"
             ) from error
         yield Workers(client, each=each, memory=memory)

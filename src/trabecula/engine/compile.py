@@ -26,13 +26,13 @@ def kernel(function: F) -> F:
 
 
 def inline(function: F) -> F:
-    """Like `kernel`, for a few lines that LLVM should put into the caller."""
+    """Compile a few lines that LLVM should put into the caller."""
     return numba.njit(nogil=True, fastmath=False, error_model="numpy")(function)
 
 
 class _Announcer(event.Listener):
-    """Says once that kernels are being compiled; Numba sends this event only where its cache has
-    nothing.
+    """Listener that says once that kernels are being compiled; Numba sends this event only where
+    its cache has nothing.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class _Announcer(event.Listener):
             )
 
     def on_end(self, event: event.Event) -> None:
-        """Nothing to say at the end."""
+        """Do nothing at the end."""
 
 
 _announcer = _Announcer()

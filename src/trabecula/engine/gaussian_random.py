@@ -1,9 +1,8 @@
 """Standard normal numbers by coordinate, the same to the last bit on every machine.
 
 The logarithm and cosine of the usual recipe (Box and Muller 1958) may differ in their last bit
-between C libraries. Here 16 random bits choose from a table of quantiles, rounded; what decides is
-whole numbers alone. The numbers end at
-4.3 standard deviations.
+between C libraries. Here 16 random bits choose from a table of quantiles, rounded, so that whole
+numbers alone decide. The numbers end at 4.3 standard deviations.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import philox
 
 ONE = 4096
-"""What stands for one standard deviation."""
+"""The whole number that stands for one standard deviation."""
 
 
 @cache
 def quantiles(one: int = ONE) -> np.ndarray:
-    """(65536,) int16: the normal distribution's quantiles in the middle of 65536 equal parts, where
-    `one` stands for 1.
+    """Return the normal distribution's quantiles in the middle of 65536 equal parts, (65536,)
+    int16, where `one` stands for 1.
     """
     half = 1 << 15
     upper = [NormalDist().inv_cdf((half + i + 0.5) / (2 * half)) * one for i in range(half)]
@@ -35,14 +34,14 @@ def quantiles(one: int = ONE) -> np.ndarray:
 
 @inline
 def _place(coordinate, period):
-    """A coordinate, taken round an axis that repeats (period above 0)."""
+    """Return a coordinate, taken round an axis that repeats (period above 0)."""
     return coordinate if period == 0 else coordinate % period
 
 
 @kernel
 def normal_line(line, key, z, y, first, period, table):
-    """Normals in the table's units of the voxels first, first + 1, ... along x, into a line: eight
-    a draw.
+    """Draw normal numbers, in the table's units, for the voxels first, first + 1, ... along x into
+    a line: eight a draw.
     """
     group = np.int64(-1) << np.int64(40)
     w = philox(key, 0, 0, 0, 0)
@@ -58,8 +57,8 @@ def normal_line(line, key, z, y, first, period, table):
 
 @kernel
 def normal_cells(cells, key, corner, periods, table):
-    """Standard normals for every channel of the cells at corner, corner + 1, ...: (C, Z, Y, X)
-    float32, eight channels a draw.
+    """Draw standard normal numbers for every channel of the cells at corner, corner + 1, ...: (C,
+    Z, Y, X) float32, eight channels a draw.
     """
     scale = np.float32(1.0 / 4096.0)
     for z in range(cells.shape[1]):

@@ -1,5 +1,4 @@
-"""Volumes of labels of which not all is in memory: `Slabs` reads its planes when they are asked
-for.
+"""Volumes of labels that are read some planes at a time: `Slabs`.
 
 A slab is an Image of some whole planes. What is measured slab by slab carries from one to the next
 what it still needs, so that no plane is read twice.
@@ -17,7 +16,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, check_labels, outline
 from trabecula.core.recipe import Recipe
 from trabecula.engine.chunking import Box, slices_of
-from trabecula.engine.plan import Plan, available_memory, check_budget
+from trabecula.engine.memory import Plan, available_memory, check_budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class Slabs:
     spacing, unit, phases, recipe
         As of an Image.
     grain : int
-        Planes that lie together where they are kept: slabs that begin at a multiple of it are read
+        Planes of a chunk in the store: slabs that begin at a multiple of it are read
         at no extra cost.
     """
 
@@ -47,38 +46,39 @@ class Slabs:
 
     @property
     def kind(self) -> str:
-        """ "labels"."""
+        """Return "labels"."""
         return "labels"
 
     @property
     def ndim(self) -> int:
-        """Number of axes: 3."""
+        """Return the number of axes: 3."""
         return 3
 
     def __repr__(self) -> str:
         return outline(self.shape, "labels", self.spacing, self.unit, self.phases)
 
     def planes(self, first: int, last: int) -> Image:
-        """The planes `first` to `last`, which is not among them, as an Image without a recipe."""
+        """Return the planes `first` to `last` (exclusive) as an Image without a recipe."""
         return self._image(((first, last), (0, self.shape[1]), (0, self.shape[2])))
 
     def slabs(self, depth: int) -> Iterator[Image]:
-        """All planes, `depth` of them at a time."""
+        """Yield all planes, `depth` of them at a time."""
         for first in range(0, self.shape[0], depth):
             yield self.planes(first, min(first + depth, self.shape[0]))
 
     def centre(self, sides: Sequence[int]) -> Image:
-        """A box in the middle; nothing else is read.
+        """Return a box in the middle; nothing else is read.
 
         Raises
         ------
         InputError
-            The box does not lie inside the volume.
+            The box is not inside the volume.
         """
         kept = as_shape(sides, name="crop")
         if any(side > length for side, length in zip(kept, self.shape, strict=True)):
             raise InputError(
-                f"a crop of {kept} does not lie inside the image of {self.shape}: give a smaller one"
+                f"a crop of {kept} does not lie inside the image of {self.shape}: give a smaller "
+                "one"
             )
         starts = [(length - side) // 2 for length, side in zip(self.shape, kept, strict=True)]
         return self._image(
@@ -91,8 +91,8 @@ class Slabs:
         )
 
 
-def slabs_of(image: Image) -> Slabs:
-    """A volume in memory as `Slabs`; nothing is copied.
+def as_slabs(image: Image) -> Slabs:
+    """Return a volume in memory as `Slabs`; nothing is copied.
 
     Raises
     ------
@@ -121,8 +121,8 @@ def slabs_of(image: Image) -> Slabs:
 def depth_within(
     volume: Slabs, need: Callable[[int], Plan], *, memory: int | None = None, advice: str
 ) -> int:
-    """The deepest slabs that fit into memory: many planes where there are few, whole grains where
-    there are many.
+    """Return the deepest slabs that fit into memory: many planes where there are few, whole grains
+    where there are many.
 
     Parameters
     ----------

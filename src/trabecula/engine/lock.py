@@ -1,44 +1,47 @@
-"""One process at a time: a lock on what grows at a path, which ends with its process however that
-ends.
+"""Locks between processes: one run at a time writes to a path.
+
+A lock ends with its process, however that ends (`filelock`).
 """
 
 from __future__ import annotations
 
-import errno
 import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trabecula.core.errors import FileError
 
-_held: ContextVar[frozenset[Path]] = ContextVar("trabecula_locks", default=frozenset())
-"""What this run has locked, so that what it calls may lock it again."""
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
-_TAKEN = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""How systems say that another process has the lock."""
+_PATIENCE = 0.2  # seconds in which a run that has just ended removes its file
+
+_held: ContextVar[frozenset[Path]] = ContextVar("trabecula_locks", default=frozenset())
+"""Paths that this run has locked, so that a function which it calls may lock them again."""
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Keep others from what grows at `path` while the block lasts.
+def hold_lock(path: Path) -> Iterator[None]:
+    """Keep other runs from writing to `path` while the block lasts.
 
     The lock is on a file beside it, .NAME.lock, which is removed at the end; one that a killed
-    process left means nothing. A file system without locks, or that cannot be written, locks
-    nothing: whoever writes there tells what is wrong.
+    process left means nothing. Where the file system knows no locks, or cannot be written, nothing
+    is locked: the writer that follows reports the fault.
 
     Raises
     ------
     FileError
-        Another run has it.
+        Another run has the lock.
 
     Examples
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with locked(Path(folder) / "rock.zarr.part"):
+    ...     with hold_lock(Path(folder) / "rock.zarr.part"):
     ...         print([entry.name for entry in Path(folder).iterdir()])
     ['.rock.zarr.part.lock']
     """
@@ -47,74 +50,47 @@ def locked(path: Path) -> Iterator[None]:
         yield
         return
     file = path.with_name(f".{path.name}.lock")
-    descriptor = _acquired(path, file)
+    lock = _acquire(path, file)
     token = _held.set(_held.get() | {path})
     try:
         yield
     finally:
         _held.reset(token)
-        if descriptor is not None:
-            _release(descriptor, file)
+        if lock is not None:
+            _release(lock, file)
 
 
-def _acquired(path: Path, file: Path) -> int | None:
-    """A descriptor of the lock's file, locked; None where nothing can be locked."""
-    while True:
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError:
-            return None
-        try:
-            _lock(descriptor)
-            # Who had it may have removed the file after we opened it: then others lock another file
-            # of that name.
-            if os.path.samestat(os.fstat(descriptor), file.stat()):
-                _sign(descriptor)
-                return descriptor
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            if error.errno in _TAKEN:
-                owner = _signature(file)
-                os.close(descriptor)
-                raise FileError(
-                    f"{path.name} is being written by another run{owner}: wait until that has ended, or choose another --out"
-                ) from error
-            os.close(descriptor)
-            return None
-        os.close(descriptor)
+def _acquire(path: Path, file: Path) -> BaseFileLock | None:
+    """Return the lock, signed with this process; None where nothing can be locked."""
+    from filelock import FileLock, Timeout
+
+    # A soft lock would outlive a killed process.
+    lock = FileLock(file, timeout=_PATIENCE, thread_local=False, fallback_to_soft=False)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise FileError(
+            f"{path.name} is being written by another run{_signature(file)}: wait until that has "
+            "ended, or choose another --out"
+        ) from None
+    except (OSError, NotImplementedError):
+        return None
+    with suppress(OSError):  # Windows lets nobody write to a locked file
+        file.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
+    return lock
 
 
-def _release(descriptor: int, file: Path) -> None:
-    if os.name == "nt":  # an open file cannot be removed there
-        os.close(descriptor)
+def _release(lock: BaseFileLock, file: Path) -> None:
+    """Remove the file, then release the lock: whoever waits for it finds that the file is gone, and
+    opens a new one.
+    """
     with suppress(OSError):
         file.unlink(missing_ok=True)
-    if os.name != "nt":
-        os.close(descriptor)
-
-
-def _lock(descriptor: int) -> None:
-    """Lock a file or raise OSError at once."""
-    if os.name == "nt":
-        import msvcrt
-
-        # beyond what is written, which others may then read
-        os.lseek(descriptor, 1 << 20, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _sign(descriptor: int) -> None:
-    """Write who has the lock, for whom it refuses."""
-    with suppress(OSError):
-        os.ftruncate(descriptor, 0)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, f"process {os.getpid()} on {platform.node()}".encode())
+    lock.release()
+    if os.name == "nt":  # an open file cannot be removed there
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
 
 
 def _signature(file: Path) -> str:

@@ -1,10 +1,11 @@
-"""Arrays too large for memory: they lie in files of a scratch folder, and only what is worked on is
-resident.
+"""Memory-mapped arrays: large arrays are stored in files of a scratch folder, and only the slabs in
+use are resident.
 
-A run that does not fit into its budget is wrapped in `spilled`. What makes large arrays asks
-`empty` or `zeros` for them, works on them slab by slab (`tiles.for_slabs`), and is the same code as
-in memory: so are the voxels. After every slab `release_pages` hands its pages back; they stay in
-the system's cache as long as there is room, and on disk beyond that.
+A run that does not fit into its budget is wrapped in `map_large_arrays`. Code that needs large
+arrays gets them from a `memory.Workspace` (or from `empty` and `zeros`) and works on them slab by
+slab (`parallel.for_slabs`). It is the same code as in memory, so the voxels are the same. After
+every slab `release_pages` gives its pages back; they stay in the system's cache as long as there is
+room, and on disk beyond that.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from weakref import WeakKeyDictionary, finalize
 
 import numpy as np
 
-LEAST = mmap.PAGESIZE
+SMALLEST = mmap.PAGESIZE
 """Arrays of fewer bytes stay in memory."""
 
 
 @dataclass(frozen=True)
 class MappedFile:
-    """Where an array lies: `offset` bytes into a file, with these `strides`."""
+    """The part of a file that holds an array: `offset` bytes into it, with these `strides`."""
 
     path: Path
     dtype: str
@@ -41,18 +42,18 @@ class MappedFile:
     offset: int = 0
 
 
-WORTH = 1 << 24
+WORTH_SENDING = 1 << 24
 """Bytes of all arrays from which on work is worth sending."""
 
 
 class MappedWorkers(Protocol):
-    """Other processes that work on slabs."""
+    """Processes that work on slabs of memory-mapped arrays."""
 
     at_once: int
 
     def spread(self, work: Callable[[int, int], object], bounds: Sequence[tuple[int, int]]) -> None:
-        """Call `work` on slabs, in any order, and return when all are done; arrays of scratch files
-        go by their places.
+        """Call `work` on slabs, in any order, and return when all are done; memory-mapped arrays
+        are sent as file names.
         """
 
 
@@ -61,7 +62,7 @@ class _Scratch:
     folder: Path
     memory: int
     thickest: int | None
-    hands: MappedWorkers | None
+    workers: MappedWorkers | None
     files: WeakKeyDictionary[mmap.mmap, tuple[Path, Any]] = field(default_factory=WeakKeyDictionary)
     lock: Any = field(default_factory=Lock)
 
@@ -74,24 +75,25 @@ _scratch: ContextVar[_Scratch | None] = ContextVar("trabecula_scratch", default=
 
 
 @contextmanager
-def spilled(
-    folder: Path, *, memory: int, thickest: int | None = None, hands: MappedWorkers | None = None
+def map_large_arrays(
+    folder: Path, *, memory: int, thickest: int | None = None, workers: MappedWorkers | None = None
 ) -> Iterator[None]:
-    """Let large arrays lie in files of `folder` while the block lasts; they go with the arrays.
+    """Store large arrays in files of `folder` while the block lasts; a file is removed with its
+    array.
 
     Parameters
     ----------
     folder : Path
-        Made where it is not there.
+        Created where it does not exist.
     memory : int
-        Bytes of them that may be resident at once, about.
+        Bytes of the arrays that may be resident at once, about.
     thickest : int, optional
         Planes of a slab at most.
-    hands : Hands, optional
-        Who works on slabs that may be worked on anywhere.
+    workers : MappedWorkers, optional
+        Processes for the slabs that any process may work on.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    token = _scratch.set(_Scratch(folder, memory, thickest, hands))
+    token = _scratch.set(_Scratch(folder, memory, thickest, workers))
     try:
         yield
     finally:
@@ -99,30 +101,30 @@ def spilled(
 
 
 def is_active() -> bool:
-    """Whether large arrays lie in files."""
+    """Return whether large arrays are memory-mapped."""
     return _scratch.get() is not None
 
 
 def empty(shape: Sequence[int] | int, dtype: Any, *, least: int | None = None) -> np.ndarray:
-    """An array whose values do not matter yet (those of a file are zeros); in memory below `least`
-    bytes, or `LEAST`.
+    """Return an array of undefined values (those of a file are zeros); in memory below `least`
+    bytes, or `SMALLEST`.
     """
     scratch = _scratch.get()
     shape = (shape,) if isinstance(shape, int) else tuple(int(side) for side in shape)
     size = np.dtype(dtype).itemsize * math.prod(shape)
     # What others write is not seen in an array in memory.
-    fewest = LEAST if scratch is None or scratch.hands is None else 1
+    fewest = SMALLEST if scratch is None or scratch.workers is None else 1
     if scratch is None or size < (fewest if least is None else least) or size == 0:
         return np.empty(shape, dtype)
     path = scratch.folder / f"{uuid4().hex}.raw"
-    memory = _mapped(path, size)
+    memory = _create_file(path, size)
     with scratch.lock:
         scratch.files[memory] = path, finalize(memory, _remove, path)
     return np.ndarray(shape, dtype, memory)
 
 
-def _mapped(path: Path, size: int) -> mmap.mmap:
-    """A new file of zeros in memory; nothing is left of one for which there is no room."""
+def _create_file(path: Path, size: int) -> mmap.mmap:
+    """Map a new file of zeros; where the disk has no room for it nothing is left."""
     try:
         with path.open("xb+") as file:
             _allocate(path, file.fileno(), size)
@@ -133,8 +135,8 @@ def _mapped(path: Path, size: int) -> mmap.mmap:
 
 
 def _allocate(path: Path, descriptor: int, size: int) -> None:
-    """Blocks that the disk does not have are an error here; where they are first touched the
-    process would be killed.
+    """Reserve the blocks of a file: a full disk is an error here; where a page is first touched it
+    would kill the process.
     """
     try:
         os.posix_fallocate(descriptor, 0, size)
@@ -147,16 +149,18 @@ def _allocate(path: Path, descriptor: int, size: int) -> None:
 
 
 def zeros(shape: Sequence[int] | int, dtype: Any) -> np.ndarray:
-    """An array of zeros."""
+    """Return an array of zeros."""
     made = empty(shape, dtype)
-    if _file_of(made) is None:
+    if _find_file(made) is None:
         made[...] = 0
     return made
 
 
-def place_of(array: np.ndarray) -> MappedFile | None:
-    """Where an array, or the one that it is a view of, lies; None for one in memory."""
-    found = _file_of(array)
+def file_of(array: np.ndarray) -> MappedFile | None:
+    """Return the file that holds an array, or the array that it is a view of; None for one in
+    memory.
+    """
+    found = _find_file(array)
     if found is None:
         return None
     memory, path = found
@@ -166,16 +170,17 @@ def place_of(array: np.ndarray) -> MappedFile | None:
 
 
 def keep_file(array: np.ndarray) -> MappedFile:
-    """Let the file of an array that `empty` gave stay when the array goes.
+    """Keep the file of an array that `empty` gave when the array goes.
 
     Raises
     ------
     ValueError
         One in memory, or a part of another.
     """
-    scratch, found, place = _scratch.get(), _file_of(array), place_of(array)
+    scratch = _scratch.get()
+    found, place = _find_file(array), file_of(array)
     if scratch is None or found is None or place is None or len(found[0]) != array.nbytes:
-        raise ValueError("only a whole array that lies in a scratch file can be kept")
+        raise ValueError("only a whole array in a scratch file can be kept")
     memory, _ = found
     memory.flush()
     scratch.files[memory][1].detach()
@@ -183,15 +188,15 @@ def keep_file(array: np.ndarray) -> MappedFile:
 
 
 def open_file(place: MappedFile) -> np.ndarray:
-    """The array at a place, of which this process does not remove the file."""
+    """Map the array in a file that this process does not remove."""
     with place.path.open("rb+") as file:
         memory = mmap.mmap(file.fileno(), 0)
     return np.ndarray(place.shape, place.dtype, memory, place.offset, place.strides)
 
 
-def thickness(length: int, threads: int) -> int:
-    """Planes of a slab such that slabs of this share of all arrays, one a thread, are resident
-    within the budget.
+def slab_thickness(length: int, threads: int) -> int:
+    """Return the planes of a slab such that slabs of this share of all arrays, one a thread, are
+    resident within the budget.
     """
     scratch = _scratch.get()
     if scratch is None:
@@ -202,19 +207,21 @@ def thickness(length: int, threads: int) -> int:
 
 
 def run_on_workers(work: Callable[[int, int], object], length: int) -> bool:
-    """Let others work on slabs that cover `0..length`, where there are any; whether they did."""
+    """Let workers work on slabs that cover `0..length`, where there are any; return whether they
+    did.
+    """
     scratch = _scratch.get()
-    if scratch is None or scratch.hands is None or sum(map(len, scratch.live())) < WORTH:
+    if scratch is None or scratch.workers is None or sum(map(len, scratch.live())) < WORTH_SENDING:
         return False
-    thick = thickness(length, scratch.hands.at_once)
-    scratch.hands.spread(
+    thick = slab_thickness(length, scratch.workers.at_once)
+    scratch.workers.spread(
         work, [(first, min(first + thick, length)) for first in range(0, length, thick)]
     )
     return True
 
 
 def release_pages() -> None:
-    """Hand all pages back; what was written stays in the files."""
+    """Release all pages; what was written stays in the files."""
     scratch = _scratch.get()
     if scratch is None or not hasattr(mmap, "MADV_DONTNEED"):
         return
@@ -222,7 +229,7 @@ def release_pages() -> None:
         memory.madvise(mmap.MADV_DONTNEED)
 
 
-def _file_of(array: np.ndarray) -> tuple[mmap.mmap, Path] | None:
+def _find_file(array: np.ndarray) -> tuple[mmap.mmap, Path] | None:
     scratch, base = _scratch.get(), array.base
     while isinstance(base, np.ndarray):
         base = base.base

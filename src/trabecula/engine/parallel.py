@@ -1,4 +1,4 @@
-"""Threads over tiles: a kernel that writes only its own tile gives the same result for any number
+"""Threads over slabs: a kernel that writes only its own slab gives the same result for any number
 of threads.
 """
 
@@ -23,8 +23,8 @@ _threads: ContextVar[int | None] = ContextVar("trabecula_threads", default=None)
 
 
 def thread_count() -> int:
-    """Threads in use: set by `threads`, or by TRABECULA_THREADS, or every core that this process
-    may run on.
+    """Return the number of threads in use: set by `threads`, or by TRABECULA_THREADS, or every core
+    that this process may run on.
     """
     chosen = _threads.get()
     if chosen is not None:
@@ -60,8 +60,8 @@ def _blas() -> Any:
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
-    """Matrix products inside the block use one thread: their own threads fight with ours, and with
-    each other on small work.
+    """Limit matrix products inside the block to one thread: BLAS threads compete with ours, and
+    with each other on small work.
     """
     return _blas().limit(limits=1)
 
@@ -72,11 +72,11 @@ def for_slabs(
     """Call `work(start, stop)` on slabs that cover `0..length`, in as many threads as are in use.
 
     `work` must write nothing outside its slab and release the GIL. The slabs depend on the thread
-    count, and where arrays lie in scratch files on what may be resident of them; the result of a
+    count, and where arrays are memory-mapped on what may be resident of them; the result of a
     kernel that honours the first sentence does not.
 
     With `anywhere` it may run in another process, and more than once: it can be pickled, writes
-    nothing but its slab of arrays that `scratch` gave, and reads none of what it writes. Large
+    nothing but its slab of memory-mapped arrays, and reads nothing that it writes. Large
     arrays in memory that it reads never change: they are sent once.
     """
     if anywhere and memmap.run_on_workers(work, length):
@@ -94,8 +94,8 @@ def in_order(work: Callable[[int, int], object], length: int) -> None:
 
 
 def sum_slabs(work: Callable[[int, int], T], length: int, *, least: int = 8) -> T:
-    """The sum of `work(start, stop)` over slabs that cover `0..length` (at least 1), in as many
-    threads as are in use.
+    """Return the sum of `work(start, stop)` over slabs that cover `0..length` (at least 1), in as
+    many threads as are in use.
 
     Of whole numbers, or arrays of them, so that no order matters; `work` writes nothing that is not
     its own.
@@ -116,14 +116,14 @@ def sum_slabs(work: Callable[[int, int], T], length: int, *, least: int = 8) -> 
 def _by_thickness(
     work: Callable[[int, int], object], length: int, count: int
 ) -> Callable[[int, int], object]:
-    """The same work in slabs as thick as arrays in scratch files allow, handing pages back after
+    """Return the same work in slabs as thick as memory-mapped arrays allow, releasing pages after
     each.
     """
     if not memmap.is_active():
         return work
 
-    def bounded(start: int, stop: int) -> None:
-        thick = memmap.thickness(length, count)
+    def work_thin(start: int, stop: int) -> None:
+        thick = memmap.slab_thickness(length, count)
         if thick >= length:  # all of them may stay
             work(start, stop)
             return
@@ -131,7 +131,7 @@ def _by_thickness(
             work(first, min(first + thick, stop))
             memmap.release_pages()
 
-    return bounded
+    return work_thin
 
 
 def _run(work: Callable[[int, int], object], length: int, count: int, least: int) -> None:

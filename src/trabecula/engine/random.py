@@ -19,7 +19,7 @@ _SHIFT = np.uint64(32)
 
 @inline
 def philox(key, c0, c1, c2, c3):
-    """Four independent uint32 (as uint64) for one 4 x 32-bit counter under a 64-bit key."""
+    """Return four independent uint32 (as uint64) for one 4 x 32-bit counter under a 64-bit key."""
     k0, k1 = np.uint64(key) & _MASK, np.uint64(key) >> _SHIFT
     x0, x1, x2, x3 = (
         np.uint64(c0) & _MASK,
@@ -36,5 +36,5 @@ def philox(key, c0, c1, c2, c3):
 
 @inline
 def below(word, n):
-    """A uniform integer in 0..n-1 from one word of `philox` (bias below n / 2**32)."""
+    """Return a uniform integer in 0..n-1 from one word of `philox` (bias below n / 2**32)."""
     return np.int64((word * np.uint64(n)) >> _SHIFT)

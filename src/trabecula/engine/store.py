@@ -1,11 +1,11 @@
 """Zarr stores: the one home of zarr.
 
-A store is a Zarr v3 group with the voxels as array "0" and coarser levels of them (engine.levels)
+A store is a Zarr v3 group with the voxels as array "0" and coarser levels (engine.multiscale)
 as "1", "2", ..., described as OME-Zarr 0.5 (axes, scale, units), and our fields under the attribute
 "trabecula". Its `complete` is false until the last chunk is written, so a run that died leaves a
 store that says so.
 
-A file (or object: see engine.locations) of an array holds a cube of `CHUNK` voxels and is the unit
+A file (or object: see engine.storage) of an array holds a cube of `CHUNK` voxels and is the unit
 of writing (Zarr's shard); the cubes of half its edge in it are the unit of reading (Zarr's chunk).
 """
 
@@ -19,14 +19,20 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError
-from trabecula.engine import ome
 from trabecula.engine.chunking import Box, cells_of, slices_of
-from trabecula.engine.multiscale import halved, shapes_of
-from trabecula.engine.storage.location import AnyPath, Location, located
+from trabecula.engine.multiscale import (
+    calibration,
+    datasets_of,
+    halve_resolution,
+    ome_attribute,
+    shapes_of,
+)
+from trabecula.engine.storage.location import AnyPath, Location, location_of
 
 KEY = "trabecula"
 CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like
-_OF, _EDGE, _SIDE = "identity", "chunk", "block"
+_OF = "identity"
+_EDGE, _SIDE = "chunk", "block"
 # a chunk that is not there is then a chunk that was lost
 _EVERY_CHUNK: Any = {"write_empty_chunks": True}
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
@@ -34,8 +40,8 @@ _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain littl
 
 @dataclass(frozen=True)
 class Store:
-    """A store, opened; nothing of its voxels is in memory yet. `fields` is empty and `scale` may be
-    where it is not ours.
+    """An open store; none of its voxels is in memory yet. `fields` is empty, and `scale` may be,
+    where another program wrote it.
     """
 
     place: Location
@@ -59,12 +65,12 @@ class Store:
                 raise ValueError(f"{len(missing)} of its {len(files)} chunks are missing")
 
     def read(self, index: Any) -> np.ndarray:
-        """Some of the voxels, as an index of the array says."""
-        with self.place.reached():
+        """Read some of the voxels, as an index of the array says."""
+        with self.place.explain_errors():
             return np.asarray(self.array[index])
 
     def load(self) -> np.ndarray:
-        """All voxels of the level that was opened.
+        """Read all voxels of the level that was opened.
 
         Raises
         ------
@@ -101,7 +107,7 @@ def save(
     FileError
         A folder that is no Zarr store is in the way, or the place cannot be written.
     """
-    place = located(path)
+    place = location_of(path)
     with place.appearing() as temporary:
         group, arrays = create(
             temporary,
@@ -114,7 +120,9 @@ def save(
         )
         for level, array in enumerate(arrays):
             if level:
-                values = halved(values, labels=fields.get("kind") == "labels", axes=len(scale))
+                values = halve_resolution(
+                    values, labels=fields.get("kind") == "labels", axes=len(scale)
+                )
             array[...] = values
         finish(group)
 
@@ -130,7 +138,9 @@ def create(
     name: str = "",
     chunk: int | None = None,
 ) -> tuple[Any, list[Any]]:
-    """An unfinished store and the empty arrays of its levels; call `finish` after the last chunk."""
+    """Create an unfinished store and the empty arrays of its levels; call `finish` after the last
+    chunk.
+    """
     import zarr
     from zarr.codecs import ZstdCodec
 
@@ -141,7 +151,7 @@ def create(
     group = zarr.create_group(
         str(path),
         attributes={
-            "ome": ome.described(axes, scale, unit, name, len(shapes)),
+            "ome": ome_attribute(axes, scale, unit, name, len(shapes)),
             KEY: {**fields, "complete": False},
         },
     )
@@ -166,8 +176,8 @@ def create(
 
 
 def _to_read(side: int) -> int:
-    """The edge of the cubes that are read alone, for that of a file; smaller ones would cost more
-    than they spare.
+    """Return the edge of the cubes that are read alone, for that of a file; smaller ones would cost
+    more than they spare.
     """
     return side // 2 if side % 2 == 0 and side >= 128 else side
 
@@ -179,7 +189,7 @@ def finish(group: Any) -> None:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A store that is still being written, and of what.
+    """A store that is still being written.
 
     Attributes
     ----------
@@ -203,62 +213,65 @@ class Unfinished:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """What it says of itself; the digest of its voxels is empty until it is complete."""
+        """Return the store's own metadata; the digest of its voxels is empty until the end."""
         return dict(self.group.attrs[KEY])
 
     @property
     def complete(self) -> bool:
-        """Whether it was finished after all."""
+        """Return whether the store was finished after all."""
         return self.group.attrs[KEY].get("complete") is True
 
     @property
     def channels(self) -> int:
-        """Numbers of a voxel, along a first axis of the arrays; 0 where it is one number, without
-        that axis.
+        """Return the numbers of a voxel, along a first axis of the arrays; 0 for one number,
+        without that axis.
         """
         finest = self.arrays[0]
         return finest.shape[0] if finest.metadata.dimension_names[0] == "c" else 0
 
     @property
     def shapes(self) -> list[tuple[int, ...]]:
-        """Voxels of every level along its axes of space."""
+        """Return the voxels of every level along its axes of space."""
         return [tuple(array.shape[1:] if self.channels else array.shape) for array in self.arrays]
 
     def files(self, level: int, box: Box) -> list[str]:
-        """The names of the files that hold a box of a level."""
+        """Return the names of the files that hold a box of a level."""
         first = (0,) if self.channels else ()  # all channels are in one file
         return [_file(level, (*first, *cell), self.chunk) for cell in cells_of(box, self.chunk)]
 
     def missing(self, level: int, box: Box) -> list[str]:
-        """Those of them that are not there."""
+        """Return the names of those files of a box that are not there."""
         return self.place.missing(self.files(level, box))
 
     def read(self, level: int, box: Box) -> np.ndarray:
-        """A box of a level, channels first where there are any."""
-        with self.place.reached(self._hint):
+        """Read a box of a level, channels first where there are any."""
+        with self.place.explain_errors(self._hint):
             return np.asarray(self.arrays[level][..., *slices_of(box)])
 
     def write(self, level: int, box: Box, values: np.ndarray) -> None:
-        """Put the voxels of a box of a level in place, channels first where there are any."""
-        with self.place.reached(self._hint):
+        """Write the voxels of a box of a level, channels first where there are any."""
+        with self.place.explain_errors(self._hint):
             self.arrays[level][..., *slices_of(box)] = values
 
     @property
     def _hint(self) -> str:
-        return f"; what is finished stays, and the same run goes on from it (generate --resume {self.place.name})"
+        return (
+            "; what is finished stays, and the same run resumes from it (generate --resume "
+            f"{self.place.name})"
+        )
 
     def finish(self, fields: Mapping[str, Any]) -> None:
         """Mark the store as complete, with the fields that nobody knew before the last chunk."""
         # The identity stays, for a run that is killed before the store has its own name.
-        with self.place.reached(self._hint):
+        with self.place.explain_errors(self._hint):
             self.group.attrs[KEY] = {
                 **fields,
-                **_asked(self.identity, self.chunk, self.block),
+                **_run_fields(self.identity, self.chunk, self.block),
                 "complete": True,
             }
 
 
-def _asked(identity: str, chunk: int, block: int) -> dict[str, Any]:
+def _run_fields(identity: str, chunk: int, block: int) -> dict[str, Any]:
     return {_OF: identity, _EDGE: chunk, _SIDE: block}
 
 
@@ -275,9 +288,11 @@ def create_unfinished(
     chunk: int,
     block: int,
 ) -> Unfinished:
-    """An empty store that says what will be in it, and `identity` of it, until it is finished."""
-    more = {**fields, **_asked(identity, chunk, block)}
-    with located(path).appearing() as temporary:
+    """Create an empty store that says what will be in it, and `identity` of it, until it is
+    finished.
+    """
+    more = {**fields, **_run_fields(identity, chunk, block)}
+    with location_of(path).appearing() as temporary:
         create(temporary, shape, dtype, scale=scale, unit=unit, fields=more, name=name, chunk=chunk)
     made = open_unfinished(path)
     if made is None:
@@ -288,8 +303,8 @@ def create_unfinished(
 
 
 def open_unfinished(path: AnyPath) -> Unfinished | None:
-    """What `create_unfinished` left, whether or not it was finished; None where something else is
-    there, or nothing.
+    """Open the store that `create_unfinished` left, finished or not; return None for something else
+    or nothing.
 
     Raises
     ------
@@ -298,7 +313,7 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
     """
     import zarr
 
-    place = located(path)
+    place = location_of(path)
     if not place.is_store():
         return None
     try:
@@ -310,7 +325,7 @@ def open_unfinished(path: AnyPath) -> Unfinished | None:
         with zarr.config.set({f"array.{name}": value for name, value in _EVERY_CHUNK.items()}):
             arrays = tuple(group[str(level)] for level in range(levels))
         return Unfinished(place, group, arrays, str(ours[_OF]), int(ours[_EDGE]), int(ours[_SIDE]))
-    except Exception:  # noqa: BLE001 (zarr raises what it likes on a folder that is none of its own)
+    except Exception:  # noqa: BLE001 (zarr raises anything on a folder of another program)
         return None
 
 
@@ -325,12 +340,12 @@ def open_finished(path: AnyPath, level: int = 0) -> Store:
     InputError
         It has no such level.
     """
-    place = located(path)
-    with place.reached():
-        return _opened(place, level)
+    place = location_of(path)
+    with place.explain_errors():
+        return _open(place, level)
 
 
-def _opened(place: Location, level: int) -> Store:
+def _open(place: Location, level: int) -> Store:
     import zarr
 
     node: Any = zarr.open(place.zarr(), mode="r")
@@ -338,7 +353,8 @@ def _opened(place: Location, level: int) -> Store:
     if isinstance(fields, Mapping) and fields.get("complete") is not True:
         name = str(place).removesuffix(".part")
         raise FileError(
-            f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula generate --resume {name} goes on"
+            f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula "
+            f"generate --resume {name} goes on"
         )
     ours = (
         {name: value for name, value in fields.items() if name != "complete"}
@@ -346,10 +362,10 @@ def _opened(place: Location, level: int) -> Store:
         else {}
     )
     found = node.attrs.get("ome", dict(node.attrs))
-    datasets = ome.datasets(found)
+    datasets = datasets_of(found)
     if datasets is not None:
         _check_level(place, level, len(datasets))
-        scale, unit = ome.calibration(found, level)
+        scale, unit = calibration(found, level)
         return Store(place, node[datasets[level]["path"]], ours, scale, unit)
     _check_level(place, level, 1)
     return Store(
@@ -364,18 +380,19 @@ def _check_level(place: Location, level: int, count: int) -> None:
 
 
 def _only_array(place: Location, group: Any) -> Any:
-    """The array of somebody else's group."""
+    """Return the only array of another program's group."""
     arrays = [name for name, _ in group.arrays()]
     if len(arrays) != 1:
         names = ", ".join(sorted(arrays)) or "none"
         raise FileError(
-            f"cannot read {place} as Zarr: one array is needed, it holds {names}; give the array's own path"
+            f"cannot read {place} as Zarr: one array is needed, it holds {names}; give the array's "
+            "own path"
         )
     return group[arrays[0]]
 
 
 def _files(array: Any) -> list[str]:
-    """The name of every file of an array of ours."""
+    """Return the name of every file of an array of ours."""
     edges = array.shards or array.chunks
     box = tuple((0, -(-side // edge)) for side, edge in zip(array.shape, edges, strict=True))
     return [_file(array.basename, cell, 1) for cell in cells_of(box, 1)]

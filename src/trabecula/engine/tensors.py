@@ -1,8 +1,10 @@
-"""Arrays by name in one file, laid out as safetensors: the length of a header, the header as JSON,
-the raw numbers.
+"""Arrays by name in one file in the format of safetensors: the length of a header, the header as
+JSON, the raw numbers.
 
-Nothing in such a file is ever executed. Whatever is in it is checked before a number of it is used:
-anybody may have written it. The same arrays and words give the same bytes.
+Nothing in such a file is ever executed. Everything in it is checked before a number of it is used:
+anybody may have written it. The same arrays and words give the same bytes, on which the identity of
+a model rests. The package safetensors (0.8) does not promise that: it writes several words in
+another order at every call, and orders arrays of one width by their type.
 
 Layout: https://github.com/huggingface/safetensors (8 bytes little-endian, JSON of at most that
 many, data without holes).
@@ -29,7 +31,7 @@ _ALIGNED = 8
 
 
 def encode(arrays: Mapping[str, np.ndarray], words: Mapping[str, str]) -> bytes:
-    """The bytes of a file.
+    """Return the bytes of a file.
 
     Parameters
     ----------
@@ -46,7 +48,7 @@ def encode(arrays: Mapping[str, np.ndarray], words: Mapping[str, str]) -> bytes:
     >>> arrays["a"].tolist(), words
     ([0, 1, 2], {'by': 'hand'})
     """
-    plain = {name: _little(array) for name, array in arrays.items()}
+    plain = {name: _as_little_endian(array) for name, array in arrays.items()}
     # The widest first, so that every array starts at a multiple of its width.
     order = sorted(plain, key=lambda name: (-plain[name].itemsize, name))
     header: dict[str, Any] = {_WORDS: dict(sorted(words.items()))}
@@ -67,7 +69,7 @@ def encode(arrays: Mapping[str, np.ndarray], words: Mapping[str, str]) -> bytes:
 
 
 def decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Arrays and words of a file's bytes; the arrays are read-only views.
+    """Return arrays and words of a file's bytes; the arrays are read-only views.
 
     Raises
     ------
@@ -96,8 +98,8 @@ def decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     }, words
 
 
-def _little(array: np.ndarray) -> np.ndarray:
-    """In memory order and little-endian, of a type that the layout knows."""
+def _as_little_endian(array: np.ndarray) -> np.ndarray:
+    """Return an array in C order and little-endian, of a type that the format knows."""
     array = np.asarray(array, order="C")
     array = array.astype(array.dtype.newbyteorder("<"), copy=False)
     if array.dtype not in _NAMES:
@@ -117,7 +119,7 @@ def _header(data: bytes) -> tuple[dict[str, Any], int]:
         )
     try:
         header = json.loads(
-            data[8 : 8 + length].decode("utf-8"), object_pairs_hook=_unique, parse_constant=_refused
+            data[8 : 8 + length].decode("utf-8"), object_pairs_hook=_unique, parse_constant=_refuse
         )
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"its header is damaged ({error})") from None
@@ -131,18 +133,19 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _refused(word: str) -> None:
+def _refuse(word: str) -> None:
     raise ValueError(f"its header holds {word}, which is no number")
 
 
 def _entry(name: str, entry: Any) -> tuple[np.dtype, tuple[int, ...], int, int]:
-    """Type, shape, first and last byte of an array."""
+    """Return type, shape, first and last byte of an array."""
     if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
         raise ValueError(f"its header's entry {name!r} is damaged")
-    kind, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
+    kind = entry["dtype"]
+    shape, offsets = entry["shape"], entry["data_offsets"]
     if not isinstance(kind, str) or kind not in TYPES:
         raise ValueError(f"{name!r} is of type {kind!r}, known are {', '.join(TYPES)}")
-    if not (_whole(shape) and len(shape) <= 32 and _whole(offsets) and len(offsets) == 2):
+    if not (_is_whole(shape) and len(shape) <= 32 and _is_whole(offsets) and len(offsets) == 2):
         raise ValueError(f"the shape or place of {name!r} is damaged")
     dtype = np.dtype(TYPES[kind])
     if offsets[1] - offsets[0] != math.prod(shape) * dtype.itemsize:
@@ -152,6 +155,8 @@ def _entry(name: str, entry: Any) -> tuple[np.dtype, tuple[int, ...], int, int]:
     return dtype, tuple(shape), offsets[0], offsets[1]
 
 
-def _whole(numbers: Any) -> bool:
-    """A list of whole numbers that a file can have: neither negative nor beyond 2**62."""
+def _is_whole(numbers: Any) -> bool:
+    """Return whether a value is a list of whole numbers that a file can have: neither negative nor
+    beyond 2**62.
+    """
     return isinstance(numbers, list) and all(type(n) is int and 0 <= n < 2**62 for n in numbers)

@@ -1,5 +1,5 @@
-"""How long a run will take: boxes of it are made for about a second, and the time of a whole block
-is reckoned from them.
+"""Time that a run will take: boxes of it are made for about a second, and the time of a whole block
+is estimated from them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def seconds_of(
     *,
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
-    """Seconds that making a volume in blocks takes on this machine, as it is now.
+    """Return the seconds that making a volume in blocks takes on this machine, as it is now.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def seconds_of(
     A box of side s needs what is around it as well, so its time is close to c (s + h)^3. Boxes of
     sides 16, 32, ... up to the block's are timed, two at least, as long as the next one can be
     expected to take a second; c and h follow from the last two (h = 0 where the larger box was as
-    dear a voxel). Beside the boxes, what the very first call does once, and 30 ns a voxel for
+    expensive a voxel). Beside the boxes, what the very first call does once, and 30 ns a voxel for
     writing.
     """
     blocks = boxes_of(shape, side)
@@ -69,7 +69,7 @@ def seconds_of(
         if edge == block or (len(timed) > 1 and 8 * timed[-1][1] > _SECONDS):
             break
         edge = min(2 * edge, block)
-    total = sum(_reckoned(timed, shape, box) for box in blocks)
+    total = sum(_estimate(timed, shape, box) for box in blocks)
     return once + total + _WRITTEN * prod(shape)
 
 
@@ -79,7 +79,7 @@ def seconds_of_whole(
     *,
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
-    """Seconds that making a volume as a whole takes on this machine, as it is now.
+    """Return the seconds that making a volume as a whole takes on this machine, as it is now.
 
     Parameters
     ----------
@@ -116,14 +116,14 @@ def _cube(shape: Sequence[int], edge: int) -> tuple[int, ...]:
 
 
 def _box(shape: Sequence[int], edge: int) -> Box:
-    """A box in the middle of a shape."""
+    """Return a box in the middle of a shape."""
     return tuple(
         ((length - min(edge, length)) // 2, (length + min(edge, length)) // 2) for length in shape
     )
 
 
-def _reckoned(timed: Sequence[tuple[int, float]], shape: Sequence[int], box: Box) -> float:
-    """Seconds of a box, from those of boxes that were timed."""
+def _estimate(timed: Sequence[tuple[int, float]], shape: Sequence[int], box: Box) -> float:
+    """Return the seconds of a box, from those of boxes that were timed."""
     sides = [last - first for first, last in box]
     (edge, seconds), around = timed[-1], 0.0
     if len(timed) > 1 and len(shape) == 3 and min(shape) >= edge:

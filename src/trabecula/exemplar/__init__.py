@@ -1,1 +1,5 @@
-"""Image -> Image to learn from: segment, crop, and the samples that the package makes itself."""
+"""Images to learn from: segment, crop, place, views of pictures, and the samples that the package
+makes itself.
+"""
+
+__all__ = ["crop", "margins", "place", "samples", "segment", "target", "views"]

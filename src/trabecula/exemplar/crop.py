@@ -1,4 +1,4 @@
-"""Cut a box out of an image."""
+"""Boxes cut out of an image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trabecula.core.image import Image, with_values
 
 
 def crop(image: Image, size: int | Sequence[int], *, corner: Sequence[int] | None = None) -> Image:
-    """A box of an image, with one more step in its recipe.
+    """Cut a box out of an image, with one more step in its recipe.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def crop(image: Image, size: int | Sequence[int], *, corner: Sequence[int] | Non
     Raises
     ------
     InputError
-        The box does not lie inside the image.
+        The box is not inside the image.
     """
     sides = as_shape(size, ndim=image.ndim, name="crop")
     if corner is None:
@@ -38,7 +38,8 @@ def crop(image: Image, size: int | Sequence[int], *, corner: Sequence[int] | Non
     ):
         at = "" if corner is None else f" at {first}"
         raise InputError(
-            f"a crop of {sides}{at} does not lie inside the image of {image.shape}: give a smaller one"
+            f"a crop of {sides}{at} does not lie inside the image of {image.shape}: give a smaller "
+            "one"
         )
     box = tuple(slice(start, start + side) for start, side in zip(first, sides, strict=True))
     values = np.ascontiguousarray(image.values[box])

@@ -1,19 +1,17 @@
-"""Cut the margins off that hold no material: blank outer planes, frames, what lies beyond a round
-field of view.
-"""
+"""Margins that hold no material: blank planes, frames, the outside of a round field of view."""
 
 from __future__ import annotations
 
 from trabecula.core.image import Image
 from trabecula.exemplar.crop import crop
-from trabecula.measure.margins import Face, Margins, find_margins, margin_note
+from trabecula.measure.margins import MarginFace, Margins, find_margins, margin_note
 
-__all__ = ["Face", "Margins", "crop_margins", "find_margins", "margin_note"]
+__all__ = ["MarginFace", "Margins", "crop_margins", "find_margins", "margin_note"]
 
 
 def crop_margins(image: Image) -> Image:
-    """Cut off the margins that `find_margins` finds; of a round field of view the inscribed square
-    is kept.
+    """Cut off the margins that `find_margins` finds; a round field of view becomes the inscribed
+    square.
 
     Parameters
     ----------

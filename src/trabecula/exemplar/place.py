@@ -1,4 +1,4 @@
-"""Put a scan, or a picture, into a larger image, of which it is the known part."""
+"""A scan, or a picture, placed in a larger image as its known part."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def place(
     plane: str | None = None,
     across: float = 1.0,
 ) -> Image:
-    """An image of `shape` that holds `image` at `corner`, and 0 elsewhere.
+    """Return an image of `shape` that holds `image` at `corner`, and 0 elsewhere.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def place(
     shape : int or sequence of int
         Voxels of the larger image along every axis.
     corner : sequence of int
-        Where the first voxel of `image` comes to lie.
+        Position of the first voxel of `image`.
     plane : str, optional
         Of a picture that is put into a volume: the volume's axes along its rows and columns, "yx",
         "zx", "zy", or turned "xy", "xz", "yz".
@@ -39,7 +39,7 @@ def place(
     Raises
     ------
     InputError
-        The image does not lie inside the larger one there; a picture for a volume without a plane.
+        The image is not inside the larger one there; a picture for a volume without a plane.
     UnknownNameError
         No such plane.
 
@@ -61,7 +61,7 @@ def place(
 
 
 def as_slab(picture: Image, plane: str, *, across: float = 1.0) -> Image:
-    """A picture as a volume one voxel thick; `plane` and `across` as in `place`.
+    """Return a picture as a volume one voxel thick; `plane` and `across` as in `place`.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def as_slab(picture: Image, plane: str, *, across: float = 1.0) -> Image:
 
 
 def block(size: Sequence[int], shape: int | Sequence[int], *, corner: Sequence[int]) -> Image:
-    """Labels of `shape`: solid in the box of `size` voxels at `corner`, void elsewhere.
+    """Return labels of `shape`: solid in the box of `size` voxels at `corner`, void elsewhere.
 
     It is the known part of what `place` puts there.
 

@@ -22,7 +22,7 @@ from trabecula.engine.random import philox
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample and how it is made: cells of a jittered grid, walls and edges between them."""
+    """A sample: cells of a jittered grid, walls and edges between them."""
 
     name: str
     summary: str
@@ -78,12 +78,12 @@ _SIDE = 96
 
 
 def samples() -> dict[str, str]:
-    """Names of the samples and what each is."""
+    """Return the names of the samples and a summary of each."""
     return {name: sample.summary for name, sample in SAMPLES.items()}
 
 
 def sample(name: str) -> Image:
-    """A sample volume of 96^3 voxels, labels void and solid; always the same voxels.
+    """Return a sample volume of 96^3 voxels, labels void and solid; always the same voxels.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def sample(name: str) -> Image:
     for_slabs(
         lambda a, b: _cells(field, centres, size, np.float32(chosen.walls), grow, a, b), _SIDE
     )
-    field = _rounded(field)
+    field = _blur(field)
     count = round(field.size * (1 - chosen.porosity))
     level = np.partition(field.ravel(), count)[count]
     values = (field < level).astype(np.uint8)
@@ -108,9 +108,9 @@ def sample(name: str) -> Image:
     return Image(values, "labels", (chosen.spacing,) * 3, chosen.unit, ("void", "solid"), recipe)
 
 
-def _rounded(field: np.ndarray) -> np.ndarray:
-    """Blurred twice by (1, 2, 1) / 4 along every axis: struts get round sections and none is
-    thinner than a voxel.
+def _blur(field: np.ndarray) -> np.ndarray:
+    """Blur twice by (1, 2, 1) / 4 along every axis: struts get round sections and none is thinner
+    than a voxel.
     """
     for axis in (0, 1, 2) * 2:
         padded = np.pad(field, [(int(a == axis),) * 2 for a in range(3)], mode="edge")
@@ -124,8 +124,8 @@ def _rounded(field: np.ndarray) -> np.ndarray:
 
 @kernel
 def _centres(centres, size, wander, grow):
-    """Centres of the cells (voxels): places in a grid, moved at random, every other row by half a
-    cell so that cells pack.
+    """Write the centres of the cells (voxels): places in a grid, moved at random, every other row
+    by half a cell so that cells pack.
 
     Cell (i, j, k) of the array is cell (i - 2, j - 2, k - 2) of the grid, since a voxel looks two
     cells far.
@@ -144,8 +144,8 @@ def _centres(centres, size, wander, grow):
 
 @kernel
 def _cells(field, centres, size, walls, grow, start, stop):
-    """Distance (about, voxels) to the nearest edge between three cells, or to a wall between two
-    where it is a plate.
+    """Write the distance (about, voxels) to the nearest edge between three cells, or to a wall
+    between two where it is a plate.
 
     d1 <= d2 <= d3 are the distances to the nearest centres: d3 - d1 vanishes on edges, d2 - d1 on
     walls.

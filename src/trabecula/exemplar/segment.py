@@ -23,7 +23,7 @@ def segment(
     *,
     phases: Sequence[str] = ("void", "solid"),
 ) -> Image:
-    """Labels of a grey image: 1 (the second of `phases`) where it is brighter than a threshold.
+    """Segment a grey image: label 1 (the second of `phases`) where it is brighter than a threshold.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def segment(
         Grey.
     threshold : float, pair of float, or {"otsu", "dual"}
         A number: brighter voxels are solid. A pair (low, high): voxels brighter than `low` that
-        hang together (by faces) with one brighter than `high` are solid, so that thin, dim struts
+        are connected (by faces) to one brighter than `high` are solid, so that thin, dim struts
         are kept and dim specks are not. "otsu" finds the number (Otsu 1979,
         doi:10.1109/TSMC.1979.4310076), "dual" the pair, by the same criterion with three classes.
         Two thresholds are what Buie et al. (2007, doi:10.1016/j.bone.2007.07.007) use and Zhang et
@@ -60,7 +60,8 @@ def segment(
     solid = values > np.float64(found[0]) if len(found) == 1 else _hysteresis(values, found)
     if not solid.any() or solid.all():
         raise InputError(
-            f"threshold {_text(found)} leaves one phase only: the image runs from {low:g} to {high:g}"
+            f"threshold {_text(found)} leaves one phase only: the image runs from {low:g} to "
+            f"{high:g}"
         )
     labels = solid.astype(np.uint8)
     recorded = found[0] if len(found) == 1 else list(found)
@@ -75,8 +76,8 @@ def segment(
 
 
 def otsu(values: np.ndarray, *, classes: int = 2) -> tuple[float, ...]:
-    """Thresholds that split values into 2 or 3 classes of greatest between-class variance (Otsu
-    1979, eq. 18).
+    """Return thresholds that split values into 2 or 3 classes of greatest between-class variance
+    (Otsu 1979, eq. 18).
     """
     levels, counts = _histogram(values)
     share = counts / counts.sum()
@@ -111,7 +112,8 @@ def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) ->
         check_name(threshold, METHODS, name="way to find a threshold")
         if max(abs(float(values.min())), abs(float(values.max()))) > _LARGEST:
             raise InputError(
-                f"the image holds values beyond {_LARGEST:g}: rescale it, or give a threshold as a number"
+                f"the image holds values beyond {_LARGEST:g}: rescale it, or give a threshold as a "
+                "number"
             )
         return otsu(values, classes=2 if threshold == "otsu" else 3)
     try:
@@ -129,18 +131,18 @@ def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) ->
 
 def _hysteresis(values: np.ndarray, thresholds: tuple[float, ...]) -> np.ndarray:
     low, high = (np.float64(threshold) for threshold in thresholds)
-    pieces, sizes = label_components(values > low)
+    components, sizes = label_components(values > low)
     kept = np.zeros(len(sizes) + 1, bool)
-    kept[np.unique(pieces[values > high])] = True
+    kept[np.unique(components[values > high])] = True
     kept[0] = False
-    return kept[pieces]
+    return kept[components]
 
 
 def _histogram(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Levels in rising order and how often each occurs; more than 1024 levels are binned."""
+    """Return the levels in rising order and the count of each; more than 1024 levels are binned."""
     levels = distinct_levels(values, limit=_BINS)
     if levels is not None:
-        return levels.astype(np.float64), _counted(values.ravel(), levels)
+        return levels.astype(np.float64), _count_levels(values.ravel(), levels)
     # In float16 the edges of 1024 bins would coincide.
     counts, edges = np.histogram(
         values.astype(np.float32) if values.dtype == np.float16 else values, bins=_BINS
@@ -150,7 +152,7 @@ def _histogram(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return centres[used], counts[used]
 
 
-def _counted(flat: np.ndarray, levels: np.ndarray) -> np.ndarray:
+def _count_levels(flat: np.ndarray, levels: np.ndarray) -> np.ndarray:
     total = np.zeros(len(levels), np.int64)
     for start in range(0, flat.size, _PIECE):
         total += np.bincount(

@@ -1,4 +1,4 @@
-"""What an exemplar can say of a target: how its porosity varies from place to place."""
+"""Porosities of an exemplar from place to place, which bound the targets it can serve."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ _WINDOWS = 4
 
 
 def porosity_range(exemplar: Image) -> tuple[float, float]:
-    """Least and greatest porosity of windows of a quarter of the exemplar's sides, at any position.
+    """Return the least and greatest porosity of windows of a quarter of the exemplar's sides, at
+    any position.
 
     Parameters
     ----------
@@ -48,8 +49,7 @@ def check_target_porosity(
     mask: np.ndarray | None = None,
     beyond: float = 0.0,
 ) -> None:
-    """Raise where a target porosity (or 1 - volume_fraction) is not one that the exemplars hold
-    somewhere.
+    """Raise where no part of the exemplars has a target porosity (or 1 - volume_fraction).
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def check_target_porosity(
         return
     if exemplars[0].kind != "labels":
         raise RequestError(
-            f"a target porosity needs phases, the exemplar is {exemplars[0].kind}: segment it (tb.segment, or "
-            "--threshold auto), or leave the target out"
+            f"a target porosity needs phases, the exemplar is {exemplars[0].kind}: segment it "
+            "(tb.segment, or --threshold auto), or leave the target out"
         )
     asked = np.asarray(porosity)
     asked = asked[mask] if mask is not None and asked.ndim else asked
@@ -85,9 +85,9 @@ def check_target_porosity(
     if asked.min() < least or asked.max() > most:
         what = f"{asked.min():.4g} .. {asked.max():.4g}" if asked.ndim else f"{float(asked):.4g}"
         raise RequestError(
-            f"the target porosity {what} is outside what the exemplar holds: windows of a quarter of its sides have "
-            f"{low:.4g} .. {high:.4g}{_and_more(least, most) if beyond else ''}; ask for one in between, or give an "
-            "exemplar that holds it"
+            f"the target porosity {what} is outside what the exemplar holds: windows of a quarter "
+            f"of its sides have {low:.4g} .. {high:.4g}{_and_more(least, most) if beyond else ''}; "
+            "ask for one in between, or give an exemplar that holds it"
         )
 
 

@@ -1,4 +1,4 @@
-"""Views: the planes of a volume in which it is to look like a picture, and how to name them.
+"""Views: the planes of a volume that are to look like a picture, and their names.
 
 A plane is named by the volume's axes along the picture's rows and columns: "yx" is seen across z,
 "zx" across y, "zy" across x. With the letters the other way round, as in "xy", the picture is
@@ -57,18 +57,18 @@ class View:
 
     @property
     def across(self) -> tuple[int, int]:
-        """The volume's axes along rows and columns."""
+        """Return the volume's axes along rows and columns."""
         rows, columns = (axis for axis in range(3) if axis != self.axis)
         return rows, columns
 
     @property
     def plane(self) -> str:
-        """Its name, rows first."""
+        """Return the name of the plane, rows first."""
         return "".join(_AXES[axis] for axis in self.across)
 
 
 def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[View, ...]:
-    """The views of one picture or several.
+    """Return the views of one picture or several.
 
     Parameters
     ----------
@@ -98,18 +98,19 @@ def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[Vie
     images = list(exemplars)
     named = as_planes(named)
     if not named:
-        return _checked(_by_count(images))
+        return _validate(_by_count(images))
     if len(images) not in (1, len(named)):
         raise InputError(
-            f"{len(images)} exemplars for {len(named)} views: give one for all, or one for each in the order of the views"
+            f"{len(images)} exemplars for {len(named)} views: give one for all, or one for each in "
+            "the order of the views"
         )
     numbers = [0] * len(named) if len(images) == 1 else range(len(images))
     views = [_view(images[n], n, plane) for n, plane in zip(numbers, named, strict=True)]
-    return _checked(sorted(views, key=lambda view: view.axis))
+    return _validate(sorted(views, key=lambda view: view.axis))
 
 
 def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
-    """Planes as a setting gives them: a sequence, or one text such as "yx,zx".
+    """Return the planes that a setting names: a sequence, or one text such as "yx,zx".
 
     Raises
     ------
@@ -123,7 +124,8 @@ def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
         len(planes) not in (2, 3) or len({as_axis(plane) for plane in planes}) < len(planes)
     ):
         raise InputError(
-            f"views {list(planes)}: give two or three planes that are seen across different axes, such as [yx, zx, zy]"
+            f"views {list(planes)}: give two or three planes that are seen across different axes, "
+            "such as [yx, zx, zy]"
         )
     return planes
 
@@ -134,12 +136,12 @@ def check_plane(plane: str) -> None:
 
 
 def as_axis(plane: str) -> int:
-    """The axis that a plane is seen across: 0 for z, 1 for y, 2 for x."""
+    """Return the axis that a plane is seen across: 0 for z, 1 for y, 2 for x."""
     return next(axis for axis, name in enumerate(_AXES) if name not in plane)
 
 
 def spacing_of(views: Sequence[View]) -> tuple[float, float, float]:
-    """The edges of a voxel along z, y, x, in the pictures' unit.
+    """Return the edges of a voxel along z, y, x, in the pictures' unit.
 
     Raises
     ------
@@ -151,12 +153,14 @@ def spacing_of(views: Sequence[View]) -> tuple[float, float, float]:
         for axis, edge in zip(view.across, view.image.spacing, strict=True):
             if abs(found.setdefault(axis, edge) / edge - 1) > _SPACING:
                 raise InputError(
-                    f"the views contradict each other: {_AXES[axis]} has a spacing of {found[axis]:g} in one and {edge:g} "
-                    "in another; resample one, turn it (xy instead of yx), or give --spacing"
+                    f"the views contradict each other: {_AXES[axis]} has a spacing of "
+                    f"{found[axis]:g} in one and {edge:g} in another; resample one, turn it (xy "
+                    "instead of yx), or give --spacing"
                 )
     if len({view.image.unit for view in views}) > 1:
         raise InputError(
-            f"the views are in {' and '.join(sorted({view.image.unit for view in views}))}: give one unit"
+            f"the views are in {' and '.join(sorted({view.image.unit for view in views}))}: give "
+            "one unit"
         )
     return found[0], found[1], found[2]
 
@@ -181,19 +185,20 @@ def check_views(views: Sequence[View]) -> None:
             continue
         if first.picture != second.picture:
             raise InputError(
-                f"the views {first.plane} and {second.plane} contradict each other: {found}; give planes of one material, or "
-                "turn a picture (xy instead of yx)"
+                f"the views {first.plane} and {second.plane} contradict each other: {found}; give "
+                "planes of one material, or turn a picture (xy instead of yx)"
             )
-        shared = _AXES[_shared(first, second)]
+        shared = _AXES[_common_axis(first, second)]
         notify(
-            f"the picture is not the same along rows and columns, but {first.plane} and {second.plane} share {shared} "
-            f"({found}): two views may suit it better (--set views=yx,zx)"
+            f"the picture is not the same along rows and columns, but {first.plane} and "
+            f"{second.plane} share {shared} ({found}): two views may suit it better (--set "
+            "views=yx,zx)"
         )
 
 
 def is_isotropic(image: Image) -> bool:
-    """Whether a picture may be alike in all directions: square pixels, and covariances along rows
-    and along columns, and along the two diagonals, that differ no more than those of a sample do.
+    """Return whether a picture may be isotropic: square pixels, and covariances along rows and
+    columns, and along the two diagonals, that differ no more than those of a sample do.
     """
     if min(image.shape) < 2 or abs(image.spacing[0] / image.spacing[1] - 1) > _SPACING:
         return False
@@ -207,13 +212,13 @@ def is_isotropic(image: Image) -> bool:
 
 
 def _contradiction(first: View, second: View) -> str | None:
-    """The statistic in which two views contradict each other."""
+    """Return the statistic in which two views contradict each other; None where there is none."""
     a, b = first.image, second.image
     if first.picture != second.picture:
         for name, have, other in _amounts(a, b):
             if abs(have - other) > _FRACTION:
                 return f"{name} is {have:.2f} in one and {other:.2f} in the other"
-    axis, phases = _shared(first, second), sorted(_partly(a) & _partly(b))
+    axis, phases = _common_axis(first, second), sorted(_partly(a) & _partly(b))
     reach = min(*a.shape, *b.shape) // 3
     if reach < 1 or (a.kind == "labels" and not phases):
         return None  # nothing to compare: methods say what a picture has to hold
@@ -242,7 +247,7 @@ def _amounts(a: Image, b: Image) -> list[tuple[str, float, float]]:
 
 
 def _partly(image: Image) -> set[int]:
-    """Phases that are in a picture, and not alone."""
+    """Return the phases that are in a picture, but not alone."""
     if image.kind != "labels":
         return set()
     counts = np.bincount(image.values.ravel())
@@ -250,7 +255,7 @@ def _partly(image: Image) -> set[int]:
 
 
 def _lines(image: Image, axis: int, reach: int, phases: Sequence[int]) -> np.ndarray:
-    """Covariances along an axis, from 1 at distance 0: (phases or 1, reach + 1)."""
+    """Return covariances along an axis, from 1 at distance 0: (phases or 1, reach + 1)."""
     if image.kind != "labels":
         return autocorrelation_lines(image, lags=reach)["yx"[axis]][None]
     return np.array(
@@ -259,7 +264,9 @@ def _lines(image: Image, axis: int, reach: int, phases: Sequence[int]) -> np.nda
 
 
 def _diagonals(image: Image, reach: int, phases: Sequence[int]) -> list[np.ndarray]:
-    """Autocorrelations along both diagonals, from 1 at distance 0: each (phases or 1, reach + 1)."""
+    """Return autocorrelations along both diagonals, from 1 at distance 0: each (phases or 1, reach
+    + 1).
+    """
     labels = image.kind == "labels"
     parts = (
         [Image((image.values == phase).astype(np.uint8), "labels") for phase in phases]
@@ -279,11 +286,11 @@ def _relative(first: np.ndarray, second: np.ndarray) -> float:
     )
 
 
-def _shared(first: View, second: View) -> int:
+def _common_axis(first: View, second: View) -> int:
     return next(axis for axis in first.across if axis in second.across)
 
 
-def _checked(views: Sequence[View]) -> tuple[View, ...]:
+def _validate(views: Sequence[View]) -> tuple[View, ...]:
     spacing_of(views)
     check_views(views)
     return tuple(views)

@@ -21,7 +21,7 @@ from trabecula.core.progress import track
 from trabecula.core.recipe import digest
 from trabecula.fields.geodesic import interior_distance
 from trabecula.fields.grid import as_field, as_region, as_sides, middles, of_image
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 
 _HIGHEST = 4.0  # power up to which sums by transform hold every weight that counts
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.finish.labels import check_present
 from trabecula.finish.print_layers import (
     check_bridges,

@@ -29,9 +29,9 @@ from trabecula.engine.blocks import StoredVolume, part_bytes, stream
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.files import remove
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, available_memory, check_budget
-from trabecula.engine.storage.location import Folder, Location, located
+from trabecula.engine.lock import hold_lock
+from trabecula.engine.memory import Plan, available_memory, check_budget
+from trabecula.engine.storage.location import Folder, Location, location_of
 from trabecula.engine.store import CHUNK
 from trabecula.finish.bridges import search_bytes
 from trabecula.finish.operations import OPERATIONS
@@ -95,7 +95,7 @@ def finish_slabs(
     FileError
         The result or the scratch files cannot be written; another process writes this result.
     """
-    target = located(path)
+    target = location_of(path)
     if not target.name.lower().endswith(".zarr"):
         raise InputError(
             f"{path}: a volume that does not fit into memory is finished into a .zarr; name it so"
@@ -110,10 +110,10 @@ def finish_slabs(
     partial = target.growing()
     if isinstance(target, Folder):
         target.check_replaceable()
-    with locked(partial.path) if isinstance(partial, Folder) else nullcontext():
+    with hold_lock(partial.path) if isinstance(partial, Folder) else nullcontext():
         remove(scratch)  # left by a run that was killed
         try:
-            with memmap.spilled(scratch, memory=pages):
+            with memmap.map_large_arrays(scratch, memory=pages):
                 return _finish(volume, target, complete, depth)
         except OSError as error:
             if isinstance(error, TrabeculaError):
@@ -179,14 +179,14 @@ def _finish(volume: Slabs, target: Location, steps: Sequence[Step], depth: int) 
         report = IN_PLACE[name](values, cast(Image, volume), **settings)
         about = {"operation": name, "settings": settings, "report": report}
         if number < last:  # the digest of the last one follows while it is written
-            recipe = recipe.then_made("finish", _digest(values, depth), **about)
+            recipe = recipe.then_digest("finish", _digest(values, depth), **about)
     result = _result_volume(
         volume,
         values,
-        lambda sha256: recipe.then_made("finish", sha256, **about),
+        lambda sha256: recipe.then_digest("finish", sha256, **about),
         _identity(volume, source, steps),
     )
-    return recipe.then_made("finish", stream(result, target, side=CHUNK), **about)
+    return recipe.then_digest("finish", stream(result, target, side=CHUNK), **about)
 
 
 def _read(volume: Slabs, values: np.ndarray, depth: int) -> str:
@@ -239,5 +239,5 @@ def _result_volume(
         identity=identity,
         scale=volume.spacing,
         unit=long_name(volume.unit),
-        goes_on="by the same command",
+        resume_hint="by the same command",
     )

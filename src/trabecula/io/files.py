@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
-from trabecula.engine.storage.location import Remote, place_of
+from trabecula.engine.storage.location import Remote, path_or_remote
 from trabecula.io.formats import SLICES, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret
@@ -75,7 +75,7 @@ def read(
     ...     tb.read(path, spacing=0.5, unit="micron")
     <Image 4x4 labels, voxel 0.5x0.5 um, phases void/solid>
     """
-    place = place_of(path)
+    place = path_or_remote(path)
     check_there(place)
     form = _format_to_read(place)
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
@@ -139,7 +139,7 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remo
         Voxels that the format cannot hold.
     """
     image = as_image(image)
-    text, place = os.fspath(path), place_of(path)
+    text, place = os.fspath(path), path_or_remote(path)
     if isinstance(place, Remote):
         return check_stored(place).function("write")(image, place)
     form = SLICES if text.endswith(("/", os.sep)) and suffix_of(text) is None else format_of(text)

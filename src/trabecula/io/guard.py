@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
-from trabecula.engine.plan import available_memory, format_bytes
+from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.engine.storage.location import Remote
 
 _OURS = __name__.partition(".")[0]

@@ -17,8 +17,8 @@ from trabecula.core.recipe import Recipe, digest_of
 from trabecula.engine import store
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.plan import available_memory, format_bytes
-from trabecula.engine.storage.location import Remote, located, place_of
+from trabecula.engine.memory import available_memory, format_bytes
+from trabecula.engine.storage.location import Remote, location_of, path_or_remote
 from trabecula.io.guard import check_there, damaged
 from trabecula.io.meaning import interpret
 from trabecula.io.metadata import Content, checked
@@ -69,9 +69,9 @@ def open_slabs(
         "level": level or None,
     }
     options = {name: value for name, value in given.items() if value is not None}
-    place = place_of(path)
+    place = path_or_remote(path)
     check_there(place)
-    if not located(place).is_store():
+    if not location_of(place).is_store():
         raise InputError(
             f"{path} is no Zarr store, and only those are read plane by plane: write it as .zarr first"
         )
@@ -124,8 +124,8 @@ def volume_shape(path: str | os.PathLike[str], *, level: int = 0) -> tuple[int, 
     """Voxels along z, y, x of what lies in a Zarr store; `None` where the path is none, or holds no
     single volume.
     """
-    place = place_of(path)
-    if not located(place).is_store():
+    place = path_or_remote(path)
+    if not location_of(place).is_store():
         return None
     with damaged(place, "Zarr"):
         return spatial_shape(store.open_finished(place, level))

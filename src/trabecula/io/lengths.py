@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from trabecula.core.checks import as_number, as_spacing
-from trabecula.core.image import Image, declared
+from trabecula.core.image import Image, declare_fields
 from trabecula.core.recipe import Recipe
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.io.units import canonical, check_unit
@@ -57,8 +57,8 @@ def with_lengths(
     if isinstance(image, Slabs):
         # Its voxels stay as they are, and their digest with them.
         digest = str(image.recipe.steps[-1].get("sha256", "")) if image.recipe else ""
-        recipe = image.recipe.then_made("declare", digest, fields=fields)
+        recipe = image.recipe.then_digest("declare", digest, fields=fields)
         return cast(Volume, replace(image, **fields, recipe=recipe))
     if not image.recipe:
         image = replace(image, recipe=Recipe().then("array", image.values))
-    return declared(image, **fields)
+    return declare_fields(image, **fields)

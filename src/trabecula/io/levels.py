@@ -9,8 +9,8 @@ from contextlib import suppress
 from trabecula.core.errors import InputError
 from trabecula.core.progress import notify
 from trabecula.engine import store
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.storage.location import located, place_of
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.storage.location import location_of, path_or_remote
 from trabecula.io.guard import damaged
 from trabecula.io.lazy import spatial_shape
 
@@ -71,8 +71,8 @@ def _needed(
     source: str | os.PathLike[str], need: Callable[[tuple[int, ...], int], int]
 ) -> list[int]:
     """Bytes for every level of a volume in a store; empty where there is none."""
-    place, found = place_of(source), list[int]()
-    if not located(place).is_store():
+    place, found = path_or_remote(source), list[int]()
+    if not location_of(place).is_store():
         return found
     with damaged(place, "Zarr"), suppress(InputError):  # beyond the last level
         while True:

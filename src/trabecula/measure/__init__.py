@@ -1,5 +1,6 @@
-"""Image -> numbers. Every measure is a pure function of an Image, or of an array of labels; see
-each one's docstring."""
+"""Image -> numbers. Every measure is a pure function of an Image, or of an array of labels;
+`__all__` is the whole of it for other rooms.
+"""
 
 # Imported plainly, not lazily: several functions bear their module's name, and whichever of the two
 # is set last wins.

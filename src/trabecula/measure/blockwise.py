@@ -15,7 +15,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.engine.lazy_volume import Slabs, depth_within
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure.centre_crop import box_sides
 from trabecula.measure.correlation.pair_geometry import Radial, steps_of
 from trabecula.measure.correlation.window import Window
@@ -24,9 +24,9 @@ from trabecula.measure.each_phase import drop_redundant, redundant_beside_solid
 from trabecula.measure.effective_properties import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.phases import indicator
 from trabecula.measure.runs import RUN_BYTES
-from trabecula.measure.streaming import Numbers, PieceSizes
+from trabecula.measure.streaming import ComponentSizes, SolidNumbers
+from trabecula.measure.streaming.numbers import CurveTally, PhaseTallies
 from trabecula.measure.streaming.pairs import pairs_bytes
-from trabecula.measure.streaming.phases import CurveTally, PhaseTallies
 
 LEFT_OUT = (*SLOW, "two_point_cluster")
 """What needs the whole volume in memory."""
@@ -128,7 +128,7 @@ def fitting_depth(
 
 def count_slabs(
     volume: Slabs, *, r_max: int, depth: int, phases: bool = False, tallies: Sequence[Any] = ()
-) -> tuple[dict[str, Any], PieceSizes]:
+) -> tuple[dict[str, Any], ComponentSizes]:
     """What one pass over all planes tells, by the names of `describe`, and the components of the
     solid.
 
@@ -150,7 +150,7 @@ def count_slabs(
         No phase is named void.
     """
     pairs = _radial(volume, r_max)
-    numbers, curves = Numbers(volume.shape, volume.spacing, volume.phases), CurveTally(pairs)
+    numbers, curves = SolidNumbers(volume.shape, volume.spacing, volume.phases), CurveTally(pairs)
     each = _each_phase(volume, pairs) if phases else None
     for slab in _tracked(volume, depth):
         inside = indicator(slab, None)[1]
@@ -169,7 +169,7 @@ def count_slabs(
         "two_point": curves.two_point(),
         "lineal_path": curves.lineal_path(),
     }
-    return found | (each.result() if each is not None else {}), numbers.pieces()
+    return found | (each.result() if each is not None else {}), numbers.component_sizes()
 
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The centred box of an image that a solver takes, and whether there is memory to solve it."""
+"""The centred box of an image that a solver takes, and the check of its memory."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.checks import as_shape
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 
 
 def box_sides(box: int | Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Sides of a box given as one edge or one per axis, or as much of it as there is; `None` is the
-    whole image.
+    """Return the sides of a box given as one edge or one per axis, no longer than the image's;
+    `None` is the whole image.
     """
     if box is None:
         return shape
-    return clipped(as_shape(box, ndim=len(shape), name="box"), shape)
+    return clip_sides(as_shape(box, ndim=len(shape), name="box"), shape)
 
 
-def clipped(sides: Sequence[int], shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Sides that are no longer than the image's."""
+def clip_sides(sides: Sequence[int], shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return sides that are no longer than the image's."""
     return tuple(min(side, length) for side, length in zip(sides, shape, strict=True))
 
 
 def centre(values: np.ndarray, sides: Sequence[int]) -> np.ndarray:
-    """The centred box of an array; no side may be longer than the array's."""
+    """Return the centred box of an array; no side may be longer than the array's."""
     starts = [(length - side) // 2 for length, side in zip(values.shape, sides, strict=True)]
     return values[
         tuple(slice(first, first + side) for first, side in zip(starts, sides, strict=True))

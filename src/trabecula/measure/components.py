@@ -1,7 +1,7 @@
-"""What hangs together: connected components, their sizes, and the parts that float.
+"""Connected components of a phase: their number, their sizes, and those that float.
 
 Neighbours share a face unless a connectivity is given. Every measure takes a mask, the region that
-counts: what lies beyond it is neither phase, so it joins nothing.
+counts: what is beyond it is neither phase, so it joins nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.image import Image
 from trabecula.measure.labelling import label_components
-from trabecula.measure.phases import masked_indicator
+from trabecula.measure.phases import indicator_in_mask
 
 __all__ = [
     "component_distance",
@@ -38,7 +38,7 @@ def component_sizes(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Voxels of every connected component of a phase, largest first.
+    """Return the voxels of every connected component of a phase, largest first.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def component_sizes(
     >>> component_sizes(np.array([[1, 0, 1, 1], [1, 0, 0, 1]])).tolist()
     [3, 2]
     """
-    _, inside, _ = masked_indicator(image, phase, mask)
+    _, inside, _ = indicator_in_mask(image, phase, mask)
     return np.sort(label_components(inside, connectivity=connectivity, periodic=periodic)[1])[::-1]
 
 
@@ -78,8 +78,8 @@ def size_distribution(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The distribution of component sizes: each size that occurs, and the share of components up to
-    it.
+    """Return the distribution of component sizes: each size that occurs, and the share of
+    components up to it.
 
     Every component counts alike, whatever its size.
 
@@ -122,8 +122,9 @@ def component_distance(
     relative_to: str = "image",
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Wasserstein distance between the component sizes of two materials: D_w, equation (5) of
-    Zhang, Yang, Li, Wu and Wang 2021 (ScaffoldGAN).
+    """Return the Wasserstein distance between the component sizes of two materials.
+
+    D_w, equation (5) of Zhang, Yang, Li, Wu and Wang 2021 (ScaffoldGAN).
 
     A material is the set of its components, each with the same mass, at the place on a line that is
     its size over the volume of the model; the distance is the area between the two cumulative
@@ -166,7 +167,7 @@ def component_distance(
     check_name(relative_to, ("image", "phase"), name="relative_to")
     places = []
     for image in (a, b):
-        _, inside, _ = masked_indicator(image, phase, None)
+        _, inside, _ = indicator_in_mask(image, phase, None)
         sizes = label_components(inside, connectivity=connectivity, periodic=periodic)[1]
         whole = inside.size if relative_to == "image" else max(1, int(sizes.sum()))
         places.append(sizes / whole)
@@ -181,7 +182,7 @@ def components(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Number of connected components of a phase (default "solid": every phase but "void").
+    """Count the connected components of a phase (default "solid": every phase but "void").
 
     Parameters
     ----------
@@ -211,7 +212,7 @@ def largest_fraction(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Share of the phase's voxels that lie in its largest component.
+    """Return the share of the phase's voxels in its largest component.
 
     Parameters
     ----------
@@ -242,18 +243,18 @@ def floating(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Number of floating parts of a phase (default "solid").
+    """Count the floating components of a phase (default "solid").
 
-    Parts that touch a face of the image count as well: whether they hold on to something beyond it
-    cannot be known.
+    Components that touch a face of the image count as well: whether they continue beyond it cannot
+    be known.
 
     Parameters
     ----------
     image, phase, connectivity, mask, periodic
         As for `component_sizes`.
     smaller_than : int, optional
-        A part floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take 10.
-        Default: every component but the largest floats.
+        A component floats when it has fewer voxels than this; Zhang et al. 2021 (section 6.2) take
+        10. Default: every component but the largest floats.
 
     Returns
     -------
@@ -279,7 +280,7 @@ def floating_voxels(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Voxels of the floating parts.
+    """Count the voxels of the floating components.
 
     Parameters
     ----------
@@ -302,12 +303,12 @@ def floating_voxels(
 
 
 def share_of_largest(sizes: np.ndarray) -> float:
-    """The largest of `sizes` over their sum; 0 where there are none."""
+    """Return the largest of `sizes` over their sum; 0 where there are none."""
     return float(sizes.max() / sizes.sum()) if len(sizes) else 0.0
 
 
 def _floating_sizes(sizes: np.ndarray, smaller_than: int | None) -> np.ndarray:
-    """Of `sizes`, largest first, those of parts that float."""
+    """Return, of `sizes`, largest first, those of components that float."""
     if smaller_than is None:
         return sizes[1:]
     return sizes[
@@ -316,9 +317,11 @@ def _floating_sizes(sizes: np.ndarray, smaller_than: int | None) -> np.ndarray:
 
 
 def sizes_distance(a: np.ndarray, b: np.ndarray) -> float:
-    """Wasserstein distance of two samples of sizes: the area between their cumulative
-    distributions, where each value of a sample has the same mass. An empty sample counts as one
-    value of 0."""
+    """Return the Wasserstein distance of two samples of sizes.
+
+    The area between their cumulative distributions, where each value of a sample has the same mass.
+    An empty sample counts as one value of 0.
+    """
     a, b = (np.sort(sample) if len(sample) else np.zeros(1) for sample in (a, b))
     places = np.sort(np.concatenate([a, b]))
     below = [np.searchsorted(sample, places[:-1], side="right") / len(sample) for sample in (a, b)]

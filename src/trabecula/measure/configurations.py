@@ -1,5 +1,5 @@
-"""The 256 black-and-white cubes of 2x2x2 voxels: how often each occurs, and what each adds to a
-functional.
+"""The 256 black-and-white cubes of 2x2x2 voxels: their counts in an image, and their shares in
+functionals.
 
 The tables are made here, not typed in. Corner i of a cube is bit i of its number. A 2-D image is
 two equal slices, so that its 2x2 squares are the lower four bits.
@@ -19,16 +19,18 @@ _CORNERS = np.array(list(product((0, 1), repeat=3)))  # (dz, dy, dx)
 
 
 def count_cubes(inside: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """(256,) how often each cube occurs in a boolean array, (Z, Y, X) or (Y, X); with a mask only
-    cubes that lie wholly in it."""
-    solid = _lifted(inside)
-    region = np.ones((1, 1, 1), bool) if mask is None else _lifted(mask)
+    """Count how often each cube occurs in a boolean array, (Z, Y, X) or (Y, X); (256,).
+
+    With a mask only cubes wholly inside it.
+    """
+    solid = _lift(inside)
+    region = np.ones((1, 1, 1), bool) if mask is None else _lift(mask)
     parts: list[np.ndarray] = []
     for_slabs(lambda a, b: parts.append(_count_cubes(solid, region, a, b)), len(solid) - 1)
     return np.sum(parts, axis=0)
 
 
-def _lifted(values: np.ndarray) -> np.ndarray:
+def _lift(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values if values.ndim == 3 else np.stack([values, values]))
 
 
@@ -46,7 +48,7 @@ def _all_set(mask, z, y, x):
 
 @kernel
 def _count_cubes(inside, mask, start, stop):
-    """A mask of one voxel stands for none."""
+    """Count cubes; a mask of one voxel stands for none."""
     _, height, width = inside.shape
     masked = mask.size > 1
     counts = np.zeros(256, np.int64)
@@ -73,7 +75,7 @@ def _count_cubes(inside, mask, start, stop):
 
 @lru_cache
 def bits() -> np.ndarray:
-    """(256, 8): whether corner i is inside."""
+    """Return, for every cube, whether corner i is inside, (256, 8)."""
     return (np.arange(256)[:, None] >> np.arange(8)) & 1
 
 
@@ -83,8 +85,8 @@ def _pairs() -> list[tuple[int, int]]:
 
 @lru_cache
 def surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
-    """(256,): surface per volume (or boundary per area of the lower square) if every cube were this
-    one.
+    """Return the surface per volume (or boundary per area of the lower square) of every cube,
+    (256,).
 
     Of a direction's pairs of corners, the share with one end inside, over their distance, is the
     number of crossings per length; the surface is twice (the length pi / 2 times) its mean over all
@@ -107,8 +109,8 @@ def surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
 
 
 def _direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
-    """Share of the sphere (circle) that is nearer to each +-direction than to the others, by a
-    regular sample of it.
+    """Return the share of the sphere (circle) that is nearer to each +-direction than to the
+    others, by a regular sample of it.
     """
     turn = np.arange(100_000) + 0.5
     # directions have no sign: half a sphere is enough
@@ -122,8 +124,9 @@ def _direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
 
 @lru_cache
 def square_euler(connectivity: int) -> np.ndarray:
-    """(16,): share of a 2x2 square in the Euler number of a plane image with 4 or 8 neighbours;
-    corners (0,0), (0,1), (1,0), (1,1)."""
+    """Return the share of every 2x2 square in the Euler number of a plane image with 4 or 8
+    neighbours, (16,); corners (0,0), (0,1), (1,0), (1,1).
+    """
     corner = (np.arange(16)[:, None] >> np.arange(4)) & 1
     edges = [(0, 1), (2, 3), (0, 2), (1, 3)]
     if connectivity == 8:
@@ -142,7 +145,7 @@ def square_euler(connectivity: int) -> np.ndarray:
 
 @lru_cache
 def cube_euler(connectivity: int) -> np.ndarray:
-    """(256,): share of a 2x2x2 cube in the Euler number with 6, 18 or 26 neighbours."""
+    """Return the share of every cube in the Euler number with 6, 18 or 26 neighbours, (256,)."""
     corner = bits()
     sides = [np.flatnonzero(_CORNERS[:, axis] == at) for axis in range(3) for at in (0, 1)]
     pairs = [pair for pair in _pairs() if np.abs(_CORNERS[pair[1]] - _CORNERS[pair[0]]).sum() == 1]
@@ -166,8 +169,8 @@ def cube_euler(connectivity: int) -> np.ndarray:
 
 
 def curvature_table(spacing: tuple[float, ...], connectivity: int) -> np.ndarray:
-    """(256,): mean curvature per volume: 2 pi times the sections' Euler number per area, averaged
-    over the axes.
+    """Return the mean curvature per volume of every cube, (256,): 2 pi times the sections' Euler
+    number per area, averaged over the axes.
     """
     # In a plane of voxels, 18 and 26 neighbours are the same 8.
     corner, quad = bits(), square_euler(4 if connectivity == 6 else 8)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
 from trabecula.measure.configurations import count_cubes
-from trabecula.measure.minkowski import densities, extended
+from trabecula.measure.minkowski import append_wrapped, densities
 from trabecula.measure.phases import as_mask, as_periodic, check_sides
 
 
@@ -97,7 +97,7 @@ def contact(
     a, b = sorted(phase_index(image, phase, default="") for phase in (first, second))
     if a == b:
         raise InputError(
-            f"the contact of {image.phases[a]} with itself was asked for: give two phases"
+            f"the contact of {image.phases[a]} with itself is not defined: give two phases"
         )
     return next(iter(_areas(image, [(a, b)], mask, periodic).values()))
 
@@ -110,15 +110,15 @@ def _areas(
 ) -> dict[tuple[str, str], float]:
     check_sides(image.shape, what="has no surface inside")
     wraps = as_periodic(periodic, image.ndim)
-    values, region = extended(image.values, wraps), as_mask(mask, image.shape)
-    where = None if region is None else extended(region, wraps)
+    values, region = append_wrapped(image.values, wraps), as_mask(mask, image.shape)
+    where = None if region is None else append_wrapped(region, wraps)
     counts = {
         label: count_cubes(values == label, where)
         for label in sorted({label for pair in pairs for label in pair})
     }
     if not next(iter(counts.values())).any():
         raise InputError(
-            "no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one"
+            "no 2x2x2 block of voxels (2x2 in 2-D) is wholly in the mask: give a thicker one"
         )
 
     def joint(a: int, b: int) -> np.ndarray:

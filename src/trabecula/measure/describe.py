@@ -30,7 +30,7 @@ from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import check_sides, indicator
-from trabecula.measure.streaming.numbers import SOLID_NUMBERS, Numbers, fractions_of
+from trabecula.measure.streaming.numbers import SOLID_NUMBERS, SolidNumbers, fractions_of
 from trabecula.measure.thickness import pore_size, thickness
 
 SLOW = ("pore_size", "thickness", "morphometry", "anisotropy")
@@ -161,7 +161,7 @@ def margin_notes(image: Image) -> list[str]:
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
     """What `describe` tells, less the curves and the physics."""
     image, solid = indicator(image, None)
-    numbers = Numbers(image.shape, image.spacing, image.phases)
+    numbers = SolidNumbers(image.shape, image.spacing, image.phases)
     numbers.add(image)
     found = {
         "shape": list(image.shape),

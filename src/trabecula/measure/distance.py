@@ -30,8 +30,8 @@ def distance_transform(
     spacing: float | Sequence[float] | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Distance of every inside voxel's centre to the centre of the nearest voxel that is not
-    inside.
+    """Return the distance of every inside voxel's centre to the centre of the nearest voxel that is
+    not inside.
 
     Parameters
     ----------
@@ -90,10 +90,10 @@ def signed_distance(
     clip: float | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Distance to the interface between inside and outside: positive inside, negative outside, 0 on
-    the interface.
+    """Return the distance to the interface between inside and outside: positive inside, negative
+    outside, 0 on the interface.
 
-    The interface lies half a voxel before the nearest voxel of the other side, so half the smallest
+    The interface is half a voxel before the nearest voxel of the other side, so half the smallest
     edge is taken off `distance_transform` of either side: a voxel at a flat interface has +-h/2.
 
     Parameters
@@ -190,7 +190,7 @@ def _envelope(value, vertex, base, bound, first, last, weight):
 
 @inline
 def _every_run(value, vertex, base, bound, length, weight):
-    """Every run of inside voxels of a line, with the outside voxels that bound it."""
+    """Take every run of inside voxels of a line, with the outside voxels that bound it."""
     y = 0
     while y < length:
         if value[y] == 0.0:
@@ -204,7 +204,7 @@ def _every_run(value, vertex, base, bound, length, weight):
 
 @inline
 def _every_run_around(value, turned, vertex, base, bound, length, weight):
-    """As `_every_run`, on a line whose end is followed by its start."""
+    """Take every run as `_every_run`, on a line whose end is followed by its start."""
     begin = 0
     while begin < length and value[begin] != 0.0:
         begin += 1
@@ -224,7 +224,7 @@ def _every_run_around(value, turned, vertex, base, bound, length, weight):
 
 @kernel
 def _along_lines(square, weight, wraps, start, stop):
-    """Every line along axis 1 of `square`, for indices start..stop of axis 0."""
+    """Take every line along axis 1 of `square`, for indices start..stop of axis 0."""
     _, length, width = square.shape
     lines = np.empty((_COLUMNS, length))
     longest = 2 * length + 2 if wraps else length

@@ -25,7 +25,7 @@ from trabecula.measure.correlation import cross_correlation, lineal_path, two_po
 from trabecula.measure.minkowski import densities
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import as_inside, check_sides
-from trabecula.measure.streaming import Crossings, phase_figures
+from trabecula.measure.streaming import CrossingTally, phase_figures
 from trabecula.measure.thickness import thickness
 from trabecula.measure.triple_lines import TripleLine, lines_of, mark_components
 
@@ -225,7 +225,7 @@ def _figures(
 ) -> dict[str, Any]:
     """Measure the numbers of a phase, and mark in `spans` what percolates."""
     pieces = mark_components(inside, spans, range(image.ndim))
-    crossings = Crossings()
+    crossings = CrossingTally()
     crossings.add(as_inside(inside))
     shape = densities(cubes, image.spacing, 6 if image.ndim == 3 else 4)
     fraction = pieces.voxels / inside.size

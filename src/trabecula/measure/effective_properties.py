@@ -1,4 +1,4 @@
-"""Transport and stiffness at once, along every axis, with word on how far the figures can be
+"""Transport and stiffness at once, along every axis, with notes on how far the figures can be
 trusted.
 """
 
@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
 from trabecula.core.image import Image, as_image, check_labels
+from trabecula.engine.memory import available_memory
 from trabecula.engine.parallel import for_slabs, thread_count, threads
-from trabecula.engine.plan import available_memory
 from trabecula.measure.centre_crop import box_sides, centre, check_memory
 from trabecula.measure.mechanics import Stiffness, homogenise, stiffness
 from trabecula.measure.percolation import AXES
@@ -42,13 +43,13 @@ def describe_physics(
     box : int, optional
         Edge of the centre box, voxels, that is solved. Default: the whole image.
     halving : bool
-        Also solve a small box at half the voxel edge, and tell what changes.
+        Also solve a small box at half the voxel edge, and report what changes.
 
     Returns
     -------
     found : dict
         `diffusivity`, `tortuosity`, `conductivity` and `permeability` by axis; `stiffness` with its
-        `matrix` (6, 6) and `moduli`; and `physics`, which tells of each `converged`, `imbalance`,
+        `matrix` (6, 6) and `moduli`; and `physics`, which gives of each `converged`, `imbalance`,
         `iterations` and `halving`. Definitions and sources are those of the functions of these
         names.
 
@@ -63,7 +64,7 @@ def describe_physics(
     check_labels(image)
     if image.ndim != 3:
         return dict.fromkeys(PHYSICS)
-    count = min(thread_count(), _fitting(image, box, halving))
+    count = min(thread_count(), _count_solves(image, box, halving))
     carrying = {phase: float(phase != "void") for phase in image.phases}
     # The longest first, so that threads end together.
     solvers: dict[str, Callable[[int], Effective]] = {
@@ -73,28 +74,25 @@ def describe_physics(
             image, conductivities=carrying, axis=axis, box=box, halving=halving
         ),
     }
-    told: dict[str, dict[str, Any]] = {name: {} for name in solvers}
+    results: dict[str, dict[str, Any]] = {name: {} for name in solvers}
     jobs = [(name, axis) for name in solvers for axis in range(3)]
 
-    def solve(start: int, stop: int) -> None:
-        for name, axis in jobs[start:stop]:
-            told[name][AXES[axis]] = solvers[name](axis)
+    def solve(first: int, start: int, stop: int) -> None:
+        for name, axis in jobs[first + start : first + stop]:
+            results[name][AXES[axis]] = solvers[name](axis)
 
     with threads(count):
         for first in progress.track(
             range(0, len(jobs), count), "transport", total=-(-len(jobs) // count)
         ):
-            last = min(first + count, len(jobs))
-            for_slabs(lambda a, b, at=first: solve(at + a, at + b), last - first, least=1)  # type: ignore[misc]
+            for_slabs(partial(solve, first), min(count, len(jobs) - first), least=1)
     for _ in progress.track([None], "stiffness"):
         solid = stiffness(image, box=box, halving=halving)
-    return _plain(told, solid)
+    return _plain(results, solid)
 
 
 def physics_notes(found: Mapping[str, Any]) -> list[str]:
-    """What has to be known of transport and stiffness: what is infinite, and what has not
-    converged.
-    """
+    """List the notes on transport and stiffness: what is infinite, and what has not converged."""
     notes = [
         f"The void does not span the image along {axis}: nothing flows, its tortuosity is infinite."
         for axis, value in (found.get("tortuosity") or {}).items()
@@ -102,30 +100,34 @@ def physics_notes(found: Mapping[str, Any]) -> list[str]:
     ]
     for name, axes in (found.get("physics") or {}).items():
         notes += [
-            f"The {name} ({axis}) has not converged: {_unsettled(name, result['imbalance'])}."
+            f"The {name} ({axis}) has not converged: "
+            f"{_describe_imbalance(name, result['imbalance'])}."
             for axis, result in axes.items()
             if not result["converged"]
         ]
     return notes
 
 
-def _unsettled(name: str, imbalance: float | None) -> str:
+def _describe_imbalance(name: str, imbalance: float | None) -> str:
     if imbalance is None:
         return "no steady flux was found"
-    return f"its {'stress' if name == 'stiffness' else 'flux'} differs by {imbalance:.1%} between sections"
+    quantity = "stress" if name == "stiffness" else "flux"
+    return f"its {quantity} differs by {imbalance:.1%} between sections"
 
 
-def _plain(told: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dict[str, Any]:
+def _plain(results: Mapping[str, Mapping[str, Effective]], solid: Stiffness) -> dict[str, Any]:
     found: dict[str, Any] = {
-        name: {axis: finite(told[name][axis].value) for axis in AXES}
+        name: {axis: finite(results[name][axis].value) for axis in AXES}
         for name in ("diffusivity", "conductivity", "permeability")
     }
     found["tortuosity"] = {
         axis: result.fraction / result.value if result.value else None
-        for axis, result in ((axis, told["diffusivity"][axis]) for axis in AXES)
+        for axis, result in ((axis, results["diffusivity"][axis]) for axis in AXES)
     }
     found["stiffness"] = {"matrix": solid.matrix.tolist(), "moduli": dict(solid.moduli)}
-    found["physics"] = {name: {axis: _trust(told[name][axis]) for axis in AXES} for name in told}
+    found["physics"] = {
+        name: {axis: _trust(results[name][axis]) for axis in AXES} for name in results
+    }
     found["physics"]["stiffness"] = {"all": _trust(solid)}
     return found
 
@@ -139,21 +141,21 @@ def _trust(result: Effective | Stiffness) -> dict[str, Any]:
     }
 
 
-def _fitting(image: Image, box: int | None, halving: bool) -> int:
-    """How many solves of transport fit into memory at once, one at least; all are forecast before
+def _count_solves(image: Image, box: int | None, halving: bool) -> int:
+    """Count the solves of transport that fit into memory at once, one at least; forecast all before
     the first begins.
     """
     void = indicator(image, None, default="void")[1]
     void = centre(void, box_sides(box, image.shape))
     split = 3 if halving else 0
     flow = max(
-        section.needed(void, FLOW_BYTES, split=split),
-        section.needed(~void, CONDUCTION_BYTES, split=split),
+        section.forecast_bytes(void, FLOW_BYTES, split=split),
+        section.forecast_bytes(~void, CONDUCTION_BYTES, split=split),
     )
-    check_memory(max(flow, homogenise.needed(~void, halving=halving)))
+    check_memory(max(flow, homogenise.forecast_bytes(~void, halving=halving)))
     return max(1, available_memory() // flow)
 
 
 def finite(value: float) -> float | None:
-    """A number as JSON knows it: `None` where it is infinite."""
+    """Return a number as JSON knows it: `None` where it is infinite."""
     return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""How even a material is in space: local fraction, surface and direction over windows, and trends.
+"""Evenness of a material in space: local fraction, surface and direction over windows, and trends.
 
 A mean, a two-point function and a pore size can all be right in a volume that is hollow, graded or
 made of two halves. What shows it is how much the means of *windows* differ. The variance of these
@@ -39,7 +39,7 @@ AXES = ("z", "y", "x")
 
 @dataclass(frozen=True)
 class Spread:
-    """How the mean of a window differs from place to place, over all windows of one size."""
+    """Differences between windows of one size, in their mean."""
 
     edge: float
     """Of the window, in the image's unit."""
@@ -109,8 +109,10 @@ def evenness(
     >>> halves = np.zeros((32, 32, 32), np.uint8)
     >>> halves[16:] = np.random.default_rng(0).integers(0, 2, (16, 32, 32))
     >>> found = evenness(halves, windows=[8])
-    >>> round(found.fraction[0].deviation, 1), round(found.trend["z"], 1), abs(round(found.trend["x"], 1))
-    (0.2, 0.8, 0.0)
+    >>> round(found.fraction[0].deviation, 1)
+    0.2
+    >>> round(found.trend["z"], 1), abs(round(found.trend["x"], 1))
+    (0.8, 0.0)
     """
     image = as_image(image)
     cells = cells_of(image, cell=cell_for(image.shape))
@@ -126,7 +128,8 @@ def cell_for(shape: Sequence[int]) -> int:
     """Return the voxels a side of a cell: `CELL`, or half of it in small images."""
     if min(shape) < 8:
         raise InputError(
-            f"an image of {tuple(shape)} voxels is too small for windows: at least 8 voxels along every axis"
+            f"an image of {tuple(shape)} voxels is too small for windows: at least 8 voxels along "
+            "every axis"
         )
     return CELL if min(shape) >= 48 else CELL // 2
 
@@ -196,19 +199,18 @@ def evenness_of(
     share = cells.shares[list(labels)].sum(axis=0)
     area = cells.faces.sum(axis=0)
     mean_area = area.mean() or 1.0
-    fraction, surface, direction = [], [], []
-    for counts in windows:
-        edge = counts[2] * cells.edges[2] * cells.spacing[2]
-        fraction.append(_spread(edge, window_means(share, counts)))
-        surface.append(_spread(edge, window_means(area, counts) / mean_area))
-        direction.append(_direction(edge, [window_means(faces, counts) for faces in cells.faces]))
+    edges = [counts[2] * cells.edges[2] * cells.spacing[2] for counts in windows]
+    sized = list(zip(edges, windows, strict=True))
     extents = tuple(
         length for length, count in zip(cells.extents, cells.shape, strict=True) if count > 1
     )
     return Evenness(
-        tuple(fraction),
-        tuple(surface),
-        tuple(direction),
+        tuple(_spread(edge, window_means(share, counts)) for edge, counts in sized),
+        tuple(_spread(edge, window_means(area, counts) / mean_area) for edge, counts in sized),
+        tuple(
+            _direction(edge, [window_means(faces, counts) for faces in cells.faces])
+            for edge, counts in sized
+        ),
         trends(share),
         trends(area / mean_area),
         extents,
@@ -243,7 +245,9 @@ def trends(share: np.ndarray) -> dict[str, float]:
 
 
 def depth_of(shape: Sequence[int]) -> np.ndarray:
-    """Return how deep every cell lies: 0 at the nearest face, 1 at the centre of the shortest axis."""
+    """Return the depth of every cell: 0 at the nearest face, 1 at the centre of the shortest
+    axis.
+    """
     depth = np.ones(tuple(shape))
     for axis, count in enumerate(shape):
         if count > 1:
@@ -284,7 +288,7 @@ def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:
 
 
 def _correlation_length(image: Image) -> float:
-    """Of labels as `correlation_length`; of other images the largest lag at which the
+    """Return the `correlation_length` of labels; of other images the largest lag at which the
     autocorrelation is 1/e or more.
     """
     if image.kind == "labels":

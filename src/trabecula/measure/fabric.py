@@ -1,10 +1,10 @@
-"""Fabric: how far an interface looks one way, by mean intercept lengths.
+"""Fabric: orientation of an interface, by mean intercept lengths.
 
 Whitehouse 1974 (doi:10.1111/j.1365-2818.1974.tb03878.x) counts how often lines of a direction cross
 the interface. Lines through voxels cross a staircase too often where they graze it, so here the
-count comes from the interface's normals: a piece of area dS with normal n is crossed by |n . d| dS
-lines of direction d per unit of area across d. Normals and areas are those of the gradient of the
-smoothed indicator, gathered in bins of direction.
+count comes from the interface's normals: an element of area dS with normal n is crossed by |n . d|
+dS lines of direction d per unit of area across d. Normals and areas are those of the gradient of
+the smoothed indicator, gathered in bins of direction.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SIGMA = 1.0  # of the smoothing, in the largest voxel edge
 
 @dataclass(frozen=True)
 class Fabric:
-    """Mean intercept lengths as an ellipsoid (an ellipse in 2-D), in the order of the array's axes."""
+    """Mean intercept lengths as an ellipsoid (an ellipse in 2-D), in the order of the axes."""
 
     tensor: np.ndarray
     """(ndim, ndim), 1 / length^2: d . tensor . d is 1 / MIL(d)^2 for a direction d = (z, y, x)."""
@@ -47,7 +47,7 @@ class Fabric:
 
 
 def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabric:
-    """Mean intercept lengths of a phase and the rest, and their ellipsoid.
+    """Measure the mean intercept lengths of a phase and the rest, and their ellipsoid.
 
     MIL(d) is the length of lines of direction d over the number of times they cross the interface.
     The ellipsoid is the least-squares fit of 1 / MIL^2 = d . M . d over 500 directions spread
@@ -82,20 +82,21 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
     check_sides(image.shape, least=4, what="is too thin for a fabric")
     lifted = inside.reshape((1,) * (3 - image.ndim) + image.shape)
     edges = (max(image.spacing),) * (3 - image.ndim) + image.spacing
-    pieces, volume = _normals(lifted, edges)
-    pieces = pieces[:, 3 - image.ndim :]
-    if not pieces.any():
+    areas, volume = _normals(lifted, edges)
+    areas = areas[:, 3 - image.ndim :]
+    if not areas.any():
         raise InputError(
             "the image holds no interface: one phase fills it; choose another image or phase"
         )
     towards = _spread(image.ndim)
-    crossings = np.abs(towards @ pieces.T).sum(axis=1) / volume
+    crossings = np.abs(towards @ areas.T).sum(axis=1) / volume
     return _ellipsoid(towards, crossings)
 
 
 def anisotropy(image: Image | ArrayLike, *, phase: str | int | None = None) -> float:
-    """Degree of anisotropy (DA), 0 isotropic .. 1: 1 - smallest / largest eigenvalue of the MIL
-    tensor (see `fabric`).
+    """Return the degree of anisotropy (DA), 0 isotropic .. 1.
+
+    1 - smallest / largest eigenvalue of the MIL tensor (see `fabric`).
 
     Eigenvalues are of 1 / MIL^2, as in BoneJ: 1 - (shortest / longest principal MIL)^2 (Harrigan
     and Mann 1984, doi:10.1007/BF00540446). Few structures in a small image raise it: some tenths
@@ -120,8 +121,8 @@ def anisotropy(image: Image | ArrayLike, *, phase: str | int | None = None) -> f
 
 
 def _normals(inside: np.ndarray, edges: tuple[float, ...]) -> tuple[np.ndarray, float]:
-    """Area vectors of the interface summed by direction, (bins, 3), and the volume that they are
-    of.
+    """Return the area vectors of the interface summed by direction, (bins, 3), and the volume that
+    they are of.
     """
     sigma = _SIGMA * max(edges) / np.array(edges)
     smooth = gaussian(inside, sigma)
@@ -140,7 +141,9 @@ def _normals(inside: np.ndarray, edges: tuple[float, ...]) -> tuple[np.ndarray, 
 
 
 def _spread(ndim: int) -> np.ndarray:
-    """Directions spread evenly over half a circle, or half a sphere (a Fibonacci lattice)."""
+    """Return directions spread evenly over half a circle, or half a sphere (a Fibonacci
+    lattice).
+    """
     turn = np.arange(_DIRECTIONS) + 0.5
     if ndim == 2:
         half = np.pi * turn / _DIRECTIONS
@@ -169,7 +172,9 @@ def _ellipsoid(towards: np.ndarray, crossings: np.ndarray) -> Fabric:
 
 @kernel
 def _gather_normals(smooth, half, margin, sums, begin, end):
-    """sums[slice, bin] += gradient, turned so that its first component other than 0 is positive."""
+    """Add every gradient to sums[slice, bin], turned so that its first component other than 0 is
+    positive.
+    """
     _, height, width = smooth.shape
     for k in range(begin, end):
         z = k + margin[0]

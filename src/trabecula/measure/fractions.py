@@ -1,4 +1,4 @@
-"""How much: volume fractions, and the surface between phases."""
+"""Amounts: volume fractions, and the surface between phases."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.minkowski import minkowski
-from trabecula.measure.phases import as_mask, masked_indicator
+from trabecula.measure.phases import as_mask, indicator_in_mask
 
 
 def porosity(
     image: Image | ArrayLike, *, phase: str | int | None = None, mask: ArrayLike | None = None
 ) -> float:
-    """Fraction of the voxels in the void (or in the phase given), 0..1.
+    """Return the fraction of the voxels in the void (or in the phase given), 0..1.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def porosity(
     >>> porosity(np.array([[0, 1], [0, 0]]))
     0.75
     """
-    _, inside, region = masked_indicator(image, phase, mask, default="void")
+    _, inside, region = indicator_in_mask(image, phase, mask, default="void")
     return int(np.count_nonzero(inside)) / (
         inside.size if region is None else int(np.count_nonzero(region))
     )
@@ -48,7 +48,7 @@ def porosity(
 def volume_fractions(
     image: Image | ArrayLike, *, mask: ArrayLike | None = None
 ) -> dict[str, float]:
-    """Fraction of the voxels in every phase.
+    """Return the fraction of the voxels in every phase.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def specific_surface(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Area of the interface between a phase and the rest, per volume of the image, 1 / length (2-D:
-    length per area).
+    """Return the area of the interface between a phase and the rest, per volume of the image, 1 /
+    length (2-D: length per area).
 
     Crofton's formula over 13 directions, 4 in 2-D, from 2x2x2 configurations, with any spacing
     (`measure.minkowski`, which see for its error). The faces of the image and the rim of the mask

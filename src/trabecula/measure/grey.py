@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.measure.fft import sums_by_offset
 from trabecula.measure.phases import as_mask
+from trabecula.numerics.transforms import sums_by_offset
 
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # of red, green, blue: ITU-R BT.601
 _TEN = (*range(0, 226, 25), 256)
@@ -28,7 +28,7 @@ def histogram(
     bins: int | Sequence[float] | None = None,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Share of the voxels in every bin of grey levels; of a colour image, per channel.
+    """Return the share of the voxels in every bin of grey levels; of a colour image, per channel.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def histogram(
     bins : int or rising edges, optional
         Default: 256. A number of bins divides 0..256 where values are uint8, else the range of the
         image's own values (such histograms compare only where the ranges agree: give edges). What
-        lies beyond the edges falls into the first or last bin.
+        is beyond the edges falls into the first or last bin.
     mask : bool array, the image's shape, optional
         Only these voxels.
 
@@ -57,7 +57,8 @@ def histogram(
     if image.kind == "labels":
         if bins is not None:
             raise InputError(
-                "bins are of grey levels and the image is labels: leave bins out for the shares of its phases"
+                "bins are of grey levels and the image is labels: leave bins out for the shares "
+                "of its phases"
             )
         return np.bincount(values.ravel(), minlength=len(image.phases)) / values.size
     edges = _edges(image.values, 256 if bins is None else bins)
@@ -67,8 +68,8 @@ def histogram(
 
 
 def ten_bins(image: Image | ArrayLike) -> np.ndarray:
-    """Histogram of the 2017 paper (section 5.3.2): bins of 25 levels of 0..255, the tenth from 225
-    to 255.
+    """Return the histogram of the 2017 paper (section 5.3.2): bins of 25 levels of 0..255, the
+    tenth from 225 to 255.
 
     Parameters
     ----------
@@ -96,7 +97,8 @@ def ten_bins(image: Image | ArrayLike) -> np.ndarray:
 
 
 def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> float:
-    """Kullback-Leibler divergence of histogram `p` from `q`: sum of p ln(p / q), in nats.
+    """Return the Kullback-Leibler divergence of histogram `p` from `q`: sum of p ln(p / q), in
+    nats.
 
     Kullback and Leibler 1951, doi:10.1214/aoms/1177729694. A bin that is empty in q alone would
     make it infinite, so `floor` is added to every bin of both, and both are normalised again; 0
@@ -137,9 +139,10 @@ def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> floa
             or not (values.sum(axis=1) > 0).all()
         ):
             raise InputError(
-                "a histogram has finite bins, none negative, and is not empty: give shares or counts"
+                "a histogram has finite bins, none negative, and is not empty: give shares or "
+                "counts"
             )
-    first, second = (_normalised(_normalised(values) + floor) for values in (first, second))
+    first, second = (_normalise(_normalise(values) + floor) for values in (first, second))
     # bins empty in p count nothing, in q alone infinity
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(first > 0, first * np.log(first / second), 0.0)
@@ -147,7 +150,7 @@ def kullback_leibler(p: ArrayLike, q: ArrayLike, *, floor: float = 1e-6) -> floa
 
 
 def autocorrelation(image: Image | ArrayLike, *, lags: int = 32) -> np.ndarray:
-    """Autocorrelation of the grey level for all offsets up to `lags` along every axis.
+    """Return the autocorrelation of the grey level for all offsets up to `lags` along every axis.
 
     rho(k) = mean of (g(x) - m)(g(x + k) - m) over the variance, over the pairs that fit into the
     image; m and the variance are those of the whole image. Colour counts by its luminance, labels
@@ -190,20 +193,21 @@ def autocorrelation(image: Image | ArrayLike, *, lags: int = 32) -> np.ndarray:
 
 
 def grey_values(image: Image) -> np.ndarray:
-    """Grey levels as float32: of colour its luminance, of labels of two phases 0 and 1."""
+    """Return grey levels as float32: of colour its luminance, of labels of two phases 0 and 1."""
     if image.kind == "colour":
         return image.values.astype(np.float32) @ _LUMINANCE
     if image.kind == "labels" and len(image.phases) > 2:
         raise InputError(
-            f"the image has {len(image.phases)} phases, and their numbers are no grey levels: make one phase an image of "
+            f"the image has {len(image.phases)} phases, and their numbers are no grey levels: "
+            "make one phase an image of "
             "its own (values == label)"
         )
     return image.values.astype(np.float32)
 
 
 def near_one(values: np.ndarray) -> np.ndarray:
-    """Values times the power of two that makes the largest less than 1: exact, and their squares
-    fit into float32.
+    """Multiply values by the power of two that makes the largest less than 1: exact, and their
+    squares fit into float32.
     """
     return np.ldexp(values, -int(np.frexp(np.abs(values).max())[1]))
 
@@ -222,7 +226,8 @@ def _edges(values: np.ndarray, bins: int | Sequence[float]) -> np.ndarray:
         edges = np.zeros(0)
     if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0).all():
         raise InputError(
-            f"bins {bins!r} are neither a whole number nor rising edges: give at least two numbers, each larger than the "
+            f"bins {bins!r} are neither a whole number nor rising edges: give at least two "
+            "numbers, each larger than the "
             "one before"
         )
     return edges
@@ -238,5 +243,5 @@ def _shares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.bincount(place, minlength=count) / values.size
 
 
-def _normalised(values: np.ndarray) -> np.ndarray:
+def _normalise(values: np.ndarray) -> np.ndarray:
     return values / values.sum(axis=1, keepdims=True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.measure.phases import as_connectivity, as_inside, as_periodic
-from trabecula.measure.runs import INSIDE, merged_pieces, runs_of
+from trabecula.measure.runs import INSIDE, merge_labels, runs_of
 
 
 def label_components(
@@ -52,10 +52,14 @@ def label_components(
     wraps = as_periodic(periodic, np.ndim(inside))
     runs = runs_of(solid.view(np.uint8), INSIDE, neighbours)
     labels = runs.labels().reshape(np.shape(inside))
-    return _wrapped(labels, runs.sizes, neighbours, wraps) if any(wraps) else (labels, runs.sizes)
+    return (
+        _join_across_faces(labels, runs.sizes, neighbours, wraps)
+        if any(wraps)
+        else (labels, runs.sizes)
+    )
 
 
-def _wrapped(
+def _join_across_faces(
     labels: np.ndarray, sizes: np.ndarray, connectivity: int, wraps: tuple[bool, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Join the labels that are neighbours across a periodic face."""
@@ -63,17 +67,20 @@ def _wrapped(
     for axis in (axis for axis, wrap in enumerate(wraps) if wrap):
         lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
         found.append(
-            meeting(labels.take(-1, axis=axis), labels.take(0, axis=axis), connectivity, lateral)
+            pairs_across(
+                labels.take(-1, axis=axis), labels.take(0, axis=axis), connectivity, lateral
+            )
         )
-    number, merged = merged_pieces(sizes, np.concatenate(found))
+    number, merged = merge_labels(sizes, np.concatenate(found))
     return np.concatenate([[0], number]).astype(np.int32)[labels], merged
 
 
-def meeting(
+def pairs_across(
     far: np.ndarray, near: np.ndarray, connectivity: int, lateral: Sequence[bool]
 ) -> np.ndarray:
-    """(n, 2) int64: pairs of labels that are neighbours from a layer to the one behind it;
-    `lateral` says which axes wrap."""
+    """Return the pairs of labels that are neighbours from a layer to the one behind it, (n, 2)
+    int64; `lateral` says which axes wrap.
+    """
     for other, wrap in enumerate(lateral):
         margin = [(int(other == at),) * 2 for at in range(far.ndim)]
         near = np.pad(near, margin, mode="wrap" if wrap else "constant")

@@ -23,7 +23,7 @@ SURE = 3.0
 differ from it.
 """
 FAR = 6.0
-"""Standard errors of a plane's fraction by which blank planes have to lie beyond the interior."""
+"""Standard errors of a plane's fraction by which blank planes have to be beyond the interior."""
 MOST = 1 / 3
 """Of a side: the widest margin."""
 FLAT = 0.25
@@ -33,8 +33,8 @@ noise alone.
 LEAST = 16
 """Planes along an axis below which nothing can be said of it."""
 ROUND = 1.15
-"""In half sides: where nothing but one value lies farther than this from the middle the field of
-view is round. Corners lie at 1.41; beyond 1.15 lie the outer 9 percent."""
+"""In half sides: where nothing but one value is farther than this from the middle the field of
+view is round. Corners are at 1.41; beyond 1.15 are the outer 9 percent."""
 TINY = 1e-9
 """A step that counts as none."""
 CORNER = 0.15
@@ -43,7 +43,7 @@ _PASSES = 4  # a margin along one axis may hide another
 
 
 @dataclass(frozen=True)
-class Face:
+class MarginFace:
     """Outer planes without material at one face.
 
     Attributes
@@ -78,7 +78,7 @@ class Face:
 
 @dataclass(frozen=True)
 class Margins:
-    """What `find_margins` found.
+    """Result of `find_margins`.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Margins:
     """
 
     shape: tuple[int, ...]
-    faces: tuple[Face, ...]
+    faces: tuple[MarginFace, ...]
     round_axis: str | None
     corner: tuple[int, ...]
     size: tuple[int, ...]
@@ -104,7 +104,7 @@ class Margins:
     def __str__(self) -> str:
         if not self:
             return "none"
-        found = [str(face) for face in _alike(self.faces)]
+        found = [str(face) for face in _group_alike(self.faces)]
         if len(self.shape) == 2:
             found = [text.replace("plane", "line") for text in found]
         if self.round_axis is not None:
@@ -112,7 +112,7 @@ class Margins:
         return "; ".join(found)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return the margins as plain JSON."""
         return {
             "faces": [vars(face) for face in self.faces],
             "round_axis": self.round_axis,
@@ -141,17 +141,14 @@ def find_margins(image: Image | ArrayLike) -> Margins:
     margin where one of these holds:
 
     1. They are blank (one value alone; grey: less than a quarter of the interior's least contrast),
-    and the material begins
-       abruptly behind them: by a step of more than `BLANK_STEP` times the largest step between
-       neighbouring planes of the interior, which fills its quarters evenly enough (`SURE`) to be no
-       single body on blank ground.
+       and the material begins abruptly behind them: by a step of more than `BLANK_STEP` times the
+       largest step between neighbouring planes of the interior, which fills its quarters evenly
+       enough (`SURE`) to be no single body on blank ground.
     2. They are blank and far from the interior: beyond its range by more than the range itself and
-    by more than `FAR` standard
-       errors of a plane, which the spread of its quarters gives. A specimen whose rough surface
-       lies in the scan has such planes.
-    3. They are not blank, but each lies outside the interior's range, and they end by a step of
-    more than `STEP` times the
-       largest: a bar with text, a frame.
+       by more than `FAR` standard errors of a plane, which the spread of its quarters gives. A
+       specimen whose rough surface is in the scan has such planes.
+    3. They are not blank, but each is outside the interior's range, and they end by a step of more
+       than `STEP` times the largest: a bar with text, a frame.
 
     So a layer of a layered material, thin walls and an open foam are none: where the interior has
     such steps or such planes as well nothing is found. More than `MOST` of a side is never called a
@@ -167,13 +164,13 @@ def find_margins(image: Image | ArrayLike) -> Margins:
     image = as_image(image)
     values = image.values if image.kind == "labels" else grey_values(image)
     box = [(0, side) for side in image.shape]
-    faces: dict[tuple[int, str], Face] = {}
+    faces: dict[tuple[int, str], MarginFace] = {}
     rounded: str | None = None
     for _ in range(_PASSES):
-        found = dict(_faces(values, box, image))
+        found = dict(_margin_faces(values, box, image))
         for (axis, end), face in found.items():
             before = faces.get((axis, end))
-            faces[axis, end] = face if before is None else _joined(before, face)
+            faces[axis, end] = face if before is None else _join(before, face)
             start, stop = box[axis]
             box[axis] = (
                 (start + face.planes, stop) if end == "first" else (start, stop - face.planes)
@@ -182,7 +179,7 @@ def find_margins(image: Image | ArrayLike) -> Margins:
         if across is not None:
             rounded = "zyx"[across + 3 - image.ndim] if image.ndim == 3 else "z"
             box = [
-                _inscribed(*span) if image.ndim == 2 or n != across else span
+                _inscribe(*span) if image.ndim == 2 or n != across else span
                 for n, span in enumerate(box)
             ]
         if not found and across is None:
@@ -214,9 +211,11 @@ def margin_note(image: Image | ArrayLike) -> str | None:
     return f"{advice}; {name} {shares[0]:.3f} with them, {shares[1]:.3f} without"
 
 
-def _alike(faces: tuple[Face, ...]) -> list[Any]:
-    """The faces in words, those that differ in nothing but their end or axis together."""
-    groups: dict[tuple[int, bool, str], list[Face]] = {}
+def _group_alike(faces: tuple[MarginFace, ...]) -> list[Any]:
+    """Return the faces to put into words, those that differ in nothing but their end or axis
+    together.
+    """
+    groups: dict[tuple[int, bool, str], list[MarginFace]] = {}
     for face in faces:
         groups.setdefault((face.planes, face.blank, face.value if face.blank else ""), []).append(
             face
@@ -227,7 +226,7 @@ def _alike(faces: tuple[Face, ...]) -> list[Any]:
 class _Several:
     """Faces that hold the same."""
 
-    def __init__(self, faces: list[Face]) -> None:
+    def __init__(self, faces: list[MarginFace]) -> None:
         self.faces = faces
 
     def __str__(self) -> str:
@@ -249,26 +248,26 @@ class _Several:
         )
 
 
-def _joined(before: Face, more: Face) -> Face:
+def _join(before: MarginFace, more: MarginFace) -> MarginFace:
     same = before.blank and more.blank and before.value == more.value
-    return Face(before.axis, before.end, before.planes + more.planes, same, before.value)
+    return MarginFace(before.axis, before.end, before.planes + more.planes, same, before.value)
 
 
-def _faces(
+def _margin_faces(
     values: np.ndarray, box: list[tuple[int, int]], image: Image
-) -> Iterator[tuple[tuple[int, str], Face]]:
-    """The margins of a box along every axis."""
+) -> Iterator[tuple[tuple[int, str], MarginFace]]:
+    """Find the margins of a box along every axis."""
     part = values[tuple(slice(*span) for span in box)]
     labels = range(len(image.phases)) if image.kind == "labels" else None
     for axis in range(part.ndim):
         if part.shape[axis] < LEAST:
             continue
         figures = _fractions(part, axis, labels) if labels is not None else _greys(part, axis)
-        for end, turned in (("first", figures), ("last", figures.reversed())):
+        for end, turned in (("first", figures), ("last", figures.reverse())):
             count, blank = turned.margin()
             if count:
                 value = turned.value(count, image.phases)
-                yield (axis, end), Face("zyx"[axis + 3 - part.ndim], end, count, blank, value)
+                yield (axis, end), MarginFace("zyx"[axis + 3 - part.ndim], end, count, blank, value)
 
 
 @dataclass(frozen=True)
@@ -287,10 +286,10 @@ class _Planes:
 
     @property
     def means(self) -> np.ndarray:
-        """(N, figures): of whole planes."""
+        """Return the figures of whole planes, (N, figures)."""
         return np.asarray(self.quarters.mean(axis=1))
 
-    def reversed(self) -> _Planes:
+    def reverse(self) -> _Planes:
         """Return the planes in the other order."""
         return _Planes(self.quarters[::-1], self.blank[::-1])
 
@@ -319,20 +318,20 @@ class _Planes:
             )
             if ((abrupt & sure) | far).any():
                 return begin, True
-        # The widest run whose every plane lies outside the range, and that ends by a step.
+        # The widest run whose every plane is outside the range, and that ends by a step.
         for width in range(most, 0, -1):
             if ((steps[width - 1] > STEP) & outside[:width].all(axis=0)).any() and width != begin:
                 return width, False
         return 0, False
 
     def value(self, count: int, phases: tuple[str, ...]) -> str:
-        """Return what the first planes hold: the most frequent phase, or the mean grey."""
+        """Return the content of the first planes: the most frequent phase, or the mean grey."""
         mean = self.means[:count].mean(axis=0)
         return phases[int(np.argmax(mean))] if phases else f"one grey (about {mean[0]:.3g})"
 
 
 def _run(blank: np.ndarray) -> int:
-    """Return how many planes at the beginning are blank."""
+    """Return the number of blank planes at the beginning."""
     return int(np.argmin(blank)) if not blank.all() else len(blank)
 
 
@@ -365,18 +364,19 @@ def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
     """
     lines = np.moveaxis(part, axis, 0)
     if lines.ndim == 2:
-        pieces = np.array_split(lines, 4, axis=1)
+        parts = np.array_split(lines, 4, axis=1)
     else:
-        pieces = [
-            piece
+        parts = [
+            quarter
             for half in np.array_split(lines, 2, axis=1)
-            for piece in np.array_split(half, 2, axis=2)
+            for quarter in np.array_split(half, 2, axis=2)
         ]
     others = tuple(range(1, lines.ndim))
     if label is None:
-        return np.stack([piece.mean(axis=others, dtype=np.float64) for piece in pieces], axis=1)
+        return np.stack([quarter.mean(axis=others, dtype=np.float64) for quarter in parts], axis=1)
     return np.stack(
-        [np.count_nonzero(piece == label, axis=others) / piece[0].size for piece in pieces], axis=1
+        [np.count_nonzero(quarter == label, axis=others) / quarter[0].size for quarter in parts],
+        axis=1,
     )
 
 
@@ -396,13 +396,13 @@ def _round_axis(values: np.ndarray, box: list[tuple[int, int]]) -> int | None:
         filled = (lines != corner).any(axis=0)
         y, x = (np.abs(2 * np.arange(side) + 1 - side) / side for side in filled.shape)
         radius = np.hypot(y[:, None], x[None])
-        if not filled[radius > ROUND].any() and _filled_within(filled, radius):
+        if not filled[radius > ROUND].any() and _is_filled_within(filled, radius):
             return axis
     return None
 
 
-def _filled_within(filled: np.ndarray, radius: np.ndarray) -> bool:
-    """Return whether every square within the circle, as large as what is left of a corner, holds
+def _is_filled_within(filled: np.ndarray, radius: np.ndarray) -> bool:
+    """Return whether every square within the circle, as large as a corner beyond it, holds
     something.
     """
     edge = [max(2, int(CORNER * side)) for side in filled.shape]
@@ -414,7 +414,7 @@ def _filled_within(filled: np.ndarray, radius: np.ndarray) -> bool:
     return True
 
 
-def _inscribed(start: int, stop: int) -> tuple[int, int]:
+def _inscribe(start: int, stop: int) -> tuple[int, int]:
     """Return the side of the square within a circle that fills a side."""
     side = stop - start
     width = int(side / np.sqrt(2))

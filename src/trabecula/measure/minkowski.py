@@ -5,21 +5,20 @@ One pass counts how often each of the 256 black-and-white cubes of eight voxels 
 functional is then a sum over 256 entries of a table (`measure.cubes`).
 
 - Surface: Crofton's formula over the 13 directions between the eight voxels, each weighted with its
-share of the
-  sphere for the given spacing (Legland, Kieu, Devaux 2007, doi:10.5566/ias.v26.p83-92).
+  share of the sphere for the given spacing (Legland, Kieu, Devaux 2007,
+  doi:10.5566/ias.v26.p83-92).
 - Integral of mean curvature: Euler numbers of the plane sections across the three axes (the same
-paper; Ohser and
-  Muecklich 2000, "Statistical Analysis of Microstructures in Materials Science", section 4.2).
+  paper; Ohser and Muecklich 2000, "Statistical Analysis of Microstructures in Materials Science",
+  section 4.2).
 - Euler number: vertices - edges + faces - cells of the complex of voxels: with 26 neighbours every
-cell that touches
-  a voxel belongs to it, with 6 only those whose voxels are all inside. With 18 it is the complex of
-  26 in which two voxels that meet in nothing but a vertex are cut apart there, so that vertex
-  counts twice; the void's neighbours are then 6, as with 26 (the pair (18, 6) of digital topology;
-  Kong and Rosenfeld 1989, doi:10.1016/0734-189X(89)90147-3).
+  cell that touches a voxel belongs to it, with 6 only those whose voxels are all inside. With 18 it
+  is the complex of 26 in which two voxels that meet in nothing but a vertex are cut apart there, so
+  that vertex counts twice; the void's neighbours are then 6, as with 26 (the pair (18, 6) of
+  digital topology; Kong and Rosenfeld 1989, doi:10.1016/0734-189X(89)90147-3).
 
 Densities are taken over the cubes inside the image (or its mask), so its faces are no surface.
 Numbers of an object are taken with a margin of outside voxels, so its cut faces are surface. A
-periodic image has neither: it goes on beyond its last voxel with its first.
+periodic image has neither: beyond its last voxel comes its first.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from trabecula.measure.configurations import (
     square_euler,
     surface_table,
 )
-from trabecula.measure.phases import as_connectivity, as_periodic, check_sides, masked_indicator
+from trabecula.measure.phases import as_connectivity, as_periodic, check_sides, indicator_in_mask
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,8 @@ def minkowski(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> Minkowski:
-    """All Minkowski functionals of a phase as densities; the faces of the image are no surface.
+    """Measure all Minkowski functionals of a phase as densities; the faces of the image are no
+    surface.
 
     Parameters
     ----------
@@ -102,23 +102,23 @@ def minkowski(
     flat interface along an axis comes out 8 % low (13 directions). Mean curvature is unbiased for
     isotropic structures.
     """
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     check_sides(image.shape, what="has no surface inside")
     counts = count_cubes(
-        extended(inside, wraps), None if region is None else extended(region, wraps)
+        append_wrapped(inside, wraps), None if region is None else append_wrapped(region, wraps)
     )
     if not counts.any():
         raise InputError(
-            "no 2x2x2 block of voxels (2x2 in 2-D) lies wholly in the mask: give a thicker one"
+            "no 2x2x2 block of voxels (2x2 in 2-D) is wholly in the mask: give a thicker one"
         )
     return densities(counts, image.spacing, neighbours)
 
 
 def densities(counts: np.ndarray, spacing: tuple[float, ...], connectivity: int) -> Minkowski:
-    """The functionals from how often each of the 256 cubes occurs inside an image of as many axes
-    as `spacing` has.
+    """Return the functionals from the counts of the 256 cubes inside an image of as many axes as
+    `spacing` has.
     """
     weights = counts / counts.sum()
     cell = float(np.prod(spacing))
@@ -134,7 +134,7 @@ def densities(counts: np.ndarray, spacing: tuple[float, ...], connectivity: int)
 
 
 def euler_of(counts: np.ndarray, connectivity: int) -> int:
-    """The Euler number of an object from how often each of the 256 cubes occurs in it and a margin
+    """Return the Euler number of an object from the counts of the 256 cubes in it and a margin
     around it.
     """
     # Tables hold eighths, so the sum of whole counts is exact.
@@ -149,8 +149,8 @@ def mean_curvature(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Integral of the mean curvature over the interface per volume, from plane sections (see the
-    note on `minkowski`).
+    """Return the integral of the mean curvature over the interface per volume, from plane sections
+    (see the note on `minkowski`).
 
     Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92).
 
@@ -183,8 +183,8 @@ def euler(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> int:
-    """Euler number of a phase: components - tunnels + cavities; what lies beyond the faces is
-    outside.
+    """Return the Euler number of a phase: components - tunnels + cavities; what is beyond the faces
+    is outside.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def euler(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
     mask : bool array, the image's shape, optional
-        Of the phase inside the mask, taken as an object: what lies beyond the mask is outside too.
+        Of the phase inside the mask, taken as an object: what is beyond the mask is outside too.
     periodic : bool or one per axis
         Along these axes the last voxel is followed by the first, and no face is cut.
 
@@ -213,11 +213,11 @@ def euler(
     >>> euler(ring)
     0
     """
-    image, inside, _ = masked_indicator(image, phase, mask)
+    image, inside, _ = indicator_in_mask(image, phase, mask)
     neighbours = as_connectivity(connectivity, image.ndim)
     wraps = as_periodic(periodic, image.ndim)
     margin = [(0, 0) if wrap else (1, 1) for wrap in wraps]
-    counts = count_cubes(extended(np.pad(inside, margin), wraps), None)
+    counts = count_cubes(append_wrapped(np.pad(inside, margin), wraps), None)
     return euler_of(counts, neighbours)
 
 
@@ -229,8 +229,8 @@ def euler_density(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Euler number of a phase per volume, free of what the faces cut (`euler` is of the image as an
-    object).
+    """Return the Euler number of a phase per volume, free of what the faces cut (`euler` is of the
+    image as an object).
 
     Legland, Kieu, Devaux 2007 (doi:10.5566/ias.v26.p83-92), from 2x2x2 configurations wholly inside
     the image.
@@ -255,7 +255,7 @@ def euler_density(
     ).euler_density
 
 
-def extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
+def append_wrapped(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
     """Repeat the first layer behind the last one along every periodic axis."""
     if not any(wraps):
         return values
@@ -263,7 +263,7 @@ def extended(values: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
 
 
 def _euler_table(connectivity: int) -> np.ndarray:
-    """(256,): share of a cube, or of its lower square for 4 and 8 neighbours."""
+    """Return the share of every cube, or of its lower square for 4 and 8 neighbours, (256,)."""
     return (
         cube_euler(connectivity)
         if connectivity in (6, 18, 26)

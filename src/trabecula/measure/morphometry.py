@@ -1,4 +1,4 @@
-"""Bone morphometry by its names: the 3-D figures that a micro-CT report of trabecular bone gives.
+"""Bone morphometry: the 3-D figures, by their names, of a micro-CT report of trabecular bone.
 
 Names after Parfitt et al. 1987 (doi:10.1002/jbmr.5650020617), definitions after Bouxsein et al.
 2010 (doi:10.1002/jbmr.141). All are model-free: none assumes plates or rods.
@@ -15,7 +15,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.minkowski import minkowski
-from trabecula.measure.phases import as_periodic, masked_indicator
+from trabecula.measure.phases import as_periodic, indicator_in_mask
 from trabecula.measure.thickness import sphere_diameters
 
 MORPHOMETRY_POWERS = {"BV/TV": 0, "BS/BV": -1, "Tb.Th": 1, "Tb.Sp": 1, "Tb.N": -1, "Conn.D": -3}
@@ -30,7 +30,8 @@ def morphometry(
     periodic: bool | Sequence[bool] = False,
     fast: bool = False,
 ) -> dict[str, float | None]:
-    """Morphometry of trabecular bone, or of any other porous solid, in the image's unit of length.
+    """Measure the morphometry of trabecular bone, or of any other porous solid, in the image's unit
+    of length.
 
     Parameters
     ----------
@@ -71,9 +72,10 @@ def morphometry(
     """
     if as_image(image).ndim != 3:
         raise InputError(
-            "morphometry is of a volume: the image is 2-D; measure porosity, chord_length or thickness"
+            "morphometry is of a volume: the image is 2-D; measure porosity, chord_length or "
+            "thickness"
         )
-    image, bone, region = masked_indicator(image, phase, mask)
+    image, bone, region = indicator_in_mask(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)
     shape = minkowski(image, phase=phase, mask=mask, periodic=wraps)
     total = bone.size if region is None else int(np.count_nonzero(region))
@@ -96,7 +98,7 @@ def connectivity_density(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Connectivity density Conn.D of a phase: redundant struts per volume, 1 / length^3.
+    """Return the connectivity density Conn.D of a phase: redundant struts per volume, 1 / length^3.
 
     Odgaard and Gundersen 1993 (doi:10.1016/8756-3282(93)90245-6): (1 - dX) / V, where dX is what
     the volume V adds to the Euler number of the boundless structure, so that nothing depends on
@@ -133,7 +135,7 @@ def connectivity_density(
         raise InputError(
             "connectivity density is of a volume: the image is 2-D; measure euler_density"
         )
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     functionals = minkowski(
         image, phase=phase, connectivity=connectivity, mask=mask, periodic=periodic
     )
@@ -172,7 +174,7 @@ def _mid_axis(
     spacing: tuple[float, ...],
     wraps: tuple[bool, ...],
 ) -> np.ndarray:
-    """Voxels of the bone that no sphere larger than their own holds."""
+    """Return the voxels of the bone that no sphere larger than their own holds."""
     own = distance_transform(
         bone if region is None else bone | ~region, spacing=spacing, periodic=wraps
     )

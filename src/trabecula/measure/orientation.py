@@ -1,4 +1,4 @@
-"""Local orientation by the structure tensor: which way grey levels change least.
+"""Local orientation by the structure tensor: the direction in which grey levels change least.
 
 The structure tensor is the product of the gradient with itself, averaged over a window (Bigun and
 Granlund 1987; Jaehne 1993, "Spatio-Temporal Image Processing", doi:10.1007/3-540-57418-2). Its
@@ -45,7 +45,7 @@ class Orientation:
 def structure_tensor(
     image: Image | ArrayLike, *, sigma: float = 1.0, window: float = 2.0
 ) -> np.ndarray:
-    """Gradient times gradient, averaged over a Gaussian window.
+    """Return gradient times gradient, averaged over a Gaussian window.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def structure_tensor(
     InputError
         Sigma or window out of 0.3 .. 100, or an axis of one voxel.
     """
-    image = _checked(image, sigma, window)
+    image = _check_settings(image, sigma, window)
     return _tensor(grey_values(image), np.array(image.spacing), sigma, window)
 
 
@@ -88,7 +88,7 @@ def orientation(
     window: float = 2.0,
     bins: int | tuple[int, int] | None = None,
 ) -> Orientation:
-    """Histogram of the local orientation, the direction of least change.
+    """Return the histogram of the local orientation, the direction of least change.
 
     Every voxel counts by how clear its orientation is: in 2-D by the coherence (l1 - l2) / (l1 +
     l2) of the tensor's eigenvalues l1 >= l2, in 3-D by (l2 - l3) / l1, which is 0 in a plate, since
@@ -112,8 +112,8 @@ def orientation(
     InputError
         As for `structure_tensor`; bins below 1.
     """
-    image = _checked(image, sigma, window)
-    counts = _checked_bins(bins, image.ndim)
+    image = _check_settings(image, sigma, window)
+    counts = _as_bins(bins, image.ndim)
     # Orientations know neither unit: with both near 1, squares of slopes fit into float32.
     tensor = _tensor(near_one(grey_values(image)), near_one(np.array(image.spacing)), sigma, window)
     sums = np.zeros((tensor.shape[2], *counts))
@@ -134,7 +134,7 @@ def orientation(
     return Orientation(shares, directions, weight / math.prod(image.shape))
 
 
-def _checked(image: Image | ArrayLike, sigma: float, window: float) -> Image:
+def _check_settings(image: Image | ArrayLike, sigma: float, window: float) -> Image:
     image = as_image(image)
     as_number(sigma, name="sigma", low=0.3, high=100)
     as_number(window, name="window", low=0.3, high=100)
@@ -142,17 +142,18 @@ def _checked(image: Image | ArrayLike, sigma: float, window: float) -> Image:
     return image
 
 
-def _checked_bins(bins: int | tuple[int, int] | None, ndim: int) -> tuple[int, int]:
+def _as_bins(bins: int | tuple[int, int] | None, ndim: int) -> tuple[int, int]:
     counts = np.ravel(bins if bins is not None else (36 if ndim == 2 else (6, 12)))
     if len(counts) != ndim - 1 or counts.dtype.kind not in "iu" or counts.min() < 1:
         raise InputError(
-            f"bins {bins!r} do not fit: give {'a number' if ndim == 2 else '(rings, sectors)'}, each at least 1"
+            f"bins {bins!r} do not fit: give {'a number' if ndim == 2 else '(rings, sectors)'}, "
+            "each at least 1"
         )
     return (1, int(counts[0])) if ndim == 2 else (int(counts[0]), int(counts[1]))
 
 
 def _middles(rings: int, sectors: int, ndim: int) -> np.ndarray:
-    """(rings, sectors, ndim): directions in the middle of the bins."""
+    """Return the directions in the middle of the bins, (rings, sectors, ndim)."""
     if ndim == 2:
         angle = np.pi * np.arange(sectors) / sectors
         return np.stack([np.sin(angle), np.cos(angle)], axis=-1)[None]
@@ -163,7 +164,7 @@ def _middles(rings: int, sectors: int, ndim: int) -> np.ndarray:
 
 
 def _angles(tensor: np.ndarray, bins: int) -> np.ndarray:
-    """Weights by angle of one row of pixels."""
+    """Add the weights by angle of one row of pixels."""
     yy, yx, xx = tensor[0, 0], tensor[0, 1], tensor[1, 1]
     # The gradient's double angle is atan2(2 yx, xx - yy); least change is a quarter turn away.
     angle = 0.5 * np.arctan2(2 * yx, xx - yy) + np.pi / 2
@@ -175,8 +176,9 @@ def _angles(tensor: np.ndarray, bins: int) -> np.ndarray:
 
 @inline
 def _least(a, b, c, d, e, f):
-    """(l2 - l3) / l1 and the unit eigenvector of l3 of [[a, d, e], [d, b, f], [e, f, c]], by the
-    closed form; weight 0 where it has none."""
+    """Return (l2 - l3) / l1 and the unit eigenvector of l3 of [[a, d, e], [d, b, f], [e, f, c]], by
+    the closed form; weight 0 where it has none.
+    """
     mean = (a + b + c) / 3.0
     if mean <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -211,7 +213,9 @@ def _least(a, b, c, d, e, f):
 
 @kernel
 def _axes(zz, yy, xx, zy, zx, yx, sums, begin, end):
-    """sums[slice, ring, sector] += weight of every voxel, at its direction of least change."""
+    """Add the weight of every voxel to sums[slice, ring, sector] at its direction of least
+    change.
+    """
     _, rings, sectors = sums.shape
     _, height, width = zz.shape
     for z in range(begin, end):

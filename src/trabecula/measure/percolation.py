@@ -1,4 +1,4 @@
-"""What goes through: whether, and how much of, a phase connects two opposite faces."""
+"""Percolation: components of a phase that connect two opposite faces, and their share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.measure.labelling import label_components
-from trabecula.measure.phases import as_axis, as_periodic, masked_indicator
+from trabecula.measure.phases import as_axis, as_periodic, indicator_in_mask
 
 AXES = ("z", "y", "x")
 
@@ -22,7 +22,8 @@ def percolates(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> dict[str, bool]:
-    """Whether one component of a phase (default "solid") touches both end faces, for every axis.
+    """Return, for every axis, whether one component of a phase (default "solid") touches both end
+    faces.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def percolates(
     InputError
         A mask of another shape, not boolean or empty, another connectivity, or no such phase.
     """
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)
     if any(wraps):
         found = [
@@ -72,7 +73,7 @@ def percolating_fraction(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Share of a phase's voxels that lie in components which connect the two end faces of an axis,
+    """Return the share of a phase's voxels in components that connect the two end faces of an axis,
     0..1.
 
     Parameters
@@ -98,7 +99,7 @@ def percolating_fraction(
     >>> percolating_fraction(np.array([[1, 1, 1], [0, 0, 0], [1, 0, 0]]), axis=1)
     0.75
     """
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     along = as_axis(axis, image.ndim)
     labels = _labels_along(inside, connectivity, as_periodic(periodic, image.ndim), along)
     total = int(np.count_nonzero(inside))
@@ -106,7 +107,7 @@ def percolating_fraction(
 
 
 def spanning_voxels(labels: np.ndarray, axis: int, region: np.ndarray | None = None) -> np.ndarray:
-    """The voxels, True, of the components that touch both ends of an axis."""
+    """Return the voxels, True, of the components that touch both ends of an axis."""
     through = np.zeros(int(labels.max()) + 1, bool)
     through[_spanning(labels, axis, region)] = True
     return through[labels]
@@ -115,14 +116,14 @@ def spanning_voxels(labels: np.ndarray, axis: int, region: np.ndarray | None = N
 def _labels_along(
     inside: np.ndarray, connectivity: int | None, wraps: tuple[bool, ...], axis: int
 ) -> np.ndarray:
-    """Components that do not pass the end faces of `axis`."""
+    """Label components that do not pass the end faces of `axis`."""
     sideways = tuple(wrap and other != axis for other, wrap in enumerate(wraps))
     return label_components(inside, connectivity=connectivity, periodic=sideways)[0]
 
 
 def _spanning(labels: np.ndarray, axis: int, region: np.ndarray | None) -> np.ndarray:
-    """Labels that occur in the first and in the last layer of the image, or of the region that
-    counts.
+    """Return the labels that occur in the first and in the last layer of the image, or of the
+    region that counts.
     """
     ends = (0, -1)
     if region is not None:
@@ -133,3 +134,61 @@ def _spanning(labels: np.ndarray, axis: int, region: np.ndarray | None) -> np.nd
     near, far = (np.unique(labels.take(at, axis=axis)) for at in ends)
     both = np.intersect1d(near, far, assume_unique=True)
     return both[both > 0]
+
+
+def wrapping_voxels(inside: np.ndarray) -> np.ndarray:
+    """Return the voxels of the components (of shared faces) that wrap around the periodic box along
+    some direction, (Z, Y, X) bool.
+
+    They alone carry load: all others are islands, which an overall strain moves.
+    """
+    labels, sizes = label_components(inside)
+    count = len(sizes)
+    parent = list(range(count + 1))
+    # of a component's box, seen from its parent's
+    offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)
+    wraps = np.zeros(count + 1, bool)
+    for axis in range(3):
+        step = tuple(int(axis == k) for k in range(3))
+        pairs = np.stack(
+            [labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1
+        )
+        for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
+            _join(parent, offset, wraps, low, high, step)
+    roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)])
+    bears = np.zeros(count + 1, bool)
+    np.logical_or.at(bears, roots, wraps)
+    carries = bears[roots]
+    carries[0] = False
+    return carries[labels]
+
+
+def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int, tuple[int, ...]]:
+    """Return the root of a component, and its box seen from the root's."""
+    total: tuple[int, ...] = (0, 0, 0)
+    path = []
+    while parent[k] != k:
+        path.append(k)
+        k = parent[k]
+    for member in reversed(path):  # from the root's child down, so that each one's parent is done
+        total = tuple(a + b for a, b in zip(total, offset[member], strict=True))
+        parent[member], offset[member] = k, total
+    return k, total
+
+
+def _join(
+    parent: list[int],
+    offset: list[tuple[int, ...]],
+    wraps: np.ndarray,
+    a: int,
+    b: int,
+    step: tuple[int, ...],
+) -> None:
+    """Join component b, one `step` of boxes on, to a, which it touches."""
+    root_a, from_a = _root(parent, offset, a)
+    root_b, from_b = _root(parent, offset, b)
+    gap = tuple(p + s - q for p, s, q in zip(from_a, step, from_b, strict=True))
+    if root_a != root_b:
+        parent[root_b], offset[root_b] = root_a, gap
+    elif any(gap):
+        wraps[root_a] = True

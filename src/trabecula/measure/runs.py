@@ -4,7 +4,7 @@ takes four a voxel.
 Runs are joined by union-find, root = the run that comes first, so that components are numbered by
 their first voxel in raster order. What needs labels as an array paints those of a box.
 
-All passes go by slabs along z, and the arrays may lie in scratch files (`engine.scratch`): then
+All passes go by slabs along z, and the arrays may be memory-mapped files (`engine.memmap`): then
 neither the voxels nor their runs have to fit into memory.
 """
 
@@ -58,7 +58,7 @@ class Runs:
     sizes: np.ndarray
 
     def labels(self, box: Box | None = None) -> np.ndarray:
-        """The labels of a box, or of everything: int32, 0 where no component is."""
+        """Return the labels of a box, or of everything: int32, 0 where no component is."""
         sides = box or tuple((0, side) for side in self.shape)
         low, high = (np.array(ends, np.int64) for ends in zip(*sides, strict=True))
         labels = np.zeros(tuple(high - low), np.int32)
@@ -66,8 +66,11 @@ class Runs:
         return labels
 
     def boxes(self, chosen: np.ndarray | None = None) -> np.ndarray:
-        """(m, 6): first voxel and one past the last along z, y, x of the components k for which
-        `chosen[k - 1]` holds, or of all, in their order."""
+        """Return the bounding boxes of the components k for which `chosen[k - 1]` holds, or of all,
+        in their order.
+
+        (m, 6): first voxel and one past the last along z, y, x.
+        """
         chosen = np.ones(len(self.sizes), np.bool_) if chosen is None else chosen
         place = np.cumsum(chosen, dtype=np.int32)
         boxes = np.zeros((int(place[-1]) if len(place) else 0, 6), np.int64)
@@ -77,7 +80,9 @@ class Runs:
         return boxes
 
     def at_faces(self, axes: tuple[int, ...] = (0, 1, 2)) -> np.ndarray:
-        """(n,) bool: whether component k + 1 reaches a face of the array across one of the axes."""
+        """Return whether component k + 1 reaches a face of the array across one of the axes, (n,)
+        bool.
+        """
         found = np.zeros(len(self.sizes), np.bool_)
         across = np.isin(np.arange(3), axes)
         parts = (self.first, self.begin, self.end, self.label, np.array(self.shape), across, found)
@@ -94,7 +99,7 @@ class Runs:
 
 
 def runs_of(values: np.ndarray, member: np.ndarray, connectivity: int) -> Runs:
-    """The components of the voxels whose label is a member.
+    """Find the components of the voxels whose label is a member.
 
     Parameters
     ----------
@@ -123,15 +128,16 @@ def runs_of(values: np.ndarray, member: np.ndarray, connectivity: int) -> Runs:
 
 
 def _spread(work: Callable[[int, int], object], shape: tuple[int, ...]) -> None:
-    """Slabs in threads, where they pay."""
+    """Run slabs in threads, where they pay."""
     (for_slabs if prod(shape) >= _MANY else in_order)(work, shape[0])
 
 
 def _labels(
     begin: np.ndarray, end: np.ndarray, first: np.ndarray, rows: np.ndarray, height: int
 ) -> tuple[np.ndarray, int]:
-    """The component of every run, and how many there are. Not in threads: runs are joined and
-    numbered in their order.
+    """Return the component of every run, and their number.
+
+    Not in threads: runs are joined and numbered in their order.
     """
     bounds, count = first[::height], len(begin)
     parent = memmap.empty(count, np.int32 if count < 2**31 else np.int64)
@@ -157,9 +163,9 @@ INSIDE = np.arange(256) > 0
 """The members of a boolean array."""
 
 
-def merged_pieces(sizes: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Labels 1 .. n joined by pairs of them: the new label of each, numbered by the first of its
-    labels, and new sizes.
+def merge_labels(sizes: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Join labels 1 .. n by pairs of them; return the new label of each, numbered by the first of
+    its labels, and the new sizes.
     """
     # A label is a run of its own size here, and its root again the one that comes first.
     parent = _join_pairs(len(sizes), pairs - 1)
@@ -171,7 +177,7 @@ def merged_pieces(sizes: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.
 
 @kernel
 def _count_runs(values, member, first, start, stop):
-    """Runs of every row, one place further on."""
+    """Count the runs of every row, one place further on."""
     height, width = values.shape[1:]
     for z in range(start, stop):
         for y in range(height):
@@ -206,8 +212,8 @@ def _find_runs(values, member, first, begin, end, start, stop):
 
 @kernel
 def _join(begin, end, first, rows, height, parent, start, stop):
-    """Union of the runs that touch a run in one of the `rows` before theirs; the root is the
-    smallest run.
+    """Unite the runs that touch a run in one of the `rows` before theirs; the root is the smallest
+    run.
     """
     for k in range(first[start * height], first[stop * height]):
         parent[k] = k
@@ -242,8 +248,8 @@ def _join_pairs(count, pairs):
 
 @kernel
 def _number(parent, label, start, stop, count):
-    """Labels of the runs from `start` on, of which `count` are taken; how many then are. A root
-    comes before its tree.
+    """Number the runs from `start` on, with `count` labels taken before; return the labels taken
+    after. A root comes before its tree.
     """
     for k in range(start, stop):
         root = root_of(parent, k)
@@ -290,7 +296,7 @@ def _bound(first, begin, end, label, height, chosen, place, boxes, start, stop):
 
 @kernel
 def _mark(first, begin, end, label, shape, across, found, start, stop):
-    """Which components have a run at a face across an axis that counts."""
+    """Mark the components that have a run at a face across an axis that counts."""
     depth, height, width = shape
     for row in range(start * height, stop * height):
         z, y = row // height, row % height

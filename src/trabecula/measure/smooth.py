@@ -13,8 +13,8 @@ _REACH = 3.5  # of the kernel, in sigma: what is cut off weighs 5e-4
 
 
 def gaussian(values: np.ndarray, sigma: float | Sequence[float] | np.ndarray) -> np.ndarray:
-    """Values smoothed with a Gaussian of `sigma` voxels (one, or one per axis); beyond the faces
-    the last voxel goes on.
+    """Smooth values with a Gaussian of `sigma` voxels (one, or one per axis); beyond the faces the
+    last voxel is repeated.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def gaussian(values: np.ndarray, sigma: float | Sequence[float] | np.ndarray) ->
 
 
 def _weights(sigma: float) -> np.ndarray:
-    """Weights of offsets 0, 1, 2, ...; both sides together sum to 1."""
+    """Return the weights of offsets 0, 1, 2, ...; both sides together sum to 1."""
     offset = np.arange(int(np.ceil(_REACH * sigma)) + 1)
     weight = np.exp(-0.5 * (offset / sigma) ** 2)
     return (weight / (2 * weight.sum() - weight[0])).astype(np.float32)
@@ -45,7 +45,7 @@ def _along(values: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
 
 @kernel
 def _convolve(lines, weights, out, begin, end):
-    """Row k = line * side + place; along the last axis a row is one voxel."""
+    """Convolve rows; row k = line * side + place; along the last axis a row is one voxel."""
     _, side, width = lines.shape
     last = side - 1
     for k in range(begin, end):

@@ -1,4 +1,4 @@
-"""Largest inscribed spheres: which of them are needed, and painting them.
+"""Largest inscribed spheres: the choice of those that are needed, and painting them.
 
 A sphere is the set of voxels nearer to its centre than its radius. Bare voxels are bits, 64 of a
 row to a word, so that a sphere whose voxels all hold a larger one's value already, as most do,
@@ -25,13 +25,13 @@ _STEPS = tuple(
 
 
 _LONGEST, _LARGEST = 2048.0, 2.0**24
-"""Radius, and voxels in an eighth of a sphere, that `_containment` tells at most: half a GiB while
+"""Radius, and voxels in an eighth of a sphere, that `_containment` covers at most: half a GiB while
 it is made.
 """
 
 
 def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
-    """Diameter of the largest sphere that holds each voxel, 0 where none does.
+    """Return the diameter of the largest sphere that holds each voxel, 0 where none does.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ..
     spacing : float64 array, (3,)
         In units of the smallest edge.
     wraps : three bool
-        Spheres go on at the opposite face.
+        Spheres continue at the opposite face.
     """
     need = _containment(float(radius.max()), spacing)
     # A margin of one voxel: the neighbours beyond a face are other voxels, or none.
@@ -71,7 +71,9 @@ def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ..
 def _with_images(
     own: np.ndarray, places: np.ndarray, axis: int, side: int, edge: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres, largest first, and their images beyond the faces of an axis that reach into it."""
+    """Return spheres, largest first, and their images beyond the faces of an axis that reach into
+    it.
+    """
     reach = (own / edge).astype(np.int64)
     turns = int(reach.max(initial=0)) // side + 1
     chosen: list[np.ndarray] = [np.arange(len(own))]
@@ -89,8 +91,11 @@ def _with_images(
 
 
 def _bare_bits(inside: np.ndarray) -> np.ndarray:
-    """(Z + 1, Y + 1, words): bit x % 64 of word x // 64 is voxel x. The last slice and the last row
-    are empty: they stand for whatever lies outside."""
+    """Return the voxels without a diameter as bits: bit x % 64 of word x // 64 is voxel x.
+
+    (Z + 1, Y + 1, words). The last slice and the last row are empty: they stand for whatever is
+    outside.
+    """
     depth, height, width = inside.shape
     octets = np.zeros((depth + 1, height + 1, -(-width // 64) * 8), np.uint8)
     octets[:depth, :height, : -(-width // 8)] = np.packbits(inside, axis=2, bitorder="little")
@@ -98,13 +103,13 @@ def _bare_bits(inside: np.ndarray) -> np.ndarray:
 
 
 def _containment(largest: float, spacing: np.ndarray) -> np.ndarray:
-    """Squared radius that a neighbour's sphere must exceed to hold every voxel of a sphere, by
-    offset and squared radius.
+    """Return the squared radius that a neighbour's sphere must exceed to hold every voxel of a
+    sphere, by offset and squared radius.
 
     Dougherty and Kunzelmann 2007 (doi:10.1017/S1431927607074430): spheres are compared as sets of
     voxels, since hardly any pair of them holds as spheres of the plane do. Entry [4 dz + 2 dy + dx,
     n] is for all voxels nearer than sqrt(n). The last entry is infinite, for spheres larger than a
-    table of bounded size tells: those are kept.
+    table of bounded size shows: those stay.
     """
     within = min(largest, _LONGEST, np.cbrt(_LARGEST * np.prod(spacing)))
     steps = int(np.ceil(within**2)) + 1
@@ -133,7 +138,7 @@ def _containment(largest: float, spacing: np.ndarray) -> np.ndarray:
 
 @kernel
 def _find_ridge(around, need, ridge, start, stop):
-    """True where no neighbour with a larger radius holds every voxel of this sphere. `around` has a
+    """Mark where no neighbour with a larger radius holds every voxel of this sphere. `around` has a
     margin of 1.
     """
     _, height, width = ridge.shape
@@ -177,8 +182,8 @@ def _paint_rows(bare, diameter, slices, rows, word, mask, value):
 
 @kernel
 def _paint(own, places, spacing, bare, diameter, start, stop):
-    """Spheres from the largest down, in slices start..stop. Four rows, mirrored at the centre, are
-    looked at at once.
+    """Paint spheres from the largest down, in slices start..stop. Four rows, mirrored at the
+    centre, are looked at at once.
     """
     depth, height, width = diameter.shape
     words = bare.ravel()

@@ -1,12 +1,12 @@
-"""How thick: largest inscribed spheres, and chords.
+"""Thickness: largest inscribed spheres, and chords.
 
 Local thickness (Hildebrand and Ruegsegger 1997, doi:10.1046/j.1365-2818.1997.1340694.x): at a
-point, the diameter of the largest sphere that lies in the phase and holds the point. Three steps:
+point, the diameter of the largest sphere that fits into the phase and holds the point. Three steps:
 
 1. the distance of every voxel of the phase to the rest;
-2. the ridge: voxels whose sphere does not lie inside a neighbour's;
+2. the ridge: voxels whose sphere is not inside a neighbour's;
 3. the ridge's spheres are painted from the largest down; a voxel once painted keeps its value
-(`measure.spheres`).
+   (`measure.spheres`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.distance import distance_transform
-from trabecula.measure.phases import as_axis, as_periodic, masked_indicator
+from trabecula.measure.phases import as_axis, as_periodic, indicator_in_mask
 from trabecula.measure.spheres import paint_largest
 
 
@@ -30,7 +30,7 @@ def local_thickness(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> np.ndarray:
-    """Diameter of the largest sphere in the phase that holds the voxel.
+    """Return the diameter of the largest sphere in the phase that holds the voxel.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def local_thickness(
     plate of an odd number of voxels by 1 and meets one of an even number; 2 d less half a voxel is
     off by half a voxel in either case, and right on average.
     """
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     return sphere_diameters(
         inside, region, image.spacing, as_periodic(periodic, image.ndim), what="phase"
     )
@@ -73,8 +73,8 @@ def thickness(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean local thickness over the voxels of a phase (default "solid"), in the image's unit; 0
-    where the phase is empty.
+    """Return the mean local thickness over the voxels of a phase (default "solid"), in the image's
+    unit; 0 where the phase is empty.
 
     See `local_thickness` for the definition (Hildebrand and Ruegsegger 1997,
     doi:10.1046/j.1365-2818.1997.1340694.x) and its error of half a voxel.
@@ -103,8 +103,8 @@ def pore_size(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean local thickness over the voxels of the void (or of the phase given), in the image's
-    unit; 0 where it is empty.
+    """Return the mean local thickness over the voxels of the void (or of the phase given), in the
+    image's unit; 0 where it is empty.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def chord_length(
     mask: ArrayLike | None = None,
     periodic: bool | Sequence[bool] = False,
 ) -> float:
-    """Mean length of the chords that a line cuts out of a phase, in the image's unit.
+    """Return the mean length of the chords that a line cuts out of a phase, in the image's unit.
 
     Torquato 2002 (doi:10.1007/978-1-4757-6355-3), section 2.2.4: fraction of the phase over half
     the crossings of its interface per length. No chord is measured, so those that the faces cut
@@ -159,7 +159,7 @@ def chord_length(
     InputError
         No such phase or axis; a mask of another shape, not boolean or empty.
     """
-    image, inside, region = masked_indicator(image, phase, mask)
+    image, inside, region = indicator_in_mask(image, phase, mask)
     wraps = as_periodic(periodic, image.ndim)
     rates = []
     for along in range(image.ndim) if axis is None else (as_axis(axis, image.ndim),):
@@ -173,8 +173,8 @@ def chord_length(
 
 
 def mean_chord(fraction: float, rates: Sequence[float]) -> float:
-    """Mean chord of a phase from its fraction and, along every axis, the crossings of its interface
-    per length.
+    """Return the mean chord of a phase from its fraction and, along every axis, the crossings of
+    its interface per length.
     """
     rate = float(np.mean(rates)) if len(rates) else 0.0
     if fraction == 0:
@@ -190,7 +190,7 @@ def sphere_diameters(
     *,
     what: str,
 ) -> np.ndarray:
-    """`local_thickness` of a boolean array that lies within `region`; `what` names it in the
+    """Return the `local_thickness` of a boolean array within `region`; `what` names it in the
     message.
     """
     free = inside if region is None else inside | ~region
@@ -224,7 +224,7 @@ def _mean_diameter(
     mask: ArrayLike | None,
     periodic: bool | Sequence[bool],
 ) -> float:
-    image, inside, region = masked_indicator(image, phase, mask, default=default)
+    image, inside, region = indicator_in_mask(image, phase, mask, default=default)
     wraps = as_periodic(periodic, image.ndim)
     if not inside.any():
         return 0.0
@@ -235,7 +235,9 @@ def _mean_diameter(
 def crossings(
     inside: np.ndarray, region: np.ndarray | None, axis: int, wraps: bool
 ) -> tuple[int, int]:
-    """Steps between neighbours along an axis that leave or enter the phase, and all steps."""
+    """Count the steps between neighbours along an axis that leave or enter the phase, and all
+    steps.
+    """
     lines = np.moveaxis(inside, axis, 0)
     changes = [lines[1:] != lines[:-1], (lines[:1] != lines[-1:])[: int(wraps)]]
     if region is None:

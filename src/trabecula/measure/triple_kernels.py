@@ -18,8 +18,8 @@ REACH = 2
 
 @inline
 def _around(labels, d, z, y, x):
-    """The labels around the edge that leaves vertex (z, y, x) along axis d, as bits; the vertex is
-    a voxel's corner.
+    """Return the labels around the edge that leaves vertex (z, y, x) along axis d, as bits; the
+    vertex is a voxel's corner.
     """
     if d == 0:
         first, second = labels[z, y - 1, x - 1], labels[z, y - 1, x]
@@ -39,8 +39,8 @@ def _around(labels, d, z, y, x):
 
 
 @inline
-def _percolating(labels, spans, d, z, y, x):
-    """As `_around`, the labels of voxels in `spans` alone."""
+def _spanning_around(labels, spans, d, z, y, x):
+    """Return, as `_around`, the labels of voxels in `spans` alone."""
     found = np.int64(0)
     for i in range(2):
         for j in range(2):
@@ -54,13 +54,15 @@ def _percolating(labels, spans, d, z, y, x):
 
 @inline
 def _has_edge(d, z, y, x):
-    """Whether four voxels lie around the edge that leaves a vertex along axis d."""
+    """Return whether four voxels share the edge that leaves a vertex along axis d."""
     return (d == 0 or z > 0) and (d == 1 or y > 0) and (d == 2 or x > 0)
 
 
 @kernel
-def see_sets(labels, seen, start, stop):
-    """Mark in `seen` the sets of labels around the edges that leave vertices of planes start..stop."""
+def mark_sets(labels, seen, start, stop):
+    """Mark in `seen` the sets of labels around the edges that leave vertices of planes
+    start..stop.
+    """
     _, height, width = labels.shape
     for z in range(start, stop):
         for y in range(height):
@@ -72,8 +74,8 @@ def see_sets(labels, seen, start, stop):
 
 @kernel
 def find_edges(labels, wanted, edges, start, stop):
-    """Bit d of edges[z, y, x]: the three phases meet at the edge that leaves vertex (z, y, x) along
-    axis d.
+    """Set bit d of edges[z, y, x] where the three phases meet at the edge that leaves vertex (z, y,
+    x) along axis d.
     """
     _, height, width = labels.shape
     for z in range(start, stop):
@@ -96,7 +98,9 @@ def find_edges(labels, wanted, edges, start, stop):
 
 @inline
 def _leaves(edges, way, z, y, x):
-    """Whether an edge leaves a vertex: ways 0, 1, 2 go up along z, y, x, ways 3, 4, 5 down."""
+    """Return whether an edge leaves a vertex: ways 0, 1, 2 go up along z, y, x, ways 3, 4, 5
+    down.
+    """
     if way >= 3:
         z, y, x = z - (way == 3), y - (way == 4), x - (way == 5)
     depth, height, width = edges.shape
@@ -152,5 +156,5 @@ def add_chords(labels, spans, edges, spacing, wanted, lengths, start, stop):
                     if _around(labels, d, z, y, x) != wanted:
                         length /= 2  # four phases
                     lengths[z, d, 0] += length
-                    if _percolating(labels, spans, d, z, y, x) & wanted == wanted:
+                    if _spanning_around(labels, spans, d, z, y, x) & wanted == wanted:
                         lengths[z, d, 1] += length

@@ -1,13 +1,11 @@
-"""Triple-phase lines: where three phases meet, how long these lines are, and how much of them is
-active.
+"""Triple-phase lines, where three phases meet: their length, and the share of them that is active.
 
 Two steps:
 
 1. mark every voxel edge around which three phases meet; such edges form chains from vertex to
-vertex;
+   vertex;
 2. give each edge the length of a chord of its chain: from two edges behind it to two edges ahead,
-over the number of
-   edges in between. At an end or a branch of the chain the chord stops.
+   over the number of edges in between. At an end or a branch of the chain the chord stops.
 
 The edges themselves are too long by half on average for lines of random direction, whose staircase
 they follow. The field divides by a constant for that (about 1.5, which makes a line along an axis a
@@ -34,8 +32,8 @@ from trabecula.core.image import Image, as_image, check_labels, phase_index
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.phases import as_axis, as_inside, check_sides
 from trabecula.measure.runs import INSIDE, runs_of
-from trabecula.measure.streaming.components import PieceSizes, pieces_of
-from trabecula.measure.triple_kernels import add_chords, find_edges, see_sets
+from trabecula.measure.streaming.components import ComponentSizes, component_table
+from trabecula.measure.triple_kernels import add_chords, find_edges, mark_sets
 
 
 @dataclass(frozen=True)
@@ -68,14 +66,14 @@ def triple_phase_lines(
     -------
     lines : dict
         (name, name, name), in the order of the labels -> TripleLine; empty with two phases. An edge
-        around which four phases meet counts half for each three of them, since two lines lie there.
+        around which four phases meet counts half for each three of them, since two lines are there.
 
     Raises
     ------
     InputError
         Not labels, a side of one voxel, or no such axis.
     """
-    image = _checked(image)
+    image = _check_image(image)
     if len(image.phases) < 3:
         return {}
     axes = range(image.ndim) if axis is None else (as_axis(axis, image.ndim),)
@@ -111,10 +109,11 @@ def triple_phase_line_density(
     Examples
     --------
     >>> quarters = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 2, 2]])
-    >>> round(triple_phase_line_density(np.stack([quarters] * 3)), 3)  # one line across 2 x 3 voxels
+    >>> stack = np.stack([quarters] * 3)  # one line across 2 x 3 voxels
+    >>> round(triple_phase_line_density(stack), 3)
     0.167
     """
-    image = _checked(image)
+    image = _check_image(image)
     chosen = None if phases is None else _three(image, phases)
     if len(image.phases) < 3:
         return 0.0
@@ -146,7 +145,7 @@ def triple_phase_active_share(
     InputError
         As `triple_phase_line_density`, and no such axis.
     """
-    image = _checked(image)
+    image = _check_image(image)
     chosen = None if phases is None else _three(image, phases)
     names = None if chosen is None else tuple(image.phases[label] for label in chosen)
     found = [
@@ -158,14 +157,14 @@ def triple_phase_active_share(
     )
 
 
-def mark_components(inside: np.ndarray, spans: np.ndarray, axes: Iterable[int]) -> PieceSizes:
+def mark_components(inside: np.ndarray, spans: np.ndarray, axes: Iterable[int]) -> ComponentSizes:
     """Set the voxels of components that connect the two faces of one of the axes to True in
     `spans`; returns all components."""
     lifted = as_inside(inside)
     runs = runs_of(lifted.view(np.uint8), INSIDE, 6)
-    pieces = pieces_of(runs)
-    runs.write(spans.view(np.uint8), pieces.spans(axis + 3 - inside.ndim for axis in axes), 1)
-    return pieces
+    sizes = component_table(runs)
+    runs.write(spans.view(np.uint8), sizes.spans(axis + 3 - inside.ndim for axis in axes), 1)
+    return sizes
 
 
 def lines_of(
@@ -190,7 +189,7 @@ def lines_of(
     return found
 
 
-def _checked(image: Image | ArrayLike) -> Image:
+def _check_image(image: Image | ArrayLike) -> Image:
     image = as_image(image)
     check_labels(image)
     check_sides(image.shape, what="has no lines inside")
@@ -218,7 +217,7 @@ def _line(labels: np.ndarray, spans: np.ndarray, spacing: np.ndarray, wanted: in
         lambda a, b: add_chords(labels, spans, edges, spacing, wanted, lengths, a, b), len(labels)
     )
     sides = np.array(labels.shape)
-    # Edges along an axis lie between voxels across it: one fewer than voxels along every other
+    # Edges along an axis are between voxels across it: one fewer than voxels along every other
     # axis.
     room = [sides[d] * np.prod(np.delete(sides, d) - 1) * np.prod(spacing) for d in range(3)]
     total, active = sum(lengths[:, d].sum(axis=0) / room[d] for d in range(3) if room[d])
@@ -226,7 +225,7 @@ def _line(labels: np.ndarray, spans: np.ndarray, spacing: np.ndarray, wanted: in
 
 
 def _find_sets(labels: np.ndarray) -> np.ndarray:
-    """Return the sets of labels, as bits, that lie around voxel edges."""
+    """Return the sets of labels, as bits, around voxel edges."""
     seen = np.zeros(1 << 16, bool)
-    for_slabs(lambda a, b: see_sets(labels, seen, a, b), len(labels))
+    for_slabs(lambda a, b: mark_sets(labels, seen, a, b), len(labels))
     return np.flatnonzero(seen)

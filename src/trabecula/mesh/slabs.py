@@ -26,7 +26,7 @@ from trabecula.core.progress import track
 from trabecula.core.recipe import digest_of
 from trabecula.engine.files import replacing
 from trabecula.engine.lazy_volume import Slabs, depth_within
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure.phases import indicator
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
@@ -151,7 +151,7 @@ def export_slabs(
 
         sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), write_slabs())
         writer.finish(
-            volume.unit, volume.recipe.then_made("mesh", sha256, phase=phase, smooth=rounds)
+            volume.unit, volume.recipe.then_digest("mesh", sha256, phase=phase, smooth=rounds)
         )
     layers = replace(layers, extent=tuple((high - low)[::-1].tolist()))
     notify_size(layers.extent, volume.unit)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.measure.phases import indicator
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh

@@ -12,7 +12,7 @@ import numpy as np
 
 from trabecula import __version__
 from trabecula.core.errors import FileError
-from trabecula.engine.plan import available_memory
+from trabecula.engine.memory import available_memory
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.text import NO_UNIT, format_rows, metres, parse_unit, recipe_json
 

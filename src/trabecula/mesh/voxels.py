@@ -20,8 +20,8 @@ from trabecula.core.checks import as_number, as_shape, as_spacing
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.engine.parallel import for_slabs
-from trabecula.engine.plan import Plan, check_budget
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.check import check_closed

@@ -19,7 +19,7 @@ from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.storage.location import Remote, is_address, located, place_of
+from trabecula.engine.storage.location import Remote, is_address, location_of, path_or_remote
 from trabecula.engine.store import open_unfinished
 from trabecula.exemplar.samples import sample
 from trabecula.io import files
@@ -169,7 +169,7 @@ def check_target(
     """Raise before any work is done where `path` has an unknown suffix, cannot be written, or has
     no room for `size` bytes; at an address also where something is there, unless a run `goes_on`
     with it."""
-    target, text = place_of(path), os.fspath(path)
+    target, text = path_or_remote(path), os.fspath(path)
     if isinstance(target, Remote):
         files.check_stored(target)
         target.check_writable()
@@ -202,7 +202,7 @@ def check_folder(path: str | os.PathLike[str], *, size: int = 0) -> None:
         raise InputError(
             f"cannot write {path}: only a .zarr is written to an address; write a file, and copy it there"
         )
-    folder = located(path).folder
+    folder = location_of(path).folder
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():

@@ -21,14 +21,14 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import Box, StoredVolume, stream
-from trabecula.engine.plan import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
 from trabecula.engine.storage.location import (
     Folder,
     Location,
     Remote,
     is_address,
-    located,
-    place_of,
+    location_of,
+    path_or_remote,
 )
 from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
 from trabecula.engine.timing import seconds_of, seconds_of_whole
@@ -87,7 +87,7 @@ def partial_path(path: str | os.PathLike[str]) -> Path:
     """Where the state of an unfinished run is kept: beside its result, as rock.zarr.part of
     rock.zarr.
     """
-    return located(path).beside(".part")
+    return location_of(path).beside(".part")
 
 
 def generate_to(
@@ -138,16 +138,16 @@ def generate_to(
     with _workers(cluster, memory) as workers:
         cut = choose_blocks(model, request, path, memory=memory, chunks=chunks, workers=workers)
         if cut is not None and isinstance(model, WindowModel):
-            return _in_blocks(model, request, located(path), cut, workers)
+            return _in_blocks(model, request, location_of(path), cut, workers)
         if cut is not None:
             budgets = {"memory": memory, "chunks": chunks}
             folder = None if scratch is None else Path(scratch)
             return _as_a_whole(
-                model, request, located(path), cut, workers, **budgets, scratch=folder
+                model, request, location_of(path), cut, workers, **budgets, scratch=folder
             )
     if scratch is not None:
         notify("no scratch files are needed: it is made in memory")
-    target = place_of(path)
+    target = path_or_remote(path)
     if isinstance(target, Remote):
         target.check_free()
     with checkpoint.kept_at(None if isinstance(target, Remote) else partial_path(path)):
@@ -198,7 +198,7 @@ def choose_blocks(
     most = chunk if chunks else model.block if left is None else left.block
     if workers is None:
         return _fitting(model, request, budget, chunk, most)
-    each = budget if workers.memory is None else workers.memory - located(path).memory
+    each = budget if workers.memory is None else workers.memory - location_of(path).memory
     return _fitting(model, request, each, chunk, most, at_once=workers.at_once)
 
 
@@ -247,7 +247,7 @@ def plan_to(
             model, request, available_memory() if memory is None else memory, cut.chunk
         )
     seconds = _seconds_of(model, request, cut) if trial else None
-    way = {"way to the address": located(path).memory} if is_address(path) else {}
+    way = {"way to the address": location_of(path).memory} if is_address(path) else {}
     return replace(plan, memory={**plan.memory, **way}, seconds=seconds)
 
 
@@ -271,7 +271,7 @@ def _for_making(path: str | os.PathLike[str], memory: int | None) -> int | None:
     """What of a budget is left when the way to an address has had its own."""
     if not is_address(path):
         return memory
-    return max(0, (available_memory() if memory is None else memory) - located(path).memory)
+    return max(0, (available_memory() if memory is None else memory) - location_of(path).memory)
 
 
 def _check_in_blocks(
@@ -313,7 +313,7 @@ def _workers(cluster: Cluster | None, memory: int | None) -> Iterator[Workers | 
 
 def _left_by(model: Model, request: Request, path: str | os.PathLike[str]) -> Unfinished | None:
     """What an interrupted run of the same request left, made in blocks."""
-    left = open_unfinished(located(path).growing())
+    left = open_unfinished(location_of(path).growing())
     return left if left is not None and left.identity == model.identity(request) else None
 
 
@@ -325,7 +325,7 @@ def _in_blocks(
         (lambda box: model.values_of(request, box)) if workers is None else Shipped(model, request)
     )
     return _streamed(
-        model, request, path, cut, make, lambda sha256: model.recipe(request, sha256), hands=workers
+        model, request, path, cut, make, lambda sha256: model.recipe(request, sha256), workers=workers
     )
 
 
@@ -347,7 +347,7 @@ def _as_a_whole(
     if workers is not None:
         pages = pages_of(plan, at_once=workers.at_once, each=workers.memory)
     folder = _scratch_of(path, scratch, identity, left)
-    whole = Whole(model, request, folder, memory=pages, thickest=chunks, hands=workers)
+    whole = Whole(model, request, folder, memory=pages, thickest=chunks, workers=workers)
     grown = path.growing()
     whole.begin(plan.scratch, state=grown.path if isinstance(grown, Folder) else None)
     complete = (
@@ -388,7 +388,7 @@ def _streamed(
     make: Callable[[Box], np.ndarray],
     recipe: Callable[[str], Recipe],
     *,
-    hands: Workers | None = None,
+    workers: Workers | None = None,
     meanwhile: Mapping[str, Any] | None = None,
 ) -> Result:
     """Boxes into a store, with the recipe by the digest of its voxels, and until it is finished
@@ -417,5 +417,5 @@ def _streamed(
         labels=fields["kind"] == "labels",
         channels=3 if fields["kind"] == "colour" else 0,
     )
-    sha256 = stream(volume, path, side=cut.side, chunk=cut.chunk, hands=hands)
-    return Result(place_of(path), request.shape, outline(request.shape, **fields), recipe(sha256))
+    sha256 = stream(volume, path, side=cut.side, chunk=cut.chunk, workers=workers)
+    return Result(path_or_remote(path), request.shape, outline(request.shape, **fields), recipe(sha256))

@@ -11,7 +11,7 @@ from typing import Any
 
 from trabecula.core.checks import as_shape, check_name
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, declared, default_phases
+from trabecula.core.image import Image, declare_fields, default_phases
 from trabecula.core.progress import listen, notify
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.crop import crop as cut_box
@@ -120,7 +120,7 @@ def load_like(
     if image.kind == "grey" and exemplar.kind == "labels":
         image = load(source, threshold=threshold)
     new = _not_stated(image, exemplar, spacing)
-    return declared(image, **new) if new else image
+    return declare_fields(image, **new) if new else image
 
 
 def slabs_like_if_large(
@@ -308,7 +308,7 @@ def _fixed_slice(
             if set(view) < set("zyx")
             else picture.spacing
         )
-        picture = declared(picture, spacing=inside, unit=exemplar.unit)
+        picture = declare_fields(picture, spacing=inside, unit=exemplar.unit)
     slab = as_slab(picture, view)
     room = [max(1, side - start) for side, start in zip(shape, corner, strict=False)]
     if any(have > free for have, free in zip(slab.shape, room, strict=False)) and len(room) == 3:

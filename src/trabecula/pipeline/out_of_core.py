@@ -19,8 +19,8 @@ from trabecula.core.request import Request
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.blocks import Box, part_bytes, slices_of
 from trabecula.engine.files import remove, replacing
-from trabecula.engine.lock import locked
-from trabecula.engine.plan import Plan, format_bytes
+from trabecula.engine.lock import hold_lock
+from trabecula.engine.memory import Plan, format_bytes
 from trabecula.synth.api.method import Model
 
 _FULL = 3
@@ -35,7 +35,7 @@ def plan_whole(model: Model, request: Request, budget: int, chunk: int) -> Plan:
     """Forecast of making a request in scratch files within a budget of bytes, and writing it in
     blocks of `chunk` voxels.
     """
-    plan = model.plan_spilled(request, budget)
+    plan = model.plan_mapped(request, budget)
     numbers = 3 if model.fields(request)["kind"] == "colour" else 1
     block = numbers * part_bytes(
         request.shape, [min(chunk, side) for side in request.shape], model.dtype
@@ -74,14 +74,14 @@ class Whole:
     Parameters
     ----------
     model : Model
-        That `spills`.
+        Whose large volumes are "memmap" or "memory".
     request : Request
     folder : Path
     memory : int
         Bytes that may be resident of the scratch files and of what is worked on.
     thickest : int, optional
         Planes that are worked on at once, at most.
-    hands : scratch.Hands, optional
+    workers : memmap.MappedWorkers, optional
         Who does the work, where it is not this process alone.
     """
 
@@ -93,13 +93,13 @@ class Whole:
         *,
         memory: int,
         thickest: int | None = None,
-        hands: memmap.MappedWorkers | None = None,
+        workers: memmap.MappedWorkers | None = None,
     ) -> None:
         self._model, self._request, self._folder = model, request, folder
         self._spilled: dict[str, Any] = {
             "memory": memory // _FULL,
             "thickest": thickest,
-            "hands": hands,
+            "workers": workers,
         }
         self._made: tuple[memmap.MappedFile, Mapping[str, Any]] | None = None
 
@@ -174,13 +174,13 @@ class Whole:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with (
-                locked(self._folder / _STATE),
+                hold_lock(self._folder / _STATE),
                 checkpoint.kept_at(self._folder / _STATE),
-                memmap.spilled(self._folder, **self._spilled),
+                memmap.map_large_arrays(self._folder, **self._spilled),
             ):
                 for lost in self._folder.glob("*.raw"):  # of a run that was killed
                     lost.unlink()
-                values, report = self._model.made(self._request)
+                values, report = self._model.compute(self._request)
                 return self._kept(values, report), report
         except OSError as error:
             if isinstance(error, TrabeculaError):

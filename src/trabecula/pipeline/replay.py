@@ -15,11 +15,11 @@ from trabecula import fields, finish
 from trabecula.core import indexing
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, NotReproducedError, TrabeculaError
-from trabecula.core.image import Image, declared
+from trabecula.core.image import Image, declare_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
-from trabecula.engine.storage.location import is_address, located
+from trabecula.engine.storage.location import is_address, location_of
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.place import block, place
 from trabecula.exemplar.samples import sample
@@ -116,7 +116,7 @@ def rerun(
         raise NotReproducedError(
             f"{path} does not hold what its recipe makes: its voxels were changed since"
         )
-    folder = located(path).folder
+    folder = location_of(path).folder
     parts = {"mask": mask, "fixed": fixed, "known": known, "target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 
@@ -373,7 +373,7 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image
         across=step.get("across", 1.0),
     ),
     "block": lambda image, step, places: block(step["size"], step["shape"], corner=step["corner"]),
-    "declare": lambda image, step, places: declared(_given(image), **step["fields"]),
+    "declare": lambda image, step, places: declare_fields(_given(image), **step["fields"]),
     "segment": lambda image, step, places: segment(
         _given(image), step["threshold"], phases=step["phases"]
     ),

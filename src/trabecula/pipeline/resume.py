@@ -13,7 +13,7 @@ from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
-from trabecula.engine.storage.location import Folder, Location, located, place_of
+from trabecula.engine.storage.location import Folder, Location, location_of, path_or_remote
 from trabecula.engine.store import open_finished, open_unfinished
 from trabecula.io import files
 from trabecula.pipeline.generate import Result, generate_to
@@ -55,7 +55,7 @@ def resume(
     NotReproducedError
         The exemplar, a part of the request or the versions are not those of the run.
     """
-    target = located(os.fspath(path).removesuffix(".part"))
+    target = location_of(os.fspath(path).removesuffix(".part"))
     if _is_finished(target):
         clear_scratch(
             target.beside(".scratch")
@@ -97,7 +97,7 @@ def _begun(target: Location) -> Mapping[str, Any]:
                 f"{part} was left by {verb}: the same command (trabecula {verb} ...) goes on with it"
             )
         return steps[-1]
-    step = checkpoint.begun(part.path) if isinstance(part, Folder) and part.path.is_file() else None
+    step = checkpoint.step_in(part.path) if isinstance(part, Folder) and part.path.is_file() else None
     if step is not None:
         return step
     raise FileError(
@@ -124,7 +124,7 @@ def _finished(target: Location) -> Result:
         raise FileError(f"{target} was not made by generate: there is nothing to go on with")
     notify(f"{target.name} is finished: there is nothing to go on with")
     text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
-    return Result(place_of(target), shape, text, recipe)
+    return Result(path_or_remote(target), shape, text, recipe)
 
 
 def _check_same_run(

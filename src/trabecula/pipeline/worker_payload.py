@@ -12,8 +12,8 @@ from trabecula.core.recipe import versions
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
 from trabecula.synth.api.method import Model
-from trabecula.synth.api.serialize import decoded, encoded
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api.serialize import decode_model
+from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 
 class Shipped:
@@ -22,7 +22,7 @@ class Shipped:
     """
 
     def __init__(self, model: WindowModel, request: Request) -> None:
-        self.data = encoded(model, history=dict(model.history), versions=versions())
+        self.data = model.to_bytes(history=dict(model.history), versions=versions())
         self.request = request
         self.__setstate__(self.__getstate__())
 
@@ -38,7 +38,7 @@ class Shipped:
         """The values of a box."""
         with self._lock:  # a worker may make several boxes at once
             if self._model is None:
-                self._model = decoded(self.data, Path("the model that was sent"))
-        if not isinstance(self._model, WindowModel):
+                self._model = decode_model(self.data, Path("the model that was sent"))
+        if not makes_boxes(self._model):
             raise TypeError("a model that makes no boxes was sent")
         return self._model.values_of(self.request, box)

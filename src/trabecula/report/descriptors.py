@@ -25,9 +25,9 @@ from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten
 from trabecula.measure.orientation import orientation
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.phases import as_inside, indicator
-from trabecula.measure.streaming import Lines
+from trabecula.measure.streaming import LineTally
 from trabecula.measure.streaming.cells import CellMeans, CellSums, cells_of
-from trabecula.measure.streaming.lines import Crossings
+from trabecula.measure.streaming.lines import CrossingTally
 from trabecula.measure.thickness import mean_chord
 from trabecula.report.evenness import Windows, measure_evenness, phases_of
 from trabecula.report.metrics import FIGURES
@@ -197,8 +197,8 @@ class _Axes:
 
     def __init__(self, ndim: int, r_max: int) -> None:
         self.ndim, self.r_max = ndim, r_max
-        self._lines = {"": Lines(r_max), "_void": Lines(r_max)}
-        self._crossings = Crossings()
+        self._lines = {"": LineTally(r_max), "_void": LineTally(r_max)}
+        self._crossings = CrossingTally()
 
     def add(self, image: Image) -> None:
         """Take the next planes of a volume, or the one of a 2-D image."""

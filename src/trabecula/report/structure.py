@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.measure.fft import sums_by_offset
+from trabecula.numerics.transforms import sums_by_offset
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
 

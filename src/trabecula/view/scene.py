@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_shape
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.engine.parallel import for_slabs
-from trabecula.engine.plan import Plan, check_budget
 from trabecula.view import cut as cuts
 from trabecula.view import kernels
 from trabecula.view.camera import Camera, as_angles, place

@@ -7,8 +7,15 @@ torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'"
 
 from trabecula.synth.gan import losses  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
-from trabecula.synth.gan.networks import discriminator_of  # noqa: E402
-from trabecula.synth.gan.perceptual import EDGES, SLICES, Table, gram, regions_of, squared_distances  # noqa: E402
+from trabecula.synth.gan.losses import (  # noqa: E402
+    EDGES,
+    SLICES,
+    CandidateTable,
+    cubes_of,
+    gram,
+    squared_distances,
+)
+from trabecula.synth.gan.networks import new_discriminator  # noqa: E402
 
 
 def volume(seed, *shape):
@@ -44,13 +51,13 @@ def test_the_gradient_penalty_of_a_linear_judge_is_the_square_of_its_weights():
         def forward(self, x):
             return [(x * self.weights).sum((1, 2, 3, 4), keepdim=True)]
 
-    judge = Linear()
-    penalty = losses.gradient_penalty(judge, volume(4, 5, 1, 4, 4, 4))
+    discriminator = Linear()
+    penalty = losses.gradient_penalty(discriminator, volume(4, 5, 1, 4, 4, 4))
     assert float(penalty.detach()) == pytest.approx(
-        float(judge.weights.detach().square().sum()), rel=1e-5
+        float(discriminator.weights.detach().square().sum()), rel=1e-5
     )
     penalty.backward()
-    assert torch.allclose(judge.weights.grad, 2 * judge.weights, rtol=1e-5)
+    assert torch.allclose(discriminator.weights.grad, 2 * discriminator.weights, rtol=1e-5)
 
 
 def test_sliced_is_zero_for_the_same_and_grows_with_the_difference():
@@ -71,7 +78,7 @@ def test_sliced_of_two_white_noises_is_that_of_two_gaussians():
 
 
 def test_gram_against_its_definition():
-    made, real = volume(8, 2, 3, 8, 8, 8), volume(9, 2, 3, 8, 8, 8)
+    fake, real = volume(8, 2, 3, 8, 8, 8), volume(9, 2, 3, 8, 8, 8)
 
     def naive(features):
         found = []
@@ -83,14 +90,14 @@ def test_gram_against_its_definition():
                 )
         return np.stack(found, 1)
 
-    wanted = np.square(naive(made) - naive(real)).mean()
-    assert float(gram([made], [real])) == pytest.approx(float(wanted), rel=1e-5)
-    assert float(gram([made], [made])) == 0
+    wanted = np.square(naive(fake) - naive(real)).mean()
+    assert float(gram([fake], [real])) == pytest.approx(float(wanted), rel=1e-5)
+    assert float(gram([fake], [fake])) == 0
 
 
 def test_regions_are_the_cubes_of_the_features():
     features = volume(10, 2, 3, 4, 6, 9)  # the last voxel along x is left over
-    cubes = regions_of(features, 2)
+    cubes = cubes_of(features, 2)
     assert cubes.shape == (2 * 2 * 3 * 4, 3 * 8)
     assert torch.equal(
         cubes[2 * 3 * 4 + 1 * 12 + 2 * 4 + 3].reshape(3, 2, 2, 2), features[1, :, 2:4, 4:6, 6:8]
@@ -103,40 +110,42 @@ def test_squared_distances():
 
 
 @pytest.fixture(scope="module")
-def judge():
+def discriminator():
     with torch.random.fork_rng():
         torch.manual_seed(2)
         # Each crop on its own, or features would depend on which crops are in a chunk.
-        return discriminator_of(
+        return new_discriminator(
             GanConfig(generator="subpixel", discriminator="score", crop=32, width=2), 1
         ).eval()
 
 
 @pytest.mark.parametrize("chunk", [1, 2, 5])
-def test_the_structural_loss_finds_the_nearest_region_whatever_the_chunks(judge, chunk):
-    made, real = volume(13, 2, 1, 32, 32, 32), volume(14, 5, 1, 32, 32, 32)
+def test_the_structural_loss_finds_the_nearest_region_whatever_the_chunks(discriminator, chunk):
+    fake, real = volume(13, 2, 1, 32, 32, 32), volume(14, 5, 1, 32, 32, 32)
     with torch.no_grad():
-        features, candidates = judge.features(made), judge.features(real)
+        features, candidates = discriminator.features(fake), discriminator.features(real)
         wanted = 0.0
         for layer, edge in enumerate(EDGES):
             asked, offered = (
-                regions_of(features[layer], edge).numpy(),
-                regions_of(candidates[layer], edge).numpy(),
+                cubes_of(features[layer], edge).numpy(),
+                cubes_of(candidates[layer], edge).numpy(),
             )
             apart = np.square(asked[:, None] - offered[None]).sum(2)
             wanted += np.square(asked - offered[apart.argmin(1)]).mean()
-        assert float(Table(real, chunk=chunk).loss(judge, features)) == pytest.approx(
-            float(wanted), rel=1e-4
-        )
-        assert float(Table(made, chunk=chunk).loss(judge, features)) == pytest.approx(0, abs=1e-8)
+        assert float(
+            CandidateTable(real, chunk=chunk).loss(discriminator, features)
+        ) == pytest.approx(float(wanted), rel=1e-4)
+        assert float(
+            CandidateTable(fake, chunk=chunk).loss(discriminator, features)
+        ) == pytest.approx(0, abs=1e-8)
 
 
-def test_the_structural_loss_pulls_towards_the_exemplar(judge):
-    made, real = volume(15, 1, 1, 32, 32, 32).requires_grad_(True), volume(16, 3, 1, 32, 32, 32)
-    table = Table(real, chunk=2)
-    before = table.loss(judge, judge.features(made))
+def test_the_structural_loss_pulls_towards_the_exemplar(discriminator):
+    fake, real = volume(15, 1, 1, 32, 32, 32).requires_grad_(True), volume(16, 3, 1, 32, 32, 32)
+    table = CandidateTable(real, chunk=2)
+    before = table.loss(discriminator, discriminator.features(fake))
     before.backward()
     with torch.no_grad():
-        step = 0.1 * made.norm() / made.grad.norm()
-        after = table.loss(judge, judge.features(made - step * made.grad))
+        step = 0.1 * fake.norm() / fake.grad.norm()
+        after = table.loss(discriminator, discriminator.features(fake - step * fake.grad))
     assert float(after) < 0.95 * float(before.detach())

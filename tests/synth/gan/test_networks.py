@@ -7,11 +7,11 @@ torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'"
 from trabecula.errors import InputError  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
 from trabecula.synth.gan.networks import (  # noqa: E402
-    blurred,
-    discriminator_of,
-    doubled,
-    generator_of,
-    halved,
+    blur,
+    depth_to_space,
+    new_discriminator,
+    new_generator,
+    space_to_depth,
 )
 
 GENERATORS = {
@@ -27,7 +27,7 @@ GENERATORS = {
 def network(request):
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        network = generator_of(GENERATORS[request.param], 2).eval()
+        network = new_generator(GENERATORS[request.param], 2).eval()
         for layer in network.modules():  # so that signals come through, as after a training
             if isinstance(layer, (torch.nn.Conv3d, torch.nn.ConvTranspose3d)):
                 torch.nn.init.normal_(layer.weight, 0, 0.2)
@@ -65,7 +65,7 @@ def test_a_voxel_does_not_know_where_its_tile_ends(network):
 
 
 def test_a_latent_reaches_no_farther_than_the_halo(network):
-    """A cell of the latent changes its own voxels, and none that are more cells away than the halo."""
+    """A cell of the latent changes its own voxels, and none farther away than the halo."""
     z, edge, halo = latent(network, 5, 1, 1), network.cell, network.halo
     with torch.inference_mode():
         before = network.cells(z)
@@ -82,8 +82,8 @@ def test_a_latent_reaches_no_farther_than_the_halo(network):
 
 def test_doubling_and_halving_undo_each_other():
     x = torch.arange(2 * 16 * 27, dtype=torch.float32).reshape(2, 16, 3, 3, 3)
-    assert doubled(x).shape == (2, 2, 6, 6, 6)
-    assert torch.equal(halved(doubled(x)), x)
+    assert depth_to_space(x).shape == (2, 2, 6, 6, 6)
+    assert torch.equal(space_to_depth(depth_to_space(x)), x)
 
 
 def test_no_chequerboard_passes_the_blur():
@@ -91,7 +91,7 @@ def test_no_chequerboard_passes_the_blur():
     board = (-1.0) ** (axes[0] + axes[1] + axes[2])
     stripes = (-1.0) ** axes[1]
     for pattern in (board, stripes):
-        assert torch.equal(blurred(pattern[None, None] + 2), torch.full((1, 1, 6, 6, 6), 2.0))
+        assert torch.equal(blur(pattern[None, None] + 2), torch.full((1, 1, 6, 6, 6), 2.0))
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_no_chequerboard_passes_the_blur():
 )
 def test_the_papers_generator(reading, maps):
     with torch.device("meta"):
-        network = generator_of(GanConfig(**{**PRESETS["paper"], "generator": reading}), 1)
+        network = new_generator(GanConfig(**{**PRESETS["paper"], "generator": reading}), 1)
         layers = [
             m
             for m in network.modules()
@@ -119,34 +119,34 @@ def test_the_papers_generator(reading, maps):
 
 def test_the_papers_discriminator():
     with torch.device("meta"):
-        judge = discriminator_of(GanConfig(**PRESETS["paper"]), 1)
-        layers = [m for m in judge.modules() if isinstance(m, torch.nn.Conv3d)]
+        discriminator = new_discriminator(GanConfig(**PRESETS["paper"]), 1)
+        layers = [m for m in discriminator.modules() if isinstance(m, torch.nn.Conv3d)]
         assert [layer.out_channels for layer in layers[:5]] == [64, 128, 256, 512, 512]
         crop = torch.empty(3, 1, 64, 64, 64)
-        assert [part.shape for part in judge(crop)] == [(3, 1, 1, 1, 1)]
-        assert [part.shape[1:] for part in judge.features(crop)] == [
+        assert [part.shape for part in discriminator(crop)] == [(3, 1, 1, 1, 1)]
+        assert [part.shape[1:] for part in discriminator.features(crop)] == [
             (64, *(32,) * 3),
             (128, *(16,) * 3),
             (256, *(8,) * 3),
         ]
-        patches = discriminator_of(GanConfig(**PRESETS["patchgan"]), 1)
+        patches = new_discriminator(GanConfig(**PRESETS["patchgan"]), 1)
         assert [part.shape for part in patches(crop)] == [(3, 1, 2, 2, 2)]
 
 
 @pytest.mark.parametrize("crop", [40, 48, 64])
 def test_the_judge_of_two_scales_takes_the_crops_that_the_config_allows(crop):
     config = GanConfig(crop=crop, width=2)
-    judge = discriminator_of(config, 1)
-    near, far = judge(torch.zeros(2, 1, crop, crop, crop))
+    discriminator = new_discriminator(config, 1)
+    near, far = discriminator(torch.zeros(2, 1, crop, crop, crop))
     assert near.shape[0] == far.shape[0] == 2
     assert near[0].numel() >= 1
     assert far[0].numel() >= 1
 
 
 def test_polish_comes_after_the_training():
-    """Two blurs as it becomes material, one as the judge sees it."""
+    """Two blurs as it becomes material, one as the discriminator sees it."""
     networks = [
-        generator_of(GanConfig(width=2, latent=2, smoothing=1, polish=polish), 1)
+        new_generator(GanConfig(width=2, latent=2, smoothing=1, polish=polish), 1)
         for polish in (0, 1)
     ]
     networks[1].load_state_dict(networks[0].state_dict())

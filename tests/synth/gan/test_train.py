@@ -15,12 +15,12 @@ import trabecula as tb  # noqa: E402
 from trabecula.core.progress import listen  # noqa: E402
 from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noqa: E402
 from trabecula.synth.gan import train  # noqa: E402
-from trabecula.synth.gan.adversarial import Players  # noqa: E402
+from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
-from trabecula.synth.gan.data import fields_of  # noqa: E402
-from trabecula.synth.gan.figures import trouble_with  # noqa: E402
+from trabecula.synth.gan.data import exemplar_fields  # noqa: E402
+from trabecula.synth.gan.evaluation import failure  # noqa: E402
+from trabecula.synth.gan.losses import CandidateTable  # noqa: E402
 from trabecula.synth.gan.networks import Subpixel  # noqa: E402
-from trabecula.synth.gan.perceptual import Table  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
 
@@ -45,7 +45,7 @@ def weights_of(state):
 
 def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
     settings = {**TINY, "width": 4, "iterations": 40, "warmup": 1.0, "rate": 4e-3}
-    train.trained(GanConfig(**settings, run=str(tmp_path)), stripes)
+    train.train(GanConfig(**settings, run=str(tmp_path)), stripes)
     rows = list(csv.DictReader((tmp_path / "metrics.csv").open()))
     first, last = float(rows[0]["distance"]), float(rows[-1]["distance"])
     assert last < 0.5 * first
@@ -60,7 +60,7 @@ def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
 def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, preset):
     big = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
     settings = {**TINY, **preset, "iterations": 4, "warmup": 0.25, "looks": 2}
-    straight = train.trained(GanConfig(**settings), big)
+    straight = train.train(GanConfig(**settings), big)
 
     class KilledError(Exception):
         pass
@@ -71,11 +71,11 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, prese
 
     config = GanConfig(**settings, run=str(tmp_path))
     with pytest.raises(KilledError), listen(kill):
-        train.trained(config, big)
+        train.train(config, big)
     said = []
     with listen(lambda label, done: said.append(label) if done < 0 else None):
-        resumed = train.trained(config, big)
-    assert any("going on after" in line for line in said)
+        resumed = train.train(config, big)
+    assert any("resuming after" in line for line in said)
     assert straight["calibration"] == resumed["calibration"]
     for name, tensor in weights_of(straight).items():
         assert np.array_equal(tensor, weights_of(resumed)[name]), name
@@ -84,7 +84,7 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, prese
 def test_the_seed_of_the_training_makes_the_model(stripes):
     settings = {**TINY, "iterations": 2, "warmup": 0.5}
     one, again, other = (
-        weights_of(train.trained(GanConfig(**settings, seed=s), stripes)) for s in (1, 1, 2)
+        weights_of(train.train(GanConfig(**settings, seed=s), stripes)) for s in (1, 1, 2)
     )
     assert all(np.array_equal(one[name], again[name]) for name in one)
     assert not all(np.array_equal(one[name], other[name]) for name in one)
@@ -94,35 +94,37 @@ def test_global_random_numbers_are_left_alone(stripes):
     torch.manual_seed(3)
     wanted = torch.rand(4)
     torch.manual_seed(3)
-    train.trained(GanConfig(**TINY, iterations=1), stripes)
+    train.train(GanConfig(**TINY, iterations=1), stripes)
     assert torch.equal(torch.rand(4), wanted)
 
 
 def test_a_training_that_diverges_goes_back_and_slows_down(stripes, monkeypatch):
-    play, failed = Players.play, []
+    play, failed = AdversarialPair.train_step, []
 
     def failing(self, real, draw, iteration, noise):
         told = play(self, real, draw, iteration, noise)
         if len(failed) < 1 and iteration == 9:
             failed.append(iteration)
-            told["maker"] = float("nan")
+            told["generator"] = float("nan")
             with torch.no_grad():
-                next(self.maker.parameters()).fill_(torch.nan)
+                next(self.generator.parameters()).fill_(torch.nan)
         return told
 
-    monkeypatch.setattr(Players, "play", failing)
+    monkeypatch.setattr(AdversarialPair, "train_step", failing)
     said = []
     with listen(lambda label, done: said.append(label) if done < 0 else None):
-        state = train.trained(GanConfig(**TINY, iterations=12, warmup=0), stripes)
+        state = train.train(GanConfig(**TINY, iterations=12, warmup=0), stripes)
     assert any("not a number" in line and "rate times 0.5" in line for line in said)
     assert state["training"]["restarts"] == 1
     assert all(np.isfinite(tensor).all() for tensor in weights_of(state).values())
 
 
 def test_a_training_that_always_diverges_is_given_up(stripes, monkeypatch):
-    monkeypatch.setattr(Players, "play", lambda *_: {"judge": float("nan"), "maker": 0.0})
+    monkeypatch.setattr(
+        AdversarialPair, "train_step", lambda *_: {"discriminator": float("nan"), "generator": 0.0}
+    )
     with pytest.raises(TrainingError, match="lower rate"):
-        train.trained(GanConfig(**TINY, iterations=12, warmup=0), stripes)
+        train.train(GanConfig(**TINY, iterations=12, warmup=0), stripes)
 
 
 MEASURE = """
@@ -131,12 +133,15 @@ from pathlib import Path
 import numpy as np
 import trabecula as tb
 
-values = np.random.default_rng(0).integers(0, 2, (12, 12, 12)).repeat(8, 0).repeat(8, 1).repeat(8, 2)
+values = np.random.default_rng(0).integers(0, 2, (12, 12, 12))
+for axis in range(3):
+    values = values.repeat(8, axis)
 method = tb.method("gan", minutes=0, iterations=3, looks=1, warmup=0.4, batch=10, width=12)
 plan = method.plan_fit(tb.Image(values, "labels"))
 method.fit(tb.Image(values, "labels"))
 # ru_maxrss would count the process that started this one.
-print(plan.peak, 1024 * int(re.search("VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]))
+status = Path("/proc/self/status").read_text()
+print(plan.peak, 1024 * int(re.search("VmHWM:\\s+(\\d+)", status)[1]))
 """
 
 
@@ -164,15 +169,15 @@ def test_a_step_of_the_papers_recipe(stripes, reading):
     }
     config = GanConfig(**settings)
     image = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
-    fields = fields_of(image, config)
-    players = Players(config, 1, torch.device("cpu"))
-    players.table = Table(fields.crops(2, 0, 1), chunk=2)
+    fields = exemplar_fields(image, config)
+    players = AdversarialPair(config, 1, torch.device("cpu"))
+    players.table = CandidateTable(fields.crops(2, 0, 1), chunk=2)
     before = players.state()
-    told = players.play(fields.crops(2, 0, 0), torch.Generator().manual_seed(0), 0, 0.0)
-    assert set(told) == {"judge", "maker", "gram", "structural"} and all(
+    told = players.train_step(fields.crops(2, 0, 0), torch.Generator().manual_seed(0), 0, 0.0)
+    assert set(told) == {"discriminator", "generator", "gram", "structural"} and all(
         value > 0 for value in told.values()
     )
-    for net in ("maker", "judge"):
+    for net in ("generator", "discriminator"):
         part = {name: tensor for name, tensor in getattr(players, net).named_parameters()}
         moved = torch.cat(
             [
@@ -188,27 +193,25 @@ def test_collapse_is_seen():
     draw = torch.Generator().manual_seed(0)
     real = torch.randn(2, 1, 8, 8, 8, generator=draw)
     made = torch.randn(2, 1, 8, 8, 8, generator=draw)
-    told = {"maker": 1.0}
-    assert trouble_with(made, real, told) == ""
-    assert "one phase" in trouble_with(torch.full_like(made, 0.9) + 0.01 * made, real, told)
-    assert "one phase" in trouble_with(0.001 * made, real, told)
-    assert trouble_with(0.1 * made, real, told) == ""  # narrow around 0: it is only slow
-    assert "again and again" in trouble_with(
-        made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told
-    )
-    assert "not a number" in trouble_with(made, real, {"maker": float("inf")})
-    assert trouble_with(0.01 * made, real, told, grown=False) == ""
+    told = {"generator": 1.0}
+    assert failure(made, real, told) == ""
+    assert "one phase" in failure(torch.full_like(made, 0.9) + 0.01 * made, real, told)
+    assert "one phase" in failure(0.001 * made, real, told)
+    assert failure(0.1 * made, real, told) == ""  # narrow around 0: it is only slow
+    assert "again and again" in failure(made[:1].repeat(2, 1, 1, 1, 1) + 0.01 * made, real, told)
+    assert "not a number" in failure(made, real, {"generator": float("inf")})
+    assert failure(0.01 * made, real, told, grown=False) == ""
 
 
 def test_it_stops_when_nothing_improves(stripes):
-    state = train.trained(
+    state = train.train(
         GanConfig(**{**TINY, "looks": 100}, iterations=200, patience=1, rate=1e-6), stripes
     )
     assert state["training"]["iterations"] < 60
 
 
 def test_it_stops_when_the_time_is_over(stripes):
-    state = train.trained(GanConfig(**{**TINY, "minutes": 0.02}, iterations=100000), stripes)
+    state = train.train(GanConfig(**{**TINY, "minutes": 0.02}, iterations=100000), stripes)
     assert state["training"]["iterations"] < 1000
 
 
@@ -222,16 +225,16 @@ def test_an_exemplar_smaller_than_a_crop_is_refused(stripes):
 def test_a_gpu_that_is_not_there_is_told(stripes, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match="device='cpu'"):
-        train.trained(GanConfig(**TINY, iterations=1, device="cuda"), stripes)
+        train.train(GanConfig(**TINY, iterations=1, device="cuda"), stripes)
 
 
 def test_a_gpu_that_is_too_small_is_told(stripes, monkeypatch):
     def full(*_):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr(Players, "play", full)
+    monkeypatch.setattr(AdversarialPair, "train_step", full)
     with pytest.raises(MemoryBudgetError, match="lower batch"):
-        train.trained(GanConfig(**TINY, iterations=1, warmup=0), stripes)
+        train.train(GanConfig(**TINY, iterations=1, warmup=0), stripes)
 
 
 @pytest.mark.parametrize("kind", ["three phases", "grey"])

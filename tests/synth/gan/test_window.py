@@ -19,10 +19,13 @@ from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
 from trabecula.synth.api.serialize import load_model  # noqa: E402
 from trabecula.synth.gan import window  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
-from trabecula.synth.gan.loading import arithmetic, network_of  # noqa: E402
-from trabecula.synth.gan.model import GanModel  # noqa: E402
-from trabecula.synth.gan.networks import generator_of  # noqa: E402
-from trabecula.synth.gan.specks import without_specks  # noqa: E402
+from trabecula.synth.gan.decode import remove_specks  # noqa: E402
+from trabecula.synth.gan.method import GanModel  # noqa: E402
+from trabecula.synth.gan.networks import (  # noqa: E402
+    arithmetic,
+    load_generator,
+    new_generator,
+)
 
 BONE = tb.crop(tb.sample("bone"), 40)
 
@@ -33,7 +36,7 @@ def untrained(exemplar=BONE, calibration=None, seed=0, **settings):
     calibration = calibration or {"kind": "labels", "present": [0, 1], "offsets": [0.0]}
     count = len(calibration.get("present", ()))
     torch.manual_seed(seed)
-    weights = generator_of(config, count if count > 2 else 1).state_dict()
+    weights = new_generator(config, count if count > 2 else 1).state_dict()
     for name, weight in weights.items():
         if name.endswith("bias"):
             weight.zero_()
@@ -77,9 +80,9 @@ def test_specks_are_taken_away_across_the_faces_of_tiles(monkeypatch):
     found = model.window(10, box, seed=3)
     part = model.window(10, tuple((first + 5, last - 7) for first, last in box), seed=3)
     assert np.array_equal(part, found[5:-7, 5:-7, 5:-7])
-    monkeypatch.setattr(window, "without_specks", lambda labels, edge: labels)
+    monkeypatch.setattr(window, "remove_specks", lambda labels, edge: labels)
     raw = model.window(10, tuple((first - 3, last + 3) for first, last in box), seed=3)
-    wanted = without_specks(raw, 2)[3:-3, 3:-3, 3:-3]
+    wanted = remove_specks(raw, 2)[3:-3, 3:-3, 3:-3]
     assert (raw[3:-3, 3:-3, 3:-3] != wanted).sum() > 20
     near = np.s_[10:14, :, :], np.s_[:, 10:14, :], np.s_[:, :, 10:14]
     assert all((raw[3:-3, 3:-3, 3:-3][face] != wanted[face]).any() for face in near)
@@ -156,7 +159,8 @@ model = tb.load_model(sys.argv[1])
 with tb.threads(2):
     model.generate(128, seed=1, memory=4 << 30)
     plan = model.plan(tb.Request(128))
-status = Path("/proc/self/status").read_text()  # getrusage would tell the parent's peak where that is higher
+# getrusage would give the parent's peak where that is higher.
+status = Path("/proc/self/status").read_text()
 print(int(status.split("VmHWM:")[1].split()[0]) * 1024, plan.peak)
 """
 
@@ -187,8 +191,8 @@ def spoilt(model, tmp_path, arrays=None, **changes):
 
 
 def test_a_file_that_contradicts_itself_is_refused(model, tmp_path):
-    name = "learned." + sorted(model.arrays["generator"])[0]
-    weight = model.arrays["generator"][name.removeprefix("learned.")]
+    name = "learned." + sorted(model.parts["generator"])[0]
+    weight = model.parts["generator"][name.removeprefix("learned.")]
     assert "NaN" in spoilt(model, tmp_path, {name: weight * np.float32(np.nan)})
     assert "its settings make" in spoilt(model, tmp_path, {name: weight[:1]})
     assert "has no weight 'more'" in spoilt(model, tmp_path, {"learned.more": weight})
@@ -213,8 +217,8 @@ def test_a_file_holds_no_voxel_of_the_exemplar_and_no_path(tmp_path):
 
 def test_weights_of_half_precision_make_the_same_from_the_file(tmp_path):
     model = untrained()
-    half = {name: weight.astype(np.float16) for name, weight in model.arrays["generator"].items()}
-    small = GanModel(model.config, model.facts, {**model.arrays, "generator": half})
+    half = {name: weight.astype(np.float16) for name, weight in model.parts["generator"].items()}
+    small = GanModel(model.config, model.facts, {**model.parts, "generator": half})
     again = load_model(small.save(tmp_path / "half.model"))
     assert np.array_equal(again.generate(32, seed=1).values, small.generate(32, seed=1).values)
     assert (tmp_path / "half.model").stat().st_size < 0.7 * model.save(
@@ -223,7 +227,7 @@ def test_weights_of_half_precision_make_the_same_from_the_file(tmp_path):
 
 
 def test_loading_makes_the_network_that_was_saved(model):
-    network = network_of(model.config, 1, model.arrays["generator"])
+    network = load_generator(model.config, 1, model.parts["generator"])
     assert not network.training and not any(weight.requires_grad for weight in network.parameters())
 
 

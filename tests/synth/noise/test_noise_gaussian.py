@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal, norm
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.engine.gaussian_random import quantiles
+from trabecula.engine.memory import check_releases
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise.config import NoiseConfig
@@ -202,6 +203,15 @@ def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
         <= plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
         <= 1.5 * peak
     )
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_no_array_outlives_its_stage(exact):
+    exemplar = np.random.default_rng(0).integers(0, 3, (20, 20, 20))
+    model = tb.method("noise", reach=4, corrections=2, exact=exact).fit(exemplar)
+    whole = model.generate(30, seed=1).values
+    with check_releases():
+        assert np.array_equal(model.generate(30, seed=1).values, whole)
 
 
 def test_anisotropy_is_kept():

@@ -30,7 +30,7 @@ CELL = dict(patch=11, overlap=3)
 
 @pytest.fixture(autouse=True)
 def small_arrays_too(monkeypatch):
-    monkeypatch.setattr(memmap, "LEAST", 1)
+    monkeypatch.setattr(memmap, "SMALLEST", 1)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def blobs():
 
 
 def slabs(folder, memory=1 << 14):
-    return memmap.spilled(folder, memory=memory, thickest=5)
+    return memmap.map_large_arrays(folder, memory=memory, thickest=5)
 
 
 def same_in_slabs(model, request, folder):
@@ -55,7 +55,7 @@ def same_in_slabs(model, request, folder):
     values, trace = model.traced(request)
     with slabs(folder):
         again, other = model.traced(request)
-        assert memmap.place_of(again) is not None
+        assert memmap.file_of(again) is not None
         assert np.array_equal(values, again)
         assert other.told() == trace.told()
         del again, other
@@ -132,7 +132,7 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     for stopped in (True, False):
         stops = pytest.raises(KeyboardInterrupt) if stopped else nullcontext()
         with slabs(tmp_path / "files"), stops, checkpoint.kept_at(tmp_path / "part"):
-            values, report = lattice_model.made(request)
+            values, report = lattice_model.compute(request)
             assert np.array_equal(values, whole) and report["places"] == trace.told()["places"]
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
@@ -283,7 +283,7 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
     """But for a plane; what is left of the whole is what lies in scratch files."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
-    assert lattice_model._plan_spilled(short) == lattice_model._plan_spilled(long)
+    assert lattice_model.resident_memory(short) == lattice_model.resident_memory(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak
     assert 5 * 576 * 64 * 64 < more < 6 * 576 * 64 * 64
 

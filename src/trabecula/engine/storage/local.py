@@ -1,5 +1,5 @@
-"""Where a store lies, and a folder as the one case: it grows under another name, and takes its own
-when it is whole.
+"""The location of a store, and a folder as the one case: it grows under another name, and takes its
+own when it is complete.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ ROOTS = ("zarr.json", ".zgroup", ".zarray")
 
 
 class Location(os.PathLike[str]):
-    """Where a store lies.
+    """The location of a store.
 
     Names of its files are relative, with "/" between their parts.
     """
 
     name: str
-    """What it is called in messages."""
+    """Its name in messages."""
 
     stem: str
     """The last part of its name, without the suffix."""
 
     whole: bool
-    """Whether a file that is there is always a whole one."""
+    """True where a file is always a complete one."""
 
     memory: int
     """Bytes that reaching it takes."""
@@ -40,12 +40,12 @@ class Location(os.PathLike[str]):
     @property
     @abstractmethod
     def folder(self) -> Path:
-        """A folder of this machine for what goes with it: that which it lies in, of an address the
-        working directory.
+        """Return a folder of this machine for what goes with the store: its parent, or the working
+        directory for an address.
         """
 
     def beside(self, suffix: str) -> Path:
-        """Such as rock.zarr.scratch in that folder."""
+        """Return a name beside the store, such as rock.zarr.scratch, in that folder."""
         return self.folder / (PurePosixPath(self.name).name + suffix)
 
     @abstractmethod
@@ -56,50 +56,50 @@ class Location(os.PathLike[str]):
 
     @abstractmethod
     def growing(self) -> Location:
-        """Where it lies until it is finished."""
+        """Return the location of the store until it is finished."""
 
     @abstractmethod
     def settle(self, grown: Location) -> None:
-        """Put what grew elsewhere in place, and remove what runs left that were killed while they
-        did so.
+        """Move a finished store from where it grew to its place, and remove what killed runs left
+        of such a move.
         """
 
     @abstractmethod
     def appearing(self) -> AbstractContextManager[Path]:
-        """Yield a temporary folder; on success a store that was made there is here, on failure
-        nothing is left.
+        """Yield a temporary folder; on success the store made there takes its place here, on
+        failure nothing is left.
         """
 
     @abstractmethod
     def is_there(self) -> bool:
-        """Whether anything lies there, a store or not."""
+        """Return whether anything is stored there, a store or not."""
 
     @abstractmethod
     def is_store(self) -> bool:
-        """Whether a Zarr store lies there."""
+        """Return whether a Zarr store is there."""
 
     @abstractmethod
     def files(self) -> set[str]:
-        """The names of all its files."""
+        """Return the names of all files of the store."""
 
     @abstractmethod
     def missing(self, names: Sequence[str]) -> list[str]:
-        """Those names of which no file is there."""
+        """Return the names of which no file is there."""
 
     @abstractmethod
     def remove(self, names: Iterable[str]) -> None:
-        """Remove files; what is not there is no error."""
+        """Remove files; a file that is not there is no error."""
 
     @abstractmethod
     def sweep(self) -> None:
-        """Remove what a killed run was writing when it was killed."""
+        """Remove the files that a killed run was writing."""
 
     @abstractmethod
     def zarr(self) -> Any:
-        """What zarr's functions take for it."""
+        """Return the argument that zarr's functions take for the store."""
 
-    def reached(self, hint: str = "") -> AbstractContextManager[None]:
-        """Turn what the way there raises into one line, with a hint at its end."""
+    def explain_errors(self, hint: str = "") -> AbstractContextManager[None]:
+        """Turn the errors of reaching the store into one line, with a hint at its end."""
         return nullcontext()
 
 
@@ -118,22 +118,19 @@ class Folder(Location):
 
     @property
     def folder(self) -> Path:
-        """See `Location`."""
         return self.path.absolute().parent
 
     def growing(self) -> Folder:
-        """Beside it, as rock.zarr.part of rock.zarr."""
+        """Return the folder beside it, as rock.zarr.part of rock.zarr."""
         return Folder(self.beside(".part"))
 
     def settle(self, grown: Location) -> None:
-        """See `Location`."""
         put_in_place(Path(grown), self.path)
         for name in (self.name, Path(grown).name):
             for left in self.path.parent.glob(f".{'[0-9a-f]' * 8}-{escape(name)}"):
                 remove(left)
 
     def appearing(self) -> AbstractContextManager[Path]:
-        """See `Location`."""
         self.check_replaceable()
         return replacing(self.path)
 
@@ -146,15 +143,12 @@ class Folder(Location):
             )
 
     def is_there(self) -> bool:
-        """See `Location`."""
         return self.path.exists()
 
     def is_store(self) -> bool:
-        """See `Location`."""
         return any((self.path / name).exists() for name in ROOTS)
 
     def files(self) -> set[str]:
-        """See `Location`."""
         found: set[str] = set()
         for folder, _, names in os.walk(self.path):
             inside = Path(folder).relative_to(self.path).as_posix()
@@ -162,18 +156,14 @@ class Folder(Location):
         return found
 
     def missing(self, names: Sequence[str]) -> list[str]:
-        """See `Location`."""
         return [name for name in names if not (self.path / name).exists()]
 
     def remove(self, names: Iterable[str]) -> None:
-        """See `Location`."""
         for name in names:
             (self.path / name).unlink(missing_ok=True)
 
     def sweep(self) -> None:
-        """See `Location`."""
         self.remove(name for name in self.files() if name.endswith(".partial"))
 
     def zarr(self) -> Any:
-        """See `Location`."""
         return str(self.path)

@@ -1,5 +1,5 @@
-"""Where stores lie: in a folder, or at an address such as s3://bucket/rock.zarr. What writes and
-reads them is one code.
+"""Locations of stores: a folder, or an address such as s3://bucket/rock.zarr; one code writes and
+reads both.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from urllib.request import url2pathname
 from trabecula.engine.storage.local import Folder, Location
 from trabecula.engine.storage.remote import Remote
 
-__all__ = ["AnyPath", "Folder", "Location", "Remote", "is_address", "located", "place_of"]
+__all__ = ["AnyPath", "Folder", "Location", "Remote", "is_address", "location_of", "path_or_remote"]
 
 AnyPath = str | os.PathLike[str]
 
@@ -21,13 +21,13 @@ _ADDRESS = re.compile(r"(?P<protocol>[a-z][a-z0-9+.:-]+)://", re.IGNORECASE)
 
 
 def is_address(path: AnyPath) -> bool:
-    """Whether a path is an address beyond this machine's folders."""
+    """Return whether a path is an address beyond this machine's folders."""
     found = _ADDRESS.match(os.fspath(path))
     return found is not None and found["protocol"].lower() not in ("file", "local")
 
 
-def located(path: AnyPath) -> Location:
-    """The location that a path or an address names; file:// is a folder."""
+def location_of(path: AnyPath) -> Location:
+    """Return the location that a path or an address names; file:// is a folder."""
     if isinstance(path, Location):
         return path
     text = os.fspath(path)
@@ -37,7 +37,7 @@ def located(path: AnyPath) -> Location:
     return Folder(Path(path) if found is None else Path(url2pathname(text[found.end() :])))
 
 
-def place_of(path: AnyPath) -> Path | Remote:
-    """The same, as who reads other files as well takes it: a path where it is one."""
-    found = located(path)
+def path_or_remote(path: AnyPath) -> Path | Remote:
+    """Return the location for callers that read other files as well: a path where it is one."""
+    found = location_of(path)
     return found if isinstance(found, Remote) else Path(found)

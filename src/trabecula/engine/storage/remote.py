@@ -21,6 +21,7 @@ from trabecula.core.optional import need
 from trabecula.engine.storage.local import ROOTS, Folder, Location
 
 _OURS = re.compile(r"\d+/(zarr\.json|c/[\d/]+)|\.probe-\w+")
+_S3_KEYS = " (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...)"
 _FEW = 8  # files that are asked for one by one
 
 
@@ -45,18 +46,18 @@ class Remote(Location):
 
     @property
     def folder(self) -> Path:
-        """See `Location`."""
         return Path.cwd()
 
     @cached_property
     def _files(self) -> tuple[Any, str]:
-        """The file system and the root in it."""
+        """Return the file system and the root in it."""
         return self._system()
 
     def _system(self, **options: Any) -> tuple[Any, str]:
         if "::" in self.name:
             raise InputError(
-                f"cannot reach {self}: chains of addresses are not followed; give the last one alone"
+                f"cannot reach {self}: chains of addresses are not followed; give the last one "
+                "alone"
             )
         fsspec = need("fsspec", extra="remote", purpose=f"reaching {self}")
         try:
@@ -64,24 +65,28 @@ class Remote(Location):
             found, root = fsspec.url_to_fs(self.name, use_listings_cache=False, **options)
         except ImportError as error:
             raise MissingExtraError(
-                f"reaching {self} needs a package that is not installed (for s3: pip install 'trabecula[remote]'): {error}"
+                f"reaching {self} needs a package that is not installed (for s3: pip install "
+                f"'trabecula[remote]'): {error}"
             ) from error
         except (ValueError, OSError) as error:
             raise InputError(
-                f"cannot reach {self}: {error}; give a path, or an address that fsspec knows (s3://BUCKET/NAME.zarr)"
+                f"cannot reach {self}: {error}; give a path, or an address that fsspec knows "
+                "(s3://BUCKET/NAME.zarr)"
             ) from error
         return found, root.rstrip("/")
 
     def growing(self) -> Remote:
-        """It grows where it stays."""
+        """Return the same location: an object store cannot rename."""
         return self
 
     def settle(self, grown: Location) -> None:
-        """It is in place since it says of itself that it is complete."""
+        """Do nothing: the store is in place once it says that it is complete."""
 
     @contextmanager
     def appearing(self) -> Iterator[Path]:
-        """See `Location`. What is there is not replaced, since that could not be done in one step."""
+        """Yield a temporary folder that is uploaded on success. An existing store is not replaced,
+        since that takes more than one step.
+        """
         self.check_free()
         with tempfile.TemporaryDirectory() as folder:
             made = Folder(Path(folder) / PurePosixPath(self.name).name)
@@ -96,7 +101,7 @@ class Remote(Location):
     def _upload(self, made: Folder) -> None:
         """Copy a store from a folder, the file by which readers know it last."""
         fs, root = self._files
-        with self._asked():
+        with self._translate_errors():
             self.remove(self.files())  # chunks of an upload that was killed would pass for ours
             names = sorted(made.files() - set(ROOTS))
             fs.put([str(made.path / name) for name in names], [f"{root}/{name}" for name in names])
@@ -105,46 +110,40 @@ class Remote(Location):
                     fs.pipe_file(f"{root}/{name}", (made.path / name).read_bytes())
 
     def is_there(self) -> bool:
-        """See `Location`. What a killed upload left counts for nothing."""
+        """Return whether anything is stored there; what a killed upload left counts for nothing."""
         return not self.missing(ROOTS[:1]) or any(
             not _OURS.fullmatch(name) for name in self.files()
         )
 
     def is_store(self) -> bool:
-        """See `Location`."""
         return any(not self.missing([name]) for name in ROOTS)
 
     def files(self) -> set[str]:
-        """See `Location`."""
         fs, root = self._files
-        with self._asked():
+        with self._translate_errors():
             return {name.removeprefix(f"{root}/") for name in fs.find(root)}
 
     def missing(self, names: Sequence[str]) -> list[str]:
-        """See `Location`."""
         fs, root = self._files
         if len(names) > _FEW:
             there = self.files()
             return [name for name in names if name not in there]
-        with self._asked():
+        with self._translate_errors():
             return [name for name in names if not fs.exists(f"{root}/{name}")]
 
     def remove(self, names: Iterable[str]) -> None:
-        """See `Location`."""
         fs, root = self._files
-        with self._asked():
+        with self._translate_errors():
             there = [f"{root}/{name}" for name in set(names) & self.files()]
             if there:
                 fs.rm(there)
 
-    def sweep(self) -> None:
-        """See `Location`."""
+    def sweep(self) -> None: ...
 
     def zarr(self) -> Any:
-        """See `Location`."""
         from zarr.storage import FsspecStore
 
-        with self._asked():
+        with self._translate_errors():
             fs, root = self._system(asynchronous=True)
             if not fs.async_impl:
                 from fsspec.implementations.asyn_wrapper import AsyncFileSystemWrapper
@@ -162,7 +161,7 @@ class Remote(Location):
         """
         fs, root = self._files
         probe = f".probe-{uuid4().hex}"
-        with self._asked():
+        with self._translate_errors():
             fs.pipe_file(f"{root}/{probe}", b"")
             self.remove([probe])
 
@@ -176,20 +175,23 @@ class Remote(Location):
         """
         if self.is_there():
             raise FileError(
-                f"cannot write {self}: something is there, and an object store cannot replace it in one step; remove it, or "
-                "choose another name"
+                f"cannot write {self}: something is there, and an object store cannot replace it "
+                "in one step; remove it, or choose another name"
             )
 
     @contextmanager
-    def reached(self, hint: str = "") -> Iterator[None]:
-        """See `Location`."""
+    def explain_errors(self, hint: str = "") -> Iterator[None]:
         # What the rest says is of the store's contents, not of the way there.
-        with self._asked(hint, passed=(LookupError, TypeError, ValueError, RuntimeError)):
+        with self._translate_errors(
+            hint, passed=(LookupError, TypeError, ValueError, RuntimeError)
+        ):
             yield
 
     @contextmanager
-    def _asked(self, hint: str = "", *, passed: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-        """Turn all that a service, or the package for it, raises into one line."""
+    def _translate_errors(
+        self, hint: str = "", *, passed: tuple[type[Exception], ...] = ()
+    ) -> Iterator[None]:
+        """Turn every error of a service, or of the package for it, into one line."""
         try:
             yield
         except Exception as error:  # of any kind: every service has its own
@@ -201,6 +203,7 @@ class Remote(Location):
                 ) from error
             reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise FileError(
-                f"cannot reach {self}: {reason[:200]}; check the address, the network, and what the environment says of endpoint "
-                f"and keys{' (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...)' if self.name.startswith('s3') else ''}{hint}"
+                f"cannot reach {self}: {reason[:200]}; check the address, the network, and what "
+                "the environment says of endpoint and "
+                f"keys{_S3_KEYS if self.name.startswith('s3') else ''}{hint}"
             ) from error

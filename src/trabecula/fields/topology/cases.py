@@ -1,4 +1,4 @@
-"""What a part is held and loaded by, as data: boxes in shares of the sides, so that a case fits any
+"""Supports and loads of a part as data: boxes in shares of the sides, so that a case fits any
 number of voxels.
 """
 
@@ -71,24 +71,26 @@ _FIRST, _LAST, _MIDDLE = (0.0, 0.0), (1.0, 1.0), (0.5, 0.5)
 CASES = {
     "cantilever": Case(
         name="cantilever",
-        summary="held at the upper and lower edges of one end, pulled down at the lower edge of the other (Liu 2016, figure 7)",
+        summary="held at the upper and lower edges of one end, pulled down at the lower edge of "
+        "the other (Liu 2016, figure 7)",
         shape=(16, 8, 30),
         supports=(Support((_FIRST, _ALL, _FIRST)), Support((_LAST, _ALL, _FIRST))),
         loads=(Load((_FIRST, _ALL, _LAST), (-1.0, 0.0, 0.0)),),
     ),
     "wheel": Case(
         name="wheel",
-        summary="held at the four lower corners, pulled down in the middle of the lower face (Liu 2016, figure 9)",
+        summary="held at the four lower corners, pulled down in the middle of the lower face "
+        "(Liu 2016, figure 9)",
         shape=(20, 40, 40),
         supports=tuple(Support((_FIRST, y, x)) for y in (_FIRST, _LAST) for x in (_FIRST, _LAST)),
         loads=(Load((_FIRST, _MIDDLE, _MIDDLE), (-1.0, 0.0, 0.0)),),
     ),
 }
-"""The two of the paper; z is up, and its index 0 is the bottom."""
+"""The two cases of the paper; z is up, and its index 0 is the bottom."""
 
 
 def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
-    """A case by its name, or from a JSON file or a mapping with the fields of `Case`.
+    """Return a case by its name, or from a JSON file or a mapping with the fields of `Case`.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
 
 
 def to_json(given: Case) -> dict[str, Any]:
-    """The fields of a case as plain JSON, which `case` reads back."""
+    """Return the fields of a case as plain JSON, which `case` reads back."""
     plain = dict(vars(given))
     plain["supports"] = [{"box": support.box, "axes": support.axes} for support in given.supports]
     plain["loads"] = [{"box": load.box, "force": load.force} for load in given.loads]
@@ -150,7 +152,8 @@ def _from_mapping(given: Any) -> Case:
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"the case cannot be read ({type(error).__name__}: {error}): a support has box and axes, a load box and force"
+            f"the case cannot be read ({type(error).__name__}: {error}): "
+            "a support has box and axes, a load box and force"
         ) from None
     if any(set(support.axes) - set("zyx") or not support.axes for support in supports):
         raise InputError(
@@ -179,8 +182,8 @@ def _three(given: Sequence[float]) -> tuple[float, float, float]:
 
 
 def nodes_of(box: Box, shape: tuple[int, ...]) -> np.ndarray:
-    """(Z + 1, Y + 1, X + 1) bool: the nodes of a grid of elements that lie in a box, its nearest
-    ones at least.
+    """Return the nodes of a grid of elements in a box, the nearest ones at least, (Z + 1, Y + 1,
+    X + 1) bool.
     """
     picked = []
     for (low, high), side in zip(box, shape, strict=True):

@@ -20,11 +20,11 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.fields.grid import as_field, as_region
 from trabecula.fields.topology.cases import Case, case, to_json
-from trabecula.fields.topology.part import Part
-from trabecula.fields.topology.solve import solved
+from trabecula.fields.topology.displacements import solve_displacements
+from trabecula.fields.topology.elements import ElementGrid
 
 _MOVE = 0.2  # the most that a density changes in a round
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
@@ -48,7 +48,7 @@ def simp(
     unit: str = "voxel",
     memory: int | None = None,
 ) -> Image:
-    """The density that makes a part stiffest under its loads.
+    """Optimise the density of a part for the greatest stiffness under its loads.
 
     Parameters
     ----------
@@ -118,22 +118,22 @@ def simp(
         "tolerance": tolerance,
         **asked,
     }
-    settings = _checked(settings)
+    settings = _check_settings(settings)
     edges = as_spacing(spacing, ndim=3)
     inside = np.ones(sides, bool) if mask is None else as_region(mask, sides, name="the mask")
     unit_edges = tuple(edge / min(edges) for edge in edges)
-    part = Part.of(chosen, inside, edges=unit_edges, poisson=settings["poisson"])
-    density, compliance = _optimised(part, settings)
+    grid = ElementGrid.of(chosen, inside, edges=unit_edges, poisson=settings["poisson"])
+    density, compliance = _optimise(grid, settings)
     field = np.where(inside, density, settings["low"])
-    told = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
+    parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
-        told["mask"] = digest(inside.view(np.uint8))
+        parameters["mask"] = digest(inside.view(np.uint8))
     return as_field(
-        field, "simp", told, spacing=edges, unit=unit, report={"compliance": compliance}
+        field, "simp", parameters, spacing=edges, unit=unit, report={"compliance": compliance}
     )
 
 
-def _checked(given: dict[str, Any]) -> dict[str, Any]:
+def _check_settings(given: dict[str, Any]) -> dict[str, Any]:
     ranges = {
         "volume": (1e-3, 1.0),
         "low": (1e-3, 1.0),
@@ -150,23 +150,24 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
     }
     if not found["low"] <= found["volume"] <= found["high"]:
         raise InputError(
-            f"volume {found['volume']:g} lies outside the bounds {found['low']:g} .. {found['high']:g}: "
+            f"volume {found['volume']:g} is outside the bounds {found['low']:g} .. "
+            f"{found['high']:g}: "
             "no density between them has that mean"
         )
     return found
 
 
-def _optimised(part: Part, settings: dict[str, Any]) -> tuple[np.ndarray, list[float]]:
-    """Densities (0 outside the part), and the compliance of every round."""
-    inside, penalty = part.inside, settings["penalty"]
-    smooth = _Filter(inside, settings["radius"])
+def _optimise(grid: ElementGrid, settings: dict[str, Any]) -> tuple[np.ndarray, list[float]]:
+    """Return the densities (0 outside the part), and the compliance of every round."""
+    inside, penalty = grid.inside, settings["penalty"]
+    smooth = DensityFilter(inside, settings["radius"])
     design = np.where(inside, settings["volume"], 0.0)
-    density, u = design, np.zeros_like(part.load)
+    density, u = design, np.zeros_like(grid.load)
     compliance: list[float] = []
     for _ in track(range(settings["rounds"]), "optimising", total=settings["rounds"]):
         stiff = _power(density, penalty)
-        u = solved(part, stiff, u, tolerance=_BALANCE, most=_STEPS)
-        energy = part.energy(u)
+        u = solve_displacements(grid, stiff, u, tolerance=_BALANCE, most=_STEPS)
+        energy = grid.energy(u)
         compliance.append(float((stiff * energy).sum()))
         if (
             len(compliance) > 1
@@ -174,12 +175,12 @@ def _optimised(part: Part, settings: dict[str, Any]) -> tuple[np.ndarray, list[f
         ):
             break
         slope = penalty * _power(density, penalty - 1) * energy
-        design, density = _updated(design, smooth.back(slope), smooth, settings)
+        design, density = _update(design, smooth.back(slope), smooth, settings)
     return density, compliance
 
 
 def _power(density: np.ndarray, exponent: float) -> np.ndarray:
-    """Whole powers as products, which have the same last bit on every machine."""
+    """Return a power; whole ones as products, which have the same last bit on every machine."""
     if exponent != int(exponent):
         return np.asarray(density**exponent)
     found = np.ones_like(density)
@@ -188,10 +189,12 @@ def _power(density: np.ndarray, exponent: float) -> np.ndarray:
     return found
 
 
-def _updated(
-    design: np.ndarray, gain: np.ndarray, smooth: _Filter, settings: dict[str, Any]
+def _update(
+    design: np.ndarray, gain: np.ndarray, smooth: DensityFilter, settings: dict[str, Any]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step by optimality criteria: design and filtered density, whose mean is the volume."""
+    """Take one step by optimality criteria: design and filtered density, whose mean is the
+    volume.
+    """
     inside = smooth.inside
     least = np.maximum(settings["low"], design - _MOVE)
     most = np.minimum(settings["high"], design + _MOVE)
@@ -209,7 +212,7 @@ def _updated(
     return step, density
 
 
-class _Filter:
+class DensityFilter:
     """Densities averaged with linearly falling weights over the elements of the part within a
     radius.
     """
@@ -228,11 +231,12 @@ class _Filter:
         self.total = np.where(inside, self._sum(inside.astype(float)), 1.0)
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """The average; 0 outside the part."""
+        """Return the average; 0 outside the part."""
         return np.where(self.inside, self._sum(values) / self.total, 0.0)
 
     def back(self, values: np.ndarray) -> np.ndarray:
-        """The transpose: what slopes of the average are for the values (weights are symmetric)."""
+        """Apply the transpose: turn slopes by the average into slopes by the values (weights are
+        symmetric)."""
         return np.where(self.inside, self._sum(values / self.total), 0.0)
 
     def _sum(self, values: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""Copying: how much of an image was taken from its exemplar in one piece, and how much realisations
-differ.
+"""Copying: the share of an image that was taken from its exemplar in one piece, and the differences
+between realisations.
 
 Every voxel has a *source*: the voxel of the exemplar whose neighbourhood (9 x 9 x 9 voxels; 15 x 15
 in 2-D) differs from its own in the fewest voxels. In copied material the source moves along when
@@ -11,11 +11,11 @@ voxels, whatever the spacing.
 
 from trabecula.measure.copying.coherence import coherence
 from trabecula.measure.copying.diversity import Diversity, diversity
-from trabecula.measure.copying.sources import Patches, Sources, coherent_patches, sources
+from trabecula.measure.copying.sources import CoherentPatches, Sources, coherent_patches, sources
 
 __all__ = [
+    "CoherentPatches",
     "Diversity",
-    "Patches",
     "Sources",
     "coherence",
     "coherent_patches",

@@ -1,5 +1,5 @@
-"""Whether sources move along with their voxels: a figure from an exact search over a sample of
-voxels.
+"""Coherence of sources: whether they move along with their voxels, from an exact search over a
+sample of voxels.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from trabecula.core.checks import as_number, as_seed
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.seeds import generator
-from trabecula.measure.copying.index import Cubes, Tree, cut, search
+from trabecula.measure.copying.index import Neighbourhoods, Tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
-from trabecula.measure.copying.pair import Pair, checked_pair, grown, mirrored
+from trabecula.measure.copying.pair import Pair, exemplar_tree, mirror_images, prepare_pair
 
 
 def coherence(
@@ -29,7 +29,8 @@ def coherence(
     samples: int = 1000,
     seed: int = 0,
 ) -> dict[int, float]:
-    """Share of voxels whose source moves along when the voxel moves by k, 0..1, for each k.
+    """Return the share of voxels whose source moves along when the voxel moves by k, 0..1, for each
+    k.
 
     A voxel p moves along if, among the neighbourhoods of the exemplar that are nearest to p's
     (there may be several), one becomes a nearest of p + k when it moves by k too. The search is
@@ -52,7 +53,7 @@ def coherence(
         At half resolution: voxels are the majority of 2 x 2 x 2, at any offset, so neighbourhoods
         are twice as wide.
     samples : int
-        Voxels looked at, 1 and more; fewer where fewer lie near an interface.
+        Voxels looked at, 1 and more; fewer where fewer are near an interface.
     seed : int
         Of the sample of voxels and of the directions of their moves.
 
@@ -78,14 +79,14 @@ def coherence(
     >>> coherence(scan, scan[4:20, 4:20, 4:20], k=(1, 4), size=5, samples=50)
     {1: 1.0, 4: 1.0}
     """
-    pair = checked_pair(exemplar, image, size=size, half=half)
+    pair = prepare_pair(exemplar, image, size=size, half=half)
     steps = [
         int(as_number(step, name="k", low=1, high=1 << 20, whole=True))
         for step in np.ravel(k).tolist()
     ]
     samples = int(as_number(samples, name="samples", low=1, high=1 << 30, whole=True))
-    tree, cubes = grown(pair), cut(pair.image, pair.geometry)
-    sites, moves, fits = _sampled(cubes, pair, steps, samples, as_seed(seed))
+    tree, cubes = exemplar_tree(pair), neighbourhoods_of(pair.image, pair.geometry)
+    sites, moves, fits = _sample_sites(cubes, pair, steps, samples, as_seed(seed))
     for step, pairs in zip(steps, fits.T, strict=True):
         if not pairs.any():
             raise InputError(
@@ -95,16 +96,17 @@ def coherence(
     return {step: float(np.mean(stays[fits[:, i], i])) for i, step in enumerate(steps)}
 
 
-def _sampled(
-    cubes: Cubes, pair: Pair, steps: Sequence[int], samples: int, seed: int
+def _sample_sites(
+    cubes: Neighbourhoods, pair: Pair, steps: Sequence[int], samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sites (S, 3) spread evenly over those that count, their moves (S, M, 3), and which moves end
-    where one counts.
+    """Draw sites (S, 3) spread evenly over those that count; return also their moves (S, M, 3), and
+    which moves end where one counts.
     """
     counting = np.flatnonzero(cubes.counts)
     if not len(counting):
         raise InputError(
-            "no neighbourhood of the image has an interface near its middle: there is nothing to compare"
+            "no neighbourhood of the image has an interface near its middle: there is nothing to "
+            "compare"
         )
     samples = min(samples, len(counting))
     draw = generator(seed, "coherence")
@@ -129,21 +131,21 @@ def _sampled(
 def _moves_along(
     tree: Tree, pair: Pair, sites: np.ndarray, moves: np.ndarray, fits: np.ndarray, mirrors: bool
 ) -> np.ndarray:
-    """(S, M) bool: a nearest candidate of the site is, moved, a nearest candidate of the site
-    moved.
+    """Return whether a nearest candidate of the site is, moved, a nearest candidate of the site
+    moved, (S, M) bool.
     """
     best = np.full(len(sites), FAR, np.int32)
     along = np.full(fits.shape, FAR, np.int32)
-    views = list(mirrored(pair, mirrors))
+    views = list(mirror_images(pair, mirrors))
     for flips, cubes in views:
-        places, turned = _flipped(sites, moves, flips, cubes)
+        places, turned = _flip(sites, moves, flips, cubes)
         found, _, moved = search(tree, cubes, pair.geometry, places, turned, best)
         along = np.where((found < best)[:, None], moved, np.minimum(along, moved))
         best = found
     stays = fits & (along < FAR)
     for flips, cubes in views:
         rows, columns = np.nonzero(stays)
-        places, _ = _flipped(sites[rows] + moves[rows, columns], moves[rows], flips, cubes)
+        places, _ = _flip(sites[rows] + moves[rows, columns], moves[rows], flips, cubes)
         none = np.zeros((len(rows), 0, 3), np.int64)
         _, nearer, _ = search(
             tree, cubes, pair.geometry, places, none, along[rows, columns], first=True
@@ -152,8 +154,8 @@ def _moves_along(
     return stays
 
 
-def _flipped(
-    sites: np.ndarray, moves: np.ndarray, flips: tuple[int, ...], cubes: Cubes
+def _flip(
+    sites: np.ndarray, moves: np.ndarray, flips: tuple[int, ...], cubes: Neighbourhoods
 ) -> tuple[np.ndarray, np.ndarray]:
     sites, moves = sites.copy(), moves.copy()
     for axis in flips:

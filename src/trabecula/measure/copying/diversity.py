@@ -1,4 +1,4 @@
-"""How much realisations of one material differ."""
+"""Differences between realisations of one material."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trabecula.measure.copying.coherence import coherence
 
 @dataclass(frozen=True)
 class Diversity:
-    """How much realisations of one material differ.
+    """Differences between realisations of one material.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ def diversity(
     samples: int = 300,
     seed: int = 0,
 ) -> Diversity:
-    """How much realisations differ, by pairs: voxel for voxel, and up to a shift.
+    """Measure how much realisations differ, by pairs: voxel for voxel, and up to a shift.
 
     Parameters
     ----------

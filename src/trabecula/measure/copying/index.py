@@ -1,5 +1,4 @@
-"""The neighbourhoods of an image as bits, and those of an exemplar as a tree that is searched
-exactly.
+"""The neighbourhoods of an image as bits, and those of an exemplar as a tree for exact search.
 
 Memory: 16 bytes a voxel of either image for two phases and 9 x 9 x 9 voxels, and 35 for each
 candidate of the exemplar.
@@ -18,9 +17,7 @@ from trabecula.measure.copying.kernels import FAR, gather_features, grow_tree, n
 
 @dataclass(frozen=True)
 class Geometry:
-    """Which voxels a neighbourhood takes: `width` of them along every axis (odd, or 1), `step`
-    apart.
-    """
+    """The voxels of a neighbourhood: `width` of them along every axis (odd, or 1), `step` apart."""
 
     width: tuple[int, ...]
     step: int
@@ -29,22 +26,22 @@ class Geometry:
 
     @property
     def span(self) -> tuple[int, ...]:
-        """Voxels from the first to the last of a neighbourhood, along every axis."""
+        """Return the voxels from the first to the last of a neighbourhood, along every axis."""
         return tuple((width - 1) * self.step for width in self.width)
 
     @property
     def centre(self) -> np.ndarray:
-        """From a neighbourhood's corner to its voxel."""
+        """Return the step from a neighbourhood's corner to its voxel."""
         return np.asarray(self.span) // 2
 
     @property
     def block(self) -> tuple[int, ...]:
-        """Width of a block."""
+        """Return the width of a block."""
         return tuple(max(1, width // 3) for width in self.width)
 
     @property
     def offsets(self) -> np.ndarray:
-        """The blocks' corners from the neighbourhood's."""
+        """Return the blocks' corners from the neighbourhood's."""
         sides = [
             [i * block * self.step for i in range(min(3, width))]
             for width, block in zip(self.width, self.block, strict=True)
@@ -53,7 +50,7 @@ class Geometry:
 
 
 @dataclass(frozen=True)
-class Cubes:
+class Neighbourhoods:
     """The neighbourhoods of an image: their bits by plane, counts by block, and which of them
     count.
     """
@@ -65,9 +62,9 @@ class Cubes:
 
 @dataclass(frozen=True)
 class Tree:
-    """The exemplar's candidates, so parted that few have to be compared."""
+    """The exemplar's candidates, split so that few have to be compared."""
 
-    cubes: Cubes
+    cubes: Neighbourhoods
     corners: np.ndarray  # (N,) int64, flat in cubes.counts.shape
     features: np.ndarray  # (N, F) uint8
     nodes: np.ndarray
@@ -75,8 +72,8 @@ class Tree:
     high: np.ndarray
 
 
-def cut(values: np.ndarray, geometry: Geometry) -> Cubes:
-    """The neighbourhoods of (Z, Y, X) labels."""
+def neighbourhoods_of(values: np.ndarray, geometry: Geometry) -> Neighbourhoods:
+    """Return the neighbourhoods of (Z, Y, X) labels."""
     _, height, breadth = geometry.width
     rows = 64 // breadth
     words = -(-height // rows) * geometry.bits
@@ -93,13 +90,15 @@ def cut(values: np.ndarray, geometry: Geometry) -> Cubes:
     )
     counted = (values == geometry.phase).astype(np.uint8)
     blocks = over_windows(np.add, counted, geometry.block, geometry.step)
-    return Cubes(planes, np.ascontiguousarray(blocks), _counting(values, geometry))
+    return Neighbourhoods(planes, np.ascontiguousarray(blocks), _near_interface(values, geometry))
 
 
 def over_windows(
     combine: np.ufunc, values: np.ndarray, width: tuple[int, ...], step: int
 ) -> np.ndarray:
-    """`combine` over every window that fits, `width` values along every axis, `step` apart."""
+    """Apply `combine` over every window that fits, `width` values along every axis, `step`
+    apart.
+    """
     for axis, count in enumerate(width):
         side = values.shape[axis] - (count - 1) * step
         parts = [
@@ -110,8 +109,8 @@ def over_windows(
     return values
 
 
-def _counting(values: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """Where the middle (half as wide) of a neighbourhood holds more than one phase."""
+def _near_interface(values: np.ndarray, geometry: Geometry) -> np.ndarray:
+    """Mark where the middle (half as wide) of a neighbourhood holds more than one phase."""
     inner = tuple((width + 1) // 2 // 2 * 2 + 1 if width > 1 else 1 for width in geometry.width)
     rim = [
         (width - small) // 2 * geometry.step
@@ -122,17 +121,17 @@ def _counting(values: np.ndarray, geometry: Geometry) -> np.ndarray:
     return highest != over_windows(np.minimum, middle, inner, geometry.step)
 
 
-def features_at(cubes: Cubes, corners: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """Features (N, F) uint8 of the neighbourhoods with these flat indices."""
+def features_at(cubes: Neighbourhoods, corners: np.ndarray, geometry: Geometry) -> np.ndarray:
+    """Return the features (N, F) uint8 of the neighbourhoods with these flat indices."""
     offsets = geometry.offsets
     features = np.empty((len(corners), len(offsets)), np.uint8)
     gather_features(cubes.blocks, corners, np.asarray(cubes.counts.shape), offsets, features)
     return features
 
 
-def grow(cubes: Cubes, geometry: Geometry, *, leaf: int) -> Tree:
-    """The tree over every neighbourhood that counts; a leaf holds at most `leaf`, unless their
-    features agree.
+def build_tree(cubes: Neighbourhoods, geometry: Geometry, *, leaf: int) -> Tree:
+    """Build the tree over every neighbourhood that counts; a leaf holds at most `leaf`, unless
+    their features agree.
     """
     corners = np.flatnonzero(cubes.counts)
     features = features_at(cubes, corners, geometry)
@@ -153,7 +152,7 @@ def grow(cubes: Cubes, geometry: Geometry, *, leaf: int) -> Tree:
 
 def search(
     tree: Tree,
-    cubes: Cubes,
+    cubes: Neighbourhoods,
     geometry: Geometry,
     sites: np.ndarray,
     moves: np.ndarray,
@@ -161,7 +160,7 @@ def search(
     *,
     first: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest candidates of neighbourhoods, exactly.
+    """Find the nearest candidates of neighbourhoods, exactly.
 
     Parameters
     ----------
@@ -193,8 +192,9 @@ def search(
 
     def work(start: int, stop: int) -> None:
         nearest(
-            cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes, tree.low, tree.high, sites,
-            wanted, moves, geometry.width[0], geometry.step, geometry.bits, first, best, source, along, start, stop,
+            cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes,
+            tree.low, tree.high, sites, wanted, moves, geometry.width[0], geometry.step,
+            geometry.bits, first, best, source, along, start, stop,
         )  # fmt: skip
 
     for_slabs(work, len(sites), least=64)

@@ -1,11 +1,11 @@
-"""Neighbourhoods as bits, a tree over their block counts, exact and propagated search: plain
-functions on arrays.
+"""Neighbourhoods as bits, a tree over their block counts, and its exact search: plain functions on
+arrays.
 
 Glossary: a *corner* is the first voxel of a neighbourhood; `planes[z, y, x]` holds the bits of its
 plane z, rows in groups that fill a word, one group of words per bit of a label; `step` is the
 distance between voxels that a neighbourhood takes (2 at half resolution). A neighbourhood's
-*features* are how many voxels of one phase lie in each of its 3 x 3 x 3 blocks: the L1 distance of
-features never exceeds the number of differing voxels, so it prunes exactly.
+*features* are the numbers of voxels of one phase in each of its 3 x 3 x 3 blocks: the L1 distance
+of features never exceeds the number of differing voxels, so it prunes exactly.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _1, _2, _4, _56 = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
 
 @inline
 def _ones(word):
-    """Bits set in a uint64. LLVM knows this form and makes one instruction of it."""
+    """Count the bits set in a uint64. LLVM knows this form and makes one instruction of it."""
     word = word - ((word >> _1) & _M1)
     word = (word & _M2) + ((word >> _2) & _M2)
     return np.int32((((word + (word >> _4)) & _M4) * _H1) >> _56)
@@ -32,7 +32,8 @@ def _ones(word):
 
 @kernel
 def pack_planes(values, planes, width, step, bits, rows, start, stop):
-    """Bits of the plane of width x width voxels at every corner (z, y, x), for z in start..stop.
+    """Pack the bits of the plane of width x width voxels at every corner (z, y, x), for z in
+    start..stop.
 
     values (Z, Y, X) uint8; planes (Z, Y - span, X - span, bits * words) uint64; `rows` rows go into
     a word.
@@ -54,8 +55,8 @@ def pack_planes(values, planes, width, step, bits, rows, start, stop):
 
 @inline
 def differing(a, z, y, x, b, u, v, w, depth, step, bits, most):
-    """Voxels that differ between the neighbourhood of `a` at z, y, x and that of `b` at u, v, w;
-    stops above `most`.
+    """Count the voxels that differ between the neighbourhood of `a` at z, y, x and that of `b` at
+    u, v, w; stop above `most`.
     """
     total = np.int32(0)
     words = a.shape[3] // bits
@@ -72,24 +73,26 @@ def differing(a, z, y, x, b, u, v, w, depth, step, bits, most):
 
 
 @inline
-def row_of(index, shape):
-    """The corner z, y, x of a flat index."""
+def corner_of(index, shape):
+    """Return the corner z, y, x of a flat index."""
     return index // (shape[1] * shape[2]), index // shape[2] % shape[1], index % shape[2]
 
 
 @kernel
 def gather_features(blocks, corners, shape, offsets, features):
-    """features[n, j] = blocks[corner n + offsets[j]] of the corners with a flat index in `shape`."""
+    """Set features[n, j] = blocks[corner n + offsets[j]] of the corners with a flat index in
+    `shape`.
+    """
     for n in range(len(corners)):
-        z, y, x = row_of(corners[n], shape)
+        z, y, x = corner_of(corners[n], shape)
         for j in range(len(offsets)):
             features[n, j] = blocks[z + offsets[j, 0], y + offsets[j, 1], x + offsets[j, 2]]
 
 
 @inline
 def _widest(features, order, a, b, scratch):
-    """The feature of largest variance over at most 256 of the candidates a..b, and whether it
-    varies.
+    """Return the feature of largest variance over at most 256 of the candidates a..b, and whether
+    it varies.
     """
     stride = max(1, (b - a) // 256)
     best, widest = 0, -1.0
@@ -106,8 +109,8 @@ def _widest(features, order, a, b, scratch):
 
 @inline
 def _median(features, order, a, b, j, histogram):
-    """The value of feature j that parts a..b most evenly: those up to it go left. -1 where all are
-    equal.
+    """Return the value of feature j that splits a..b most evenly: those up to it go left. -1 where
+    all are equal.
     """
     histogram[:] = 0
     for n in range(a, b):
@@ -122,8 +125,8 @@ def _median(features, order, a, b, j, histogram):
 
 @kernel
 def grow_tree(features, order, spare, nodes, low, high, leaf):
-    """Part the candidates in two along the widest feature, again and again. Returns how many nodes
-    there are.
+    """Split the candidates in two along the widest feature, again and again. Return the number of
+    nodes.
 
     features (N, F) uint8; order (N,) int32, permuted in place; nodes (M, 4) int32: first, last + 1,
     left child, right child (0 at a leaf); low, high (M, F) uint8: the least and largest of each
@@ -162,7 +165,7 @@ def grow_tree(features, order, spare, nodes, low, high, leaf):
 
 @inline
 def least_between(wanted, low, high):
-    """The least L1 distance from features to any inside a box."""
+    """Return the least L1 distance from features to any inside a box."""
     total = np.int32(0)
     for j in range(len(wanted)):
         q, a, b = np.int32(wanted[j]), np.int32(low[j]), np.int32(high[j])
@@ -172,8 +175,8 @@ def least_between(wanted, low, high):
 
 @inline
 def scan(features, wanted, a, b, sums):
-    """L1 distances of the features of candidates a..b, at most as many as `sums` holds: 64 lanes at
-    once.
+    """Compute the L1 distances of the features of candidates a..b, at most as many as `sums` holds:
+    64 lanes at once.
     """
     sums[:] = 0
     for j in range(len(wanted)):
@@ -198,11 +201,11 @@ def _least_along(image, exemplar, site, corner, moves, shape, depth, step, bits,
 
 @kernel
 def nearest(
-    image, exemplar, features, corners, shape, nodes, low, high, sites, wanted, moves, depth, step, bits, first,
-    best, source, along, start, stop,
+    image, exemplar, features, corners, shape, nodes, low, high, sites, wanted, moves, depth, step,
+    bits, first, best, source, along, start, stop,
 ):  # fmt: skip
-    """The nearest candidates of the sites start..stop, exactly; any that is nearer than `best` was
-    where `first`.
+    """Find the nearest candidates of the sites start..stop, exactly; any that is nearer than `best`
+    was where `first`.
 
     features (F, N) and corners (N,) of the candidates in the order of the tree; sites (S, 3)
     corners in the image with their features `wanted` (S, F); moves (S, M, 3). best, source (S,):
@@ -238,9 +241,10 @@ def nearest(
                 for n in range(a, b):
                     if sums[n - a] > best[s]:
                         continue
-                    corner = row_of(corners[n], shape)
+                    corner = corner_of(corners[n], shape)
                     d = differing(
-                        image, site[0], site[1], site[2], exemplar, corner[0], corner[1], corner[2], depth, step, bits, best[s]
+                        image, site[0], site[1], site[2], exemplar, corner[0], corner[1], corner[2],
+                        depth, step, bits, best[s]
                     )  # fmt: skip
                     if d > best[s]:
                         continue

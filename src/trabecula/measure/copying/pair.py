@@ -1,4 +1,4 @@
-"""An exemplar and an image made ready to be compared: checked, lifted to three axes, coarsened,
+"""An exemplar and an image prepared for comparison: checked, lifted to three axes, coarsened,
 mirrored.
 """
 
@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
-from trabecula.measure.copying.index import Cubes, Geometry, Tree, cut, grow, over_windows
+from trabecula.measure.copying.index import (
+    Geometry,
+    Neighbourhoods,
+    Tree,
+    build_tree,
+    neighbourhoods_of,
+    over_windows,
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +33,7 @@ class Pair:
     shape: tuple[int, ...]  # of the image as given
 
 
-def checked_pair(
+def prepare_pair(
     exemplar: Image | ArrayLike, image: Image | ArrayLike, *, size: int | None, half: bool
 ) -> Pair:
     parts = [as_image(exemplar, name="the exemplar"), as_image(image)]
@@ -39,7 +46,8 @@ def checked_pair(
         )
     if isinstance(exemplar, Image) and isinstance(image, Image) and first.phases != second.phases:
         raise InputError(
-            f"the phases {'/'.join(first.phases)} and {'/'.join(second.phases)} do not correspond: name them alike"
+            f"the phases {'/'.join(first.phases)} and {'/'.join(second.phases)} do not "
+            "correspond: name them alike"
         )
     width = 9 if first.ndim == 3 else 15
     if size is not None:
@@ -59,15 +67,16 @@ def checked_pair(
     for array, name in zip(values, ("exemplar", "image"), strict=True):
         if any(side <= span for side, span in zip(array.shape, geometry.span, strict=True)):
             raise InputError(
-                f"the {name} is {array.shape[lifted:]}: a neighbourhood spans {max(geometry.span) + 1} voxels along every axis; "
+                f"the {name} is {array.shape[lifted:]}: a neighbourhood spans "
+                f"{max(geometry.span) + 1} voxels along every axis; "
                 "give a larger image or a smaller size"
             )
     return Pair(values[0], values[1], geometry, lifted, second.shape)
 
 
 def _coarse(values: np.ndarray, lifted: int) -> np.ndarray:
-    """The most frequent label of the 2 x 2 x 2 voxels from each voxel on; the highest of equally
-    frequent ones.
+    """Return the most frequent label of the 2 x 2 x 2 voxels from each voxel on; the highest of
+    equally frequent ones.
     """
     width = (1,) * lifted + (2,) * (3 - lifted)
     best = over_windows(np.add, (values == 0).astype(np.uint8), width, 1)
@@ -79,26 +88,29 @@ def _coarse(values: np.ndarray, lifted: int) -> np.ndarray:
     return chosen
 
 
-def grown(pair: Pair, *, leaf: int = 1024) -> Tree:
-    cubes = cut(pair.exemplar, pair.geometry)
+def exemplar_tree(pair: Pair, *, leaf: int = 1024) -> Tree:
+    cubes = neighbourhoods_of(pair.exemplar, pair.geometry)
     if not cubes.counts.any():
         raise InputError(
             "no neighbourhood of the exemplar has an interface near its middle: give another crop"
         )
-    return grow(cubes, pair.geometry, leaf=leaf)
+    return build_tree(cubes, pair.geometry, leaf=leaf)
 
 
-def mirrored(pair: Pair, mirrors: bool) -> Iterator[tuple[tuple[int, ...], Cubes]]:
-    """The image's neighbourhoods, flipped along every set of axes: flipping the exemplar comes to
-    the same.
+def mirror_images(pair: Pair, mirrors: bool) -> Iterator[tuple[tuple[int, ...], Neighbourhoods]]:
+    """Yield the image's neighbourhoods, flipped along every set of axes: flipping the exemplar
+    comes to the same.
     """
     for chosen in product((False, True), repeat=3 - pair.lifted) if mirrors else ((),):
         flips = tuple(axis + pair.lifted for axis, flip in enumerate(chosen) if flip)
-        yield flips, cut(np.ascontiguousarray(np.flip(pair.image, flips)), pair.geometry)
+        yield (
+            flips,
+            neighbourhoods_of(np.ascontiguousarray(np.flip(pair.image, flips)), pair.geometry),
+        )
 
 
-def framed(values: np.ndarray, pair: Pair, fill: float) -> np.ndarray:
-    """A value per corner as a value per voxel of the image, `fill` at the rim where no
+def pad_to_image(values: np.ndarray, pair: Pair, fill: float) -> np.ndarray:
+    """Return a value per corner as a value per voxel of the image, `fill` at the rim where no
     neighbourhood fits.
     """
     full = np.full((*(1,) * pair.lifted, *pair.shape, *values.shape[3:]), fill, values.dtype)

@@ -1,4 +1,4 @@
-"""Where each voxel was taken from: a map, and the pieces it falls into."""
+"""Sources of voxels: a map of where each was taken from, and its patches."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.measure.copying.index import Cubes, Geometry, Tree, cut
-from trabecula.measure.copying.kernels import FAR
-from trabecula.measure.copying.map_kernels import join_equal, pass_sources, start_sources
-from trabecula.measure.copying.pair import checked_pair, framed, grown, mirrored
+from trabecula.measure.copying.index import Geometry, Neighbourhoods, Tree, neighbourhoods_of
+from trabecula.measure.copying.kernels import FAR, corner_of, differing, least_between, scan
+from trabecula.measure.copying.pair import exemplar_tree, mirror_images, pad_to_image, prepare_pair
+from trabecula.measure.union_find import join, root_of
+
+_SIDES = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Where each voxel of an image was taken from.
+    """Source of each voxel of an image in its exemplar.
 
     Attributes
     ----------
@@ -38,16 +41,16 @@ class Sources:
 
 
 @dataclass(frozen=True)
-class Patches:
-    """Pieces of an image that were taken from the exemplar as they are.
+class CoherentPatches:
+    """Patches of an image that were taken from the exemplar as they are.
 
     Attributes
     ----------
     sizes : int64 array
-        Voxels of every piece, largest first. Together they are the voxels that count.
+        Voxels of every patch, largest first. Together they are the voxels that count.
     largest : int
     mean : float
-        Mean size of the piece that a voxel lies in: sum of squares over sum.
+        Mean size of the patch of a voxel: sum of squares over sum.
     """
 
     sizes: np.ndarray
@@ -64,7 +67,7 @@ def sources(
     half: bool = False,
     sweeps: int = 8,
 ) -> Sources:
-    """Where each voxel was taken from: a map, exact for copies and nearly so elsewhere.
+    """Find where each voxel was taken from: a map, exact for copies and nearly so elsewhere.
 
     Each voxel starts from the nearest candidate in one leaf of a tree, which holds the source of an
     exact copy; then neighbours pass their sources on (Barnes et al. 2009, PatchMatch, section 3.2,
@@ -87,15 +90,15 @@ def sources(
     InputError
         Images that do not go together or are too small, no interface.
     """
-    pair = checked_pair(exemplar, image, size=size, half=half)
+    pair = prepare_pair(exemplar, image, size=size, half=half)
     sweeps = int(as_number(sweeps, name="sweeps", low=0, high=100, whole=True))
-    tree = grown(pair, leaf=256)
-    counts = cut(pair.image, pair.geometry).counts
+    tree = exemplar_tree(pair, leaf=256)
+    counts = neighbourhoods_of(pair.image, pair.geometry).counts
     best = np.full(counts.shape, FAR, np.int32)
     position = np.full((*counts.shape, 3), -1, np.int32)
     mirror = np.zeros(counts.shape, np.uint8)
-    for flips, cubes in mirrored(pair, mirrors):
-        found, distance = _propagated(tree, cubes, pair.geometry, sweeps)
+    for flips, cubes in mirror_images(pair, mirrors):
+        found, distance = _propagate(tree, cubes, pair.geometry, sweeps)
         found, distance = np.flip(found, flips), np.flip(distance, flips)
         better = distance < best
         best[better] = distance[better]
@@ -106,19 +109,19 @@ def sources(
         np.float32
     )
     return Sources(
-        framed(position, pair, -1)[..., pair.lifted :],
-        framed(share, pair, np.nan),
-        framed(mirror, pair, 0),
+        pad_to_image(position, pair, -1)[..., pair.lifted :],
+        pad_to_image(share, pair, np.nan),
+        pad_to_image(mirror, pair, 0),
     )
 
 
-def coherent_patches(taken: Sources) -> Patches:
-    """Connected regions (by faces) whose source less position is constant: the pieces that were
-    copied as they are.
+def coherent_patches(taken: Sources) -> CoherentPatches:
+    """Measure the patches that were copied as they are: connected regions (by faces) whose source
+    less position is constant.
 
-    Independent material falls into crumbs; copied material into pieces as wide as what was copied,
+    Independent material falls into crumbs; copied material into patches as wide as what was copied,
     less about half a neighbourhood at every cut (Ashikhmin 2001, doi:10.1145/364338.364405, shows
-    such pieces).
+    such patches).
 
     Parameters
     ----------
@@ -146,47 +149,167 @@ def coherent_patches(taken: Sources) -> Patches:
         key = (key << 20) + taken.position[..., axis] - sign * here[axis] + (1 << 19)
     key[~counted] = -1
     parent = np.arange(key.size)
-    join_equal(key if ndim == 3 else key[None], parent)
+    _join_equal(key if ndim == 3 else key[None], parent)
     sizes = np.bincount(parent[counted.ravel()])
     sizes = np.sort(sizes[sizes > 0])[::-1]
-    return Patches(sizes, int(sizes[0]), float(np.sum(sizes.astype(np.float64) ** 2) / sizes.sum()))
+    return CoherentPatches(
+        sizes, int(sizes[0]), float(np.sum(sizes.astype(np.float64) ** 2) / sizes.sum())
+    )
 
 
-def _propagated(
-    tree: Tree, cubes: Cubes, geometry: Geometry, sweeps: int
+def _propagate(
+    tree: Tree, cubes: Neighbourhoods, geometry: Geometry, sweeps: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Source (flat in the exemplar's corners, -1 where a site does not count) and distance of every
-    site, nearly nearest.
+    """Return the source (flat in the exemplar's corners, -1 where a site does not count) and the
+    distance of every site, nearly nearest.
     """
     shape = np.asarray(tree.cubes.counts.shape)
     source = np.empty(cubes.counts.shape, np.int32)
     distance = np.empty(source.shape, np.int32)
-    depth, step, bits = geometry.width[0], geometry.step, geometry.bits
-    offsets = geometry.offsets
+    depth, offsets = geometry.width[0], geometry.offsets
 
     def begin(start: int, stop: int) -> None:
-        start_sources(
-            cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes, tree.low, tree.high,
-            cubes.blocks, offsets, cubes.counts, depth, step, bits, source, distance, start, stop,
+        _start_sources(
+            cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes,
+            tree.low, tree.high, cubes.blocks, offsets, cubes.counts, depth, geometry.step,
+            geometry.bits, source, distance, start, stop,
         )  # fmt: skip
 
     for_slabs(begin, len(source), least=2)
     for _ in range(sweeps):
-        source, distance = _swept(tree, cubes, geometry, source, distance)
+        source, distance = _sweep(tree, cubes, geometry, source, distance)
     return source, distance
 
 
-def _swept(
-    tree: Tree, cubes: Cubes, geometry: Geometry, old: np.ndarray, far: np.ndarray
+def _sweep(
+    tree: Tree, cubes: Neighbourhoods, geometry: Geometry, old: np.ndarray, far: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     source, distance = np.empty_like(old), np.empty_like(far)
     shape = np.asarray(tree.cubes.counts.shape)
 
     def work(start: int, stop: int) -> None:
-        pass_sources(
-            cubes.planes, tree.cubes.planes, shape, old, far, geometry.width[0], geometry.step, geometry.bits, source,
-            distance, start, stop,
+        _pass_sources(
+            cubes.planes, tree.cubes.planes, shape, old, far, geometry.width[0], geometry.step,
+            geometry.bits, source, distance, start, stop,
         )  # fmt: skip
 
     for_slabs(work, len(old), least=2)
     return source, distance
+
+
+@inline
+def _find_leaf(wanted, nodes, low, high):
+    """Return the leaf that features lead to, by the nearer child of every node."""
+    at = 0
+    while nodes[at, 2]:
+        left, right = nodes[at, 2], nodes[at, 3]
+        nearer = least_between(wanted, low[left], high[left]) <= least_between(
+            wanted, low[right], high[right]
+        )
+        at = left if nearer else right
+    return at
+
+
+@inline
+def _fits(z, y, x, shape):
+    return 0 <= z < shape[0] and 0 <= y < shape[1] and 0 <= x < shape[2]
+
+
+@kernel
+def _start_sources(
+    image, exemplar, features, corners, shape, nodes, low, high, blocks, offsets, counts, depth,
+    step, bits, source, distance, start, stop,
+):  # fmt: skip
+    """Find the nearest candidate of one leaf of the tree, for sites that count in planes
+    start..stop: exact for a true copy.
+    """
+    wanted = np.empty(len(offsets), np.uint8)
+    sums = np.empty(1024, np.uint16)
+    for z in range(start, stop):
+        for y in range(counts.shape[1]):
+            for x in range(counts.shape[2]):
+                source[z, y, x], distance[z, y, x] = -1, FAR
+                if not counts[z, y, x]:
+                    continue
+                for j in range(len(offsets)):
+                    wanted[j] = blocks[z + offsets[j, 0], y + offsets[j, 1], x + offsets[j, 2]]
+                node = nodes[_find_leaf(wanted, nodes, low, high)]
+                best = FAR
+                b = min(node[0] + len(sums), node[1])
+                scan(features, wanted, node[0], b, sums)
+                for n in range(node[0], b):
+                    if sums[n - node[0]] >= best:
+                        continue
+                    u, v, w = corner_of(corners[n], shape)
+                    d = differing(image, z, y, x, exemplar, u, v, w, depth, step, bits, best)
+                    if d < best:
+                        best, source[z, y, x] = d, corners[n]
+                distance[z, y, x] = best
+
+
+@kernel
+def _pass_sources(
+    image, exemplar, shape, old, far, depth, step, bits, source, distance, start, stop
+):
+    """Sweep once: try the six neighbours' sources, moved along; of equal ones that of more
+    neighbours wins.
+
+    old, far: sources and distances before; source, distance: after, in planes start..stop (Jacobi).
+    """
+    tried = np.empty(6, np.int64)
+    for z in range(start, stop):
+        for y in range(old.shape[1]):
+            for x in range(old.shape[2]):
+                own, best = np.int64(old[z, y, x]), far[z, y, x]
+                source[z, y, x], distance[z, y, x] = own, best
+                if own < 0:
+                    continue
+                support = 0
+                for side in range(6):
+                    dz, dy, dx = _SIDES[side]
+                    tried[side] = -1
+                    i, j, k = z + dz, y + dy, x + dx
+                    if not _fits(i, j, k, old.shape):
+                        continue
+                    near = np.int64(old[i, j, k])
+                    if near < 0:
+                        continue
+                    u, v, w = corner_of(near, shape)
+                    u, v, w = u - dz, v - dy, w - dx
+                    if _fits(u, v, w, shape):
+                        tried[side] = (u * shape[1] + v) * shape[2] + w
+                        support += tried[side] == own
+                for side in range(6):
+                    if tried[side] < 0 or tried[side] == own:
+                        continue
+                    agree, first = 0, side
+                    for other in range(6):
+                        if tried[other] == tried[side]:
+                            agree, first = agree + 1, min(first, other)
+                    if first < side:
+                        continue
+                    u, v, w = corner_of(tried[side], shape)
+                    d = differing(image, z, y, x, exemplar, u, v, w, depth, step, bits, best)
+                    if d < best or (d == best and agree > support):
+                        own, best, support = tried[side], d, agree
+                source[z, y, x], distance[z, y, x] = own, best
+
+
+@kernel
+def _join_equal(keys, parent):
+    """Unite 6-neighbours with the same key, none of it negative; parent (Z * Y * X,) int64 holds 0,
+    1, 2, ... at first.
+    """
+    Z, Y, X = keys.shape
+    for z in range(Z):
+        for y in range(Y):
+            for x in range(X):
+                if keys[z, y, x] < 0:
+                    continue
+                n = (z * Y + y) * X + x
+                for axis in range(3):
+                    i, j, k = z - (axis == 0), y - (axis == 1), x - (axis == 2)
+                    if i >= 0 and j >= 0 and k >= 0 and keys[i, j, k] == keys[z, y, x]:
+                        join(parent, n, (i * Y + j) * X + k)
+    for n in range(len(parent)):
+        parent[n] = root_of(parent, n)

@@ -1,7 +1,7 @@
-"""How far a phase reaches: probabilities that points some distance apart lie in it, and together.
+"""Correlation: probabilities that points some distance apart are in a phase, and in it together.
 
 Torquato 2002, "Random Heterogeneous Materials", doi:10.1007/978-1-4757-6355-3, chapter 2. Every
-probability here is the number of pairs (or segments) of voxels that hold what is asked for over the
+probability here is the number of pairs (or segments) of voxels that meet the condition over the
 number that fit into the image and its mask, counted offset by offset: nothing is lost to a border
 of zeros, and near the border every pair counts alike.
 """

@@ -1,4 +1,4 @@
-"""Whether a material prefers the axes of its grid: lines along the axes beside lines along the
+"""Preference of a material for the axes of its grid: lines along the axes beside lines along the
 diagonals.
 """
 
@@ -21,13 +21,13 @@ from trabecula.measure.correlation.two_point import two_point
 def axis_preference(
     image: Image | ArrayLike, *, r_max: int = 30, phase: str | int | None = None
 ) -> float:
-    """How far the covariance along the axes differs from that along the face diagonals; 0 of an
-    isotropic material.
+    """Return the difference of the covariance along the axes from that along the face diagonals; 0
+    of an isotropic material.
 
     The covariance is `covariance_form` of `two_point`; the two are compared at the lengths that
     diagonals have, k sqrt(2), and the difference is an l2 norm over that of the mean of the two.
     Rods that grow along the axes of a grid raise it, which neither the radial two-point function
-    nor those along the axes can tell from a long-ranged material.
+    nor those along the axes distinguish from a long-ranged material.
 
     Parameters
     ----------
@@ -59,7 +59,8 @@ def axis_preference(
     image = as_image(image)
     if max(image.spacing) > min(image.spacing) * (1 + 1e-4):
         raise InputError(
-            f"voxel edges {image.spacing} differ, so diagonals are of no one length: resample the image"
+            f"voxel edges {image.spacing} differ, so diagonals are of no one length: resample the "
+            "image"
         )
     r_max = int(as_number(r_max, name="r_max", low=2, high=2**62, whole=True))
     reach = min(r_max, min(image.shape) // 2)
@@ -75,8 +76,9 @@ def axis_preference(
 def two_point_diagonal(
     image: Image | ArrayLike, *, r_max: int, phase: str | int | None = None
 ) -> np.ndarray:
-    """S2 along the face diagonals, mean over all of them: sample k lies k voxels along either axis
-    away, k sqrt(2) <= r_max.
+    """Return S2 along the face diagonals, mean over all of them.
+
+    Sample k is k voxels along either axis away, k sqrt(2) <= r_max.
     """
     image = as_image(image)
     far = int(r_max / math.sqrt(2))
@@ -90,7 +92,7 @@ def two_point_diagonal(
 
 
 def face_diagonals(ndim: int) -> Sequence[tuple[int, ...]]:
-    """The 2 diagonals of a square, the 6 of a cube's faces."""
+    """Return the 2 diagonals of a square, the 6 of a cube's faces."""
     ways = []
     for first, second in combinations(range(ndim), 2):
         for sign in (1, -1):
@@ -101,14 +103,14 @@ def face_diagonals(ndim: int) -> Sequence[tuple[int, ...]]:
 
 
 def preference(axial: ArrayLike, diagonal: ArrayLike) -> float:
-    """`axis_preference` of S2 that is there already: along the axes, r = 0 .. R, and along
-    diagonals, k sqrt(2) <= R.
+    """Return the `axis_preference` of S2 that is there already: along the axes, r = 0 .. R, and
+    along diagonals, k sqrt(2) <= R.
     """
     return preference_of(covariance_form(axial), covariance_form(diagonal))
 
 
 def preference_of(axial: ArrayLike, diagonal: ArrayLike) -> float:
-    """`preference` of curves that are covariances, or autocorrelations: 1 at 0."""
+    """Return the `preference` of curves that are covariances, or autocorrelations: 1 at 0."""
     along, across = np.asarray(axial, np.float64), np.asarray(diagonal, np.float64)
     there = np.interp(np.sqrt(2) * np.arange(len(across)), np.arange(len(along)), along)
     size = float(np.linalg.norm((there + across)[1:] / 2))

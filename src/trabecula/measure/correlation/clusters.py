@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
-from trabecula.measure.correlation.fourier import mirrored_counts
+from trabecula.measure.correlation.fourier import count_mirror_pairs
 from trabecula.measure.correlation.pair_geometry import (
     Radial,
-    checked_fits,
+    positive_fits,
     probability,
-    separations,
+    select_pairs,
 )
 from trabecula.measure.correlation.window import Window, as_window
-from trabecula.measure.fft import fast_side
 from trabecula.measure.labelling import label_components
 from trabecula.measure.phases import indicator
+from trabecula.numerics.transforms import fast_side
 
 # Seconds, on one core of 2024, only to choose between two ways to the same counts.
 _PAIR, _TRANSFORMED_VOXEL, _TRANSFORMED_PLANE = 2.5e-9, 9e-9, 6e-5
@@ -42,8 +42,8 @@ def two_point_cluster(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Two-point cluster function C2(r) of a phase, r = 0 .. r_max: both ends in the same connected
-    cluster of it.
+    """Return the two-point cluster function C2(r) of a phase, r = 0 .. r_max: both ends in the same
+    connected cluster of it.
 
     Torquato, Beasley and Chiew 1988, doi:10.1063/1.454440; as a descriptor Jiao, Stillinger and
     Torquato 2009, doi:10.1073/pnas.0905919106. S2 less the pairs between different clusters, out of
@@ -60,7 +60,7 @@ def two_point_cluster(
     periodic : bool or one per axis
         Pairs wrap around the faces, and so do clusters.
     mask : bool array, the image's shape, optional
-        Only what lies in the mask counts, and only clusters connected within it.
+        Only what is in the mask counts, and only clusters connected within it.
 
     Returns
     -------
@@ -79,13 +79,13 @@ def two_point_cluster(
     """
     image, inside = indicator(image, phase)
     window = as_window(image.shape, periodic, mask)
-    pairs = separations(image, window, r_max=r_max, axis=axis, direction=direction)
+    pairs = select_pairs(image, window, r_max=r_max, axis=axis, direction=direction)
     solid = window.within(inside)
     wraps = window.wraps[3 - image.ndim :]
     labels, sizes = label_components(
         solid.reshape(image.shape), connectivity=connectivity, periodic=wraps
     )
-    fits = checked_fits(pairs)
+    fits = positive_fits(pairs)
     labels = labels.reshape(window.shape)
     hits = _radial(labels, sizes, pairs) if isinstance(pairs, Radial) else pairs.count_same(labels)
     return probability(hits, fits)
@@ -101,38 +101,32 @@ def _radial(labels: np.ndarray, sizes: np.ndarray, pairs: Radial) -> np.ndarray:
     small = np.ones(len(sizes) + 1, bool)
     small[[0, *large]] = False
     first = np.concatenate([[0], np.cumsum(np.where(small[1:], sizes, 0))])
-    hits = _pairs_one_by_one(
-        _voxels(labels, small, first), first, pairs.lengths(), np.array(labels.shape), np.array(pairs.window.wraps),
-        pairs.r_max,
-    ).astype(np.float64)  # fmt: skip
+    sides, wraps = np.array(labels.shape), np.array(pairs.window.wraps)
+    voxels = _voxels(labels, small, first)
+    counts = _pairs_one_by_one(voxels, first, pairs.lengths(), sides, wraps, pairs.r_max)
+    hits = counts.astype(np.float64)
     for label in large:
-        hits += _transformed(labels, label, lows[label], highs[label], pairs)
+        hits += _count_by_transform(labels, label, lows[label], highs[label], pairs)
     return hits
 
 
 def _box(
     low: np.ndarray, high: np.ndarray, pairs: Radial
 ) -> tuple[tuple[slice, ...], Window, tuple[int, ...]]:
-    """Where a cluster lies, as a window of its own; an axis around which its pairs could wrap is
-    taken whole.
+    """Return the bounding box of a cluster, as a window of its own; an axis around which its pairs
+    could wrap is taken whole.
     """
-    box, wraps, reach = [], [], []
-    lines = zip(
-        low.tolist(),
-        high.tolist(),
-        *(pairs.window.shape, pairs.window.wraps, pairs.reach),
-        strict=True,
-    )
-    for begin, end, side, wrap, far in lines:
-        around = wrap and end - begin + far > side
-        box.append(slice(0, side) if around else slice(begin, end))
-        wraps.append(around)
-        reach.append(far if around else min(far, end - begin - 1))
-    return (
-        tuple(box),
-        Window(tuple(part.stop - part.start for part in box), tuple(wraps)),
-        tuple(reach),
-    )
+    window = pairs.window
+    sides = [
+        (slice(0, side), True, far)
+        if wrap and end - begin + far > side
+        else (slice(begin, end), False, min(far, end - begin - 1))
+        for begin, end, side, wrap, far in zip(
+            low.tolist(), high.tolist(), window.shape, window.wraps, pairs.reach, strict=True
+        )
+    ]
+    box, wraps, reach = zip(*sides, strict=True)
+    return box, Window(tuple(part.stop - part.start for part in box), wraps), reach
 
 
 def _transform_is_faster(
@@ -147,19 +141,19 @@ def _transform_is_faster(
     return bool(one_by_one > _TRANSFORMED_VOXEL * math.prod(sides) + _TRANSFORMED_PLANE * planes)
 
 
-def _transformed(
+def _count_by_transform(
     labels: np.ndarray, label: int, low: np.ndarray, high: np.ndarray, pairs: Radial
 ) -> np.ndarray:
     box, window, reach = _box(low, high, pairs)
     counts = np.zeros(tuple(far + 1 for far in pairs.reach))
     within = tuple(slice(far + 1) for far in reach)
-    counts[within] = mirrored_counts(labels[box] == label, None, reach, window.wraps)
+    counts[within] = count_mirror_pairs(labels[box] == label, None, reach, window.wraps)
     return pairs.sum(counts)
 
 
 @kernel
 def _boxes(labels, count):
-    """First voxel and one past the last of every label, along every axis."""
+    """Return the first voxel and one past the last of every label, along every axis."""
     lows = np.full((count + 1, 3), 2**62)
     highs = np.zeros((count + 1, 3), np.int64)
     for z in range(labels.shape[0]):
@@ -175,7 +169,9 @@ def _boxes(labels, count):
 
 @kernel
 def _voxels(labels, chosen, first):
-    """The voxels of the chosen labels, label by label; those of label k begin at first[k - 1]."""
+    """List the voxels of the chosen labels, label by label; those of label k begin at first[k -
+    1].
+    """
     voxels = np.empty((first[-1], 3), np.int32)
     ends = first[:-1].copy()
     for z in range(labels.shape[0]):
@@ -190,7 +186,9 @@ def _voxels(labels, chosen, first):
 
 @kernel
 def _pairs_one_by_one(voxels, first, lengths, sides, wraps, r_max):
-    """Ordered pairs within every stretch first[k] .. first[k + 1], by their rounded distance."""
+    """Count ordered pairs within every stretch first[k] .. first[k + 1], by their rounded
+    distance.
+    """
     counts = np.zeros(r_max + 1, np.int64)
     far_z, far_y, far_x = lengths.shape
     for k in range(len(first) - 1):

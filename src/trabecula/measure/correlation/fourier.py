@@ -1,11 +1,11 @@
 """Pairs at every offset at once, by Fourier transform; averaged over the mirror images of each
 offset.
 
-What is asked for later (an average over directions, or a curve along an axis) does not tell (dz,
-dy, dx) from (-dz, dy, dx). Averaged over such mirror images the correlation is even along every
-axis, so the real and imaginary parts of the transform along one axis never mix with those along
-another: every pass is a transform of *real* lines, a fifth of the cost of a complex one in NumPy,
-and the way back is a product with a small matrix of cosines that yields only the offsets within
+An average over directions, or a curve along an axis, needs no difference between (dz, dy, dx) and
+(-dz, dy, dx). Averaged over such mirror images the correlation is even along every axis, so the
+real and imaginary parts of the transform along one axis never mix with those along another: every
+pass is a transform of *real* lines, a fifth of the cost of a complex one in NumPy, and the
+transform back is a product with a small matrix of cosines that yields only the offsets within
 reach.
 """
 
@@ -14,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 
 
-def mirrored_counts(
+def count_mirror_pairs(
     first: np.ndarray,
     second: np.ndarray | None,
     reach: tuple[int, ...],
@@ -25,7 +25,7 @@ def mirrored_counts(
     *,
     exact: bool = False,
 ) -> np.ndarray:
-    """Pairs of voxels, the first True in `first` and the other in `second`, for every offset.
+    """Count pairs of voxels, the first True in `first` and the other in `second`, for every offset.
 
     Parameters
     ----------
@@ -49,15 +49,15 @@ def mirrored_counts(
         # Few large planes would need several of their size at once.
         across = None if second is None else second.swapaxes(0, 1)
         reach, wraps = (reach[1], reach[0], reach[2]), (wraps[1], wraps[0], wraps[2])
-        return mirrored_counts(first.swapaxes(0, 1), across, reach, wraps, exact=exact).swapaxes(
+        return count_mirror_pairs(first.swapaxes(0, 1), across, reach, wraps, exact=exact).swapaxes(
             0, 1
         )
     sides = tuple(
         side if wrap else fast_side(side + far)
         for side, far, wrap in zip(first.shape, reach, wraps, strict=True)
     )
-    ours = _transformed(first, sides, exact)
-    theirs = ours if second is None else _transformed(second, sides, exact)
+    ours = _transform(first, sides, exact)
+    theirs = ours if second is None else _transform(second, sides, exact)
     back = [_cosines(side, far) for side, far in zip(sides, reach, strict=True)]
     counts = _powers(ours, theirs, sides, back)
     # Eight times a mean over eight mirror images is a whole number: what rounding errors add goes
@@ -68,10 +68,13 @@ def mirrored_counts(
 
 
 def transform_bytes(shape: tuple[int, int, int], reach: tuple[int, ...], *, exact: bool) -> int:
-    """Memory of `mirrored_counts` of an array of `shape` with itself, no axis periodic."""
+    """Forecast the memory of `count_mirror_pairs` of an array of `shape` with itself, no axis
+    periodic.
+    """
     (depth, height, width), (far_z, far_y, far_x) = shape, reach
     if depth < height:
-        depth, height, far_z, far_y = height, depth, far_y, far_z
+        depth, height = height, depth
+        far_z, far_y = far_y, far_z
     half_y, half_x = (
         fast_side(side + far) // 2 + 1 for side, far in ((height, far_y), (width, far_x))
     )
@@ -82,9 +85,10 @@ def transform_bytes(shape: tuple[int, int, int], reach: tuple[int, ...], *, exac
     return (8 if exact else 4) * (lines + planes) + 8 * half_x * (far_y + 1) * (far_z + 1)
 
 
-def _transformed(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.ndarray:
-    """Transforms along x and y: (Z, frequencies of x, 4 times those of y), where the 4 are the
-    products of real and imaginary part along either axis."""
+def _transform(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.ndarray:
+    """Transform along x and y: (Z, frequencies of x, 4 times those of y), where the 4 are the
+    products of real and imaginary part along either axis.
+    """
     real = np.float64 if exact else np.float32
     half_y, half_x = (side // 2 + 1 for side in sides[1:])
     lines = np.empty((len(inside), half_x, 4 * half_y), real)
@@ -102,8 +106,8 @@ def _transformed(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.
 def _powers(
     ours: np.ndarray, theirs: np.ndarray, sides: tuple[int, ...], back: list[np.ndarray]
 ) -> np.ndarray:
-    """The transform along z, the product of the two, and the way back along z and y: (frequencies
-    of x, dy, dz).
+    """Transform along z, multiply the two, and transform back along z and y: (frequencies of x, dy,
+    dz).
     """
     half_z, half_y = sides[0] // 2 + 1, sides[1] // 2 + 1
     counts = np.empty((ours.shape[1], len(back[1]), len(back[0])))
@@ -128,8 +132,8 @@ def _along_z(lines: np.ndarray, x: int, side: int) -> np.ndarray:
 
 
 def _cosines(side: int, reach: int) -> np.ndarray:
-    """The way back from the powers of a real line to its even correlation: (reach + 1, side // 2 +
-    1).
+    """Return the transform back from the powers of a real line to its even correlation: (reach + 1,
+    side // 2 + 1).
     """
     frequency = np.arange(side // 2 + 1)
     # Every frequency but 0 and, of an even side, the last stands also for its negative.

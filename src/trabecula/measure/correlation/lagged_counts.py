@@ -1,4 +1,4 @@
-"""Pairs at one offset, by laying the image over its shifted copy."""
+"""Pairs at one offset: the image laid over its shifted copy."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 
-def packed(inside: np.ndarray, axis: int) -> np.ndarray:
-    """`axis` first, the other two packed to bits: a shift along `axis` is a slice, and a word holds
-    64 voxels.
+def pack_lines(inside: np.ndarray, axis: int) -> np.ndarray:
+    """Put `axis` first and pack the other two to bits: a shift along `axis` is a slice, and a word
+    holds 64 voxels.
     """
     lines = np.moveaxis(inside, axis, 0)
     flat = np.packbits(lines.reshape(len(lines), -1), axis=1)
@@ -22,28 +22,28 @@ def packed(inside: np.ndarray, axis: int) -> np.ndarray:
 def count_along(
     first: np.ndarray, second: np.ndarray | None, r_max: int, *, axis: int, step: int, wrap: bool
 ) -> np.ndarray:
-    """Pairs along an axis, r = 0 .. r_max times `step` voxels apart; with a second phase the mean
-    of both orders.
+    """Count pairs along an axis, r = 0 .. r_max times `step` voxels apart; with a second phase the
+    mean of both orders.
     """
     before = r_max * step if wrap else 0
-    ours = led_in(packed(first, axis), before)
+    ours = prepend_wrapped(pack_lines(first, axis), before)
     if second is None:
-        return pairs_ending(ours, ours, r_max, step=step, before=before)
-    theirs = led_in(packed(second, axis), before)
-    there = pairs_ending(ours, theirs, r_max, step=step, before=before)
-    return (there + pairs_ending(theirs, ours, r_max, step=step, before=before)) / 2
+        return count_pairs_ending(ours, ours, r_max, step=step, before=before)
+    theirs = prepend_wrapped(pack_lines(second, axis), before)
+    there = count_pairs_ending(ours, theirs, r_max, step=step, before=before)
+    return (there + count_pairs_ending(theirs, ours, r_max, step=step, before=before)) / 2
 
 
-def led_in(lines: np.ndarray, before: int) -> np.ndarray:
-    """Packed lines of a periodic axis, with the last `before` of them in front."""
+def prepend_wrapped(lines: np.ndarray, before: int) -> np.ndarray:
+    """Return the packed lines of a periodic axis, with the last `before` of them in front."""
     return np.concatenate([lines[len(lines) - before :], lines]) if before else lines
 
 
-def pairs_ending(
+def count_pairs_ending(
     ours: np.ndarray, theirs: np.ndarray, r_max: int, *, step: int = 1, before: int = 0
 ) -> np.ndarray:
-    """Pairs of packed lines r = 0 .. r_max times `step` apart that end, in `theirs`, at line
-    `before` or a later one.
+    """Count the pairs of packed lines r = 0 .. r_max times `step` apart that end, in `theirs`, at
+    line `before` or a later one.
 
     The lines in front are those that such pairs may begin in: the last ones of a periodic axis, or
     of the slab before.
@@ -56,9 +56,9 @@ def pairs_ending(
     return counts
 
 
-def segments_ending(lines: np.ndarray, r_max: int, *, before: int = 0) -> np.ndarray:
-    """Runs of r + 1 packed lines, r = 0 .. r_max, that are True all along and end at line `before`
-    or a later one.
+def count_segments_ending(lines: np.ndarray, r_max: int, *, before: int = 0) -> np.ndarray:
+    """Count the runs of r + 1 packed lines, r = 0 .. r_max, that are True all along and end at line
+    `before` or a later one.
     """
     counts = np.empty(r_max + 1)
     ends = lines[before:]
@@ -72,12 +72,12 @@ def segments_ending(lines: np.ndarray, r_max: int, *, before: int = 0) -> np.nda
 
 
 def both(here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Both ends True."""
+    """Return whether both ends are True."""
     return here & there
 
 
 def alike(here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Both ends with the same label, other than 0."""
+    """Return whether both ends have the same label, other than 0."""
     return (here == there) & (here > 0)
 
 
@@ -88,7 +88,7 @@ def count_offset(
     wraps: tuple[bool, ...],
     match: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> int:
-    """Voxels of `first` that match those of `second` one `offset` further."""
+    """Count the voxels of `first` that match those of `second` one `offset` further."""
     over_z, over_y, over_x = (
         _overlaps(*axis) for axis in zip(first.shape, offset, wraps, strict=True)
     )
@@ -102,7 +102,7 @@ def count_offset(
 
 
 def _overlaps(side: int, step: int, wrap: bool) -> list[tuple[slice, slice]]:
-    """The parts of an axis, and where they lie `step` further."""
+    """Return the parts of an axis, and their places `step` further."""
     ahead, behind = max(0, step), max(0, -step)
     parts = [(slice(behind, side - ahead), slice(ahead, side - behind))]
     if wrap and ahead:

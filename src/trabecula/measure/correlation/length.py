@@ -1,4 +1,4 @@
-"""What porosity alone does not explain, and how far that reaches."""
+"""Correlation length: the reach of what porosity alone does not explain."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from trabecula.measure.phases import as_axis
 
 
 def covariance_form(s2: ArrayLike) -> np.ndarray:
-    """S2 without what porosity alone explains: (S2 - phi^2) / (phi - phi^2), with phi = S2(0).
+    """Return S2 without what porosity alone explains: (S2 - phi^2) / (phi - phi^2), with phi =
+    S2(0).
 
     The autocovariance S2 - phi^2 of Torquato 2002, doi:10.1007/978-1-4757-6355-3, section 2.2, over
     its value at r = 0. `two_point` itself is in Torquato's normalisation, a probability that runs
@@ -60,7 +61,8 @@ def correlation_length(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> float:
-    """Distance from which the covariance of a phase stays below 1/e, in the image's unit.
+    """Return the distance from which the covariance of a phase stays below 1/e, in the image's
+    unit.
 
     The covariance is `covariance_form` of `two_point`; its absolute value has to stay below 1/e up
     to `r_max`, so that a lattice, whose covariance swings back, is as long as its swings are
@@ -107,7 +109,7 @@ def correlation_length(
 
 
 def decay_length(s2: ArrayLike) -> float:
-    """`correlation_length` of a curve that is there already, in steps of the curve."""
+    """Return the `correlation_length` of a curve that is there already, in steps of the curve."""
     curve = _as_curve(s2)
     if not 0 < curve[0] < 1:
         return 0.0
@@ -121,13 +123,16 @@ def _as_curve(s2: ArrayLike) -> np.ndarray:
         values = np.zeros(0)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise InputError(
-            "a two-point function is one row of finite numbers, S2(0) first: give what two_point returns"
+            "a two-point function is one row of finite numbers, S2(0) first: give what two_point "
+            "returns"
         )
     return values
 
 
 def _half(image: Image, axis: int | None, limit: int) -> int:
-    """Half of the shortest extent in units of the smallest edge, or half of one axis in its voxels."""
+    """Return half of the shortest extent in units of the smallest edge, or half of one axis in its
+    voxels.
+    """
     if axis is not None:
         return image.shape[axis] // 2
     extents = [side * step for side, step in zip(image.shape, image.spacing, strict=True)]
@@ -135,7 +140,7 @@ def _half(image: Image, axis: int | None, limit: int) -> int:
 
 
 def _last_crossing(curve: np.ndarray, level: float) -> float:
-    """Where a curve falls below `level` for good, between its samples."""
+    """Find where a curve falls below `level` for good, between its samples."""
     r = int(np.flatnonzero(curve >= level)[-1])
     if r == len(curve) - 1:
         return math.inf

@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
-from trabecula.measure.correlation.lagged_counts import led_in, packed, segments_ending
+from trabecula.measure.correlation.lagged_counts import (
+    count_segments_ending,
+    pack_lines,
+    prepend_wrapped,
+)
 from trabecula.measure.correlation.window import as_window, check_pairs, check_range
 from trabecula.measure.phases import as_axis, indicator
 
@@ -23,8 +27,8 @@ def lineal_path(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Lineal path function L(r), r = 0 .. r_max: the probability that a segment of length r lies
-    wholly in the phase.
+    """Return the lineal path function L(r), r = 0 .. r_max: the probability that a segment of
+    length r is wholly in the phase.
 
     Lu and Torquato 1992, doi:10.1103/PhysRevA.45.922. A segment of length r is r + 1 voxels in a
     row, r in voxels of its axis; the share is of the segments that fit into the image and its mask.
@@ -33,7 +37,7 @@ def lineal_path(
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     r_max : int
-        Largest length in voxels, below the side of every axis asked for.
+        Largest length in voxels, below the side of every axis that is measured.
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
     axis : int, optional
@@ -41,7 +45,7 @@ def lineal_path(
     periodic : bool or one per axis
         Segments wrap around the faces.
     mask : bool array, the image's shape, optional
-        Only segments that lie wholly in the mask count.
+        Only segments wholly in the mask count.
 
     Returns
     -------
@@ -81,12 +85,16 @@ def lineal_path(
 
 
 def _segments(inside: np.ndarray, r_max: int, axis: int, wrap: bool) -> np.ndarray:
-    """Segments of r + 1 True voxels along an axis, r = 0 .. r_max."""
+    """Count the segments of r + 1 True voxels along an axis, r = 0 .. r_max."""
     before = r_max if wrap else 0
-    return segments_ending(led_in(packed(inside, axis), before), r_max, before=before)
+    return count_segments_ending(
+        prepend_wrapped(pack_lines(inside, axis), before), r_max, before=before
+    )
 
 
 def segments_that_fit(shape: tuple[int, ...], r_max: int, axis: int, wrap: bool) -> np.ndarray:
-    """Segments of r + 1 voxels along an axis that fit into an image of `shape`, r = 0 .. r_max."""
+    """Count the segments of r + 1 voxels along an axis that fit into an image of `shape`, r = 0 ..
+    r_max.
+    """
     side = shape[axis]
     return np.asarray(math.prod(shape) // side * (side - np.arange(r_max + 1) * (not wrap)))

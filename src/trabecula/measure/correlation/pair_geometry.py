@@ -1,4 +1,4 @@
-"""Which pairs of voxels count as r apart: those along a ray, or all of that length."""
+"""Pairs of voxels that count as r apart: those along a ray, or all of that length."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.correlation.fourier import mirrored_counts
+from trabecula.measure.correlation.fourier import count_mirror_pairs
 from trabecula.measure.correlation.lagged_counts import alike, both, count_along, count_offset
 from trabecula.measure.correlation.window import Window, check_pairs, check_range
 from trabecula.measure.phases import as_axis
@@ -24,14 +24,16 @@ of them.
 
 @dataclass(frozen=True)
 class Ray:
-    """Pairs one after another along a ray: sample r is r times `direction` (voxels; z, y, x) away."""
+    """Pairs one after another along a ray: sample r is r times `direction` (voxels; z, y, x)
+    away.
+    """
 
     window: Window
     r_max: int
     direction: tuple[float, ...]
 
     def fits(self) -> np.ndarray:
-        """Pairs that fit, of every r."""
+        """Count the pairs that fit, of every r."""
         where = self.window.where
         if where is not None:
             return self.count(where, None)
@@ -46,8 +48,8 @@ class Ray:
     def count(
         self, first: np.ndarray, second: np.ndarray | None, fits: np.ndarray | None = None
     ) -> np.ndarray:
-        """Pairs with one end in `first` and the other in `second` (None: the same), mean of both
-        orders.
+        """Count the pairs with one end in `first` and the other in `second` (None: the same), mean
+        of both orders.
         """
         along = [axis for axis, step in enumerate(self.direction) if step]
         step = self.direction[along[0]]
@@ -69,7 +71,7 @@ class Ray:
         ) / 2
 
     def count_same(self, labels: np.ndarray) -> np.ndarray:
-        """Pairs with both ends in one label other than 0."""
+        """Count the pairs with both ends in one label other than 0."""
         return self._sum(
             lambda offset: count_offset(labels, labels, offset, self.window.wraps, alike)
         )
@@ -90,7 +92,9 @@ class Ray:
 
 
 def _corners(end: tuple[float, ...]) -> list[tuple[tuple[int, ...], float]]:
-    """The up to eight voxels around a point, with their weights in trilinear interpolation."""
+    """Return the up to eight voxels around a point, with their weights in trilinear
+    interpolation.
+    """
     sides = [
         [(low, low + 1 - at), (low + 1, at - low)] if at > (low := math.floor(at)) else [(low, 1.0)]
         for at in end
@@ -113,14 +117,14 @@ class Radial:
 
     @property
     def reach(self) -> tuple[int, ...]:
-        """The largest offset along every axis: what can round to r_max, and fits."""
+        """Return the largest offset along every axis that can round to r_max and fits."""
         return tuple(
             min(int((self.r_max + 0.5) / step), room)
             for step, room in zip(self.steps, self.window.room, strict=True)
         )
 
     def fits(self) -> np.ndarray:
-        """Pairs that fit, of every r."""
+        """Count the pairs that fit, of every r."""
         if self.window.where is None:
             z, y, x = (
                 np.full(far + 1, float(side)) if wrap else side - np.arange(far + 1.0)
@@ -133,24 +137,28 @@ class Radial:
         return self._count(self.window.where, None, exact=True) if self.sparse(rough) else rough
 
     def count(self, first: np.ndarray, second: np.ndarray | None, fits: np.ndarray) -> np.ndarray:
-        """Pairs with one end in `first` and the other in `second` (None: the same), in both orders."""
+        """Count the pairs with one end in `first` and the other in `second` (None: the same), in
+        both orders.
+        """
         return self._count(first, second, exact=self.sparse(fits))
 
     def sum(self, counts: np.ndarray) -> np.ndarray:
-        """Over all offsets r apart, from the offsets that are not negative (see `mirrored_counts`)."""
+        """Sum over all offsets r apart, from the offsets that are not negative (see
+        `count_mirror_pairs`).
+        """
         lengths, images = self.lengths(), self._images()
         near = lengths <= self.r_max
         return np.bincount(lengths[near], weights=(counts * images)[near], minlength=self.r_max + 1)
 
     def lengths(self) -> np.ndarray:
-        """The rounded length of every offset from 0 to `reach`, int32."""
+        """Return the rounded length of every offset from 0 to `reach`, int32."""
         z, y, x = (
             np.arange(far + 1) * step for far, step in zip(self.reach, self.steps, strict=True)
         )
         return (np.sqrt((z**2)[:, None, None] + (y**2)[:, None] + x**2) + 0.5).astype(np.int32)
 
     def _images(self) -> np.ndarray:
-        """How many offsets are mirror images of each; half a wrapped side is its own."""
+        """Count the offsets that are mirror images of each; half a wrapped side is its own."""
         z, y, x = (
             np.where(
                 (np.arange(far + 1) == 0) | (wrap & (2 * np.arange(far + 1) == side)), 1.0, 2.0
@@ -162,18 +170,20 @@ class Radial:
         return np.asarray(z[:, None, None] * y[:, None] * x)
 
     def _count(self, first: np.ndarray, second: np.ndarray | None, *, exact: bool) -> np.ndarray:
-        return self.sum(mirrored_counts(first, second, self.reach, self.window.wraps, exact=exact))
+        return self.sum(
+            count_mirror_pairs(first, second, self.reach, self.window.wraps, exact=exact)
+        )
 
     def sparse(self, fits: np.ndarray) -> bool:
-        """Whether so few pairs fit somewhere that they have to be counted in float64."""
+        """Return whether so few pairs fit somewhere that they have to be counted in float64."""
         offsets = self.sum(np.ones(tuple(far + 1 for far in self.reach)))
         return bool(np.any(fits < _SPARSE * offsets * math.prod(self.window.shape)))
 
 
-def separations(
+def select_pairs(
     image: Image, window: Window, *, r_max: int, axis: int | None, direction: Sequence[float] | None
 ) -> Ray | Radial:
-    """The pairs that a caller asks for.
+    """Return the pairs that a caller asks for.
 
     Raises
     ------
@@ -208,14 +218,14 @@ def separations(
 
 
 def radial_limit(image: Image, window: Window) -> int:
-    """The longest distance along any axis, in units of the smallest voxel edge."""
+    """Return the longest distance along any axis, in units of the smallest voxel edge."""
     return max(
         int(room * step) for room, step in zip(window.room, steps_of(image.spacing), strict=True)
     )
 
 
 def steps_of(spacing: tuple[float, ...]) -> tuple[float, ...]:
-    """Edges of a voxel in units of the smallest; a slice is one such unit thick."""
+    """Return the edges of a voxel in units of the smallest; a slice is one such unit thick."""
     edge = min(spacing)
     return (1.0,) * (3 - len(spacing)) + tuple(step / edge for step in spacing)
 
@@ -227,19 +237,20 @@ def _as_direction(direction: Sequence[float] | None, ndim: int) -> tuple[float, 
         vector = np.zeros(0)
     if vector.shape != (ndim,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(
-            f"direction {direction!r} is not a vector of {ndim} numbers: give voxels along every axis, slowest first, "
+            f"direction {direction!r} is not a vector of {ndim} numbers: give voxels along every "
+            "axis, slowest first, "
             "such as (1, 1, 0)"
         )
     return (0.0,) * (3 - ndim) + tuple(vector.tolist())
 
 
-def checked_fits(pairs: Ray | Radial) -> np.ndarray:
-    """Pairs that fit, of every r; never 0."""
+def positive_fits(pairs: Ray | Radial) -> np.ndarray:
+    """Count the pairs that fit, of every r; never 0."""
     fits = pairs.fits()
     check_pairs(fits, masked=pairs.window.where is not None)
     return fits
 
 
 def probability(hits: np.ndarray, fits: np.ndarray) -> np.ndarray:
-    """Hits over fits; what float32 adds to a large volume must not carry it past 0 or 1."""
+    """Return hits over fits, kept within 0 and 1: float32 errs on a large volume."""
     return np.clip(hits / fits, 0.0, 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
-from trabecula.measure.correlation.pair_geometry import checked_fits, probability, separations
+from trabecula.measure.correlation.pair_geometry import positive_fits, probability, select_pairs
 from trabecula.measure.correlation.window import as_window
 from trabecula.measure.phases import indicator
 
@@ -23,9 +23,9 @@ def two_point(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Two-point probability S2(r) of a phase, r = 0 .. r_max.
+    """Return the two-point probability S2(r) of a phase, r = 0 .. r_max.
 
-    The probability that two points a distance r apart both lie in the phase, in Torquato's
+    The probability that two points a distance r apart are both in the phase, in Torquato's
     normalisation: S2(0) = phi, and S2 tends to phi^2 (Torquato 2002, doi:10.1007/978-1-4757-6355-3,
     section 2.2). `covariance_form` scales it to 1 .. 0. Here it is the number of pairs of voxels in
     the phase over the number of pairs that fit.
@@ -43,7 +43,7 @@ def two_point(
         average, over every offset whose length rounds to r; the length is in units of the smallest
         voxel edge.
     direction : sequence of float, one per axis, optional
-        Only pairs along this vector of voxels, slowest axis first: the ends of sample r lie `r *
+        Only pairs along this vector of voxels, slowest axis first: the ends of sample r are `r *
         direction` apart, a length of `r * norm(direction * spacing)`. Where that is a voxel, as
         always with whole numbers such as (1, 1, 0), that offset is used; otherwise pairs are
         interpolated linearly between the offsets around it. A direction `u` of length 1 in space,
@@ -72,8 +72,8 @@ def two_point(
     """
     image, inside = indicator(image, phase)
     window = as_window(image.shape, periodic, mask)
-    pairs = separations(image, window, r_max=r_max, axis=axis, direction=direction)
-    fits = checked_fits(pairs)
+    pairs = select_pairs(image, window, r_max=r_max, axis=axis, direction=direction)
+    fits = positive_fits(pairs)
     return probability(pairs.count(window.within(inside), None, fits), fits)
 
 
@@ -88,12 +88,12 @@ def cross_correlation(
     periodic: bool | Sequence[bool] = False,
     mask: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Two-point probability S_ij(r) across phases, r = 0 .. r_max: one end in phase i, the other in
-    phase j.
+    """Return the two-point probability S_ij(r) across phases, r = 0 .. r_max: one end in phase i,
+    the other in phase j.
 
     Torquato 2002, doi:10.1007/978-1-4757-6355-3, section 2.2. Both orders of the two ends are
     counted and averaged, so that S_ij = S_ji, and each probability is out of all pairs that fit:
-    the sum over all i and j is 1 at every r, and the sum over j is the fraction of ends that lie in
+    the sum over all i and j is 1 at every r, and the sum over j is the fraction of ends in
     phase i (phi_i, where the image is periodic). S_ii is `two_point`.
 
     Parameters
@@ -116,12 +116,13 @@ def cross_correlation(
 
     Examples
     --------
-    >>> cross_correlation(np.array([[1, 1, 0, 0, 1, 1, 0, 0]]), first=0, second=1, r_max=2, axis=1, periodic=True).tolist()
+    >>> stripes = np.array([[1, 1, 0, 0, 1, 1, 0, 0]])
+    >>> cross_correlation(stripes, first=0, second=1, r_max=2, axis=1, periodic=True).tolist()
     [0.0, 0.25, 0.5]
     """
     image, ours = indicator(image, first)
     theirs = indicator(image, second)[1]
     window = as_window(image.shape, periodic, mask)
-    pairs = separations(image, window, r_max=r_max, axis=axis, direction=direction)
-    fits = checked_fits(pairs)
+    pairs = select_pairs(image, window, r_max=r_max, axis=axis, direction=direction)
+    fits = positive_fits(pairs)
     return probability(pairs.count(window.within(ours), window.within(theirs), fits), fits)

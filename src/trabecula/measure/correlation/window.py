@@ -1,5 +1,5 @@
-"""The window that pairs have to fit into: its sides, which of them wrap, and which voxels of it
-count.
+"""The window that pairs have to fit into: its sides, those of them that wrap, and the voxels of it
+that count.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Window:
 
     @property
     def room(self) -> tuple[int, ...]:
-        """The largest offset along every axis; a wrapped one is never longer than its way round the
-        other side.
+        """Return the largest offset along every axis; a wrapped one is never longer than its way
+        round the other side.
         """
         return tuple(
             side // 2 if wrap else side - 1
@@ -34,7 +34,7 @@ class Window:
         )
 
     def within(self, inside: np.ndarray) -> np.ndarray:
-        """The phase, lifted to three axes, without what does not count."""
+        """Return the phase, lifted to three axes, without what does not count."""
         inside = as_inside(inside)
         return inside if self.where is None else inside & self.where
 
@@ -42,7 +42,7 @@ class Window:
 def as_window(
     shape: tuple[int, ...], periodic: bool | Sequence[bool], mask: ArrayLike | None
 ) -> Window:
-    """The window of an image of 2 or 3 axes; a 2-D image is one slice.
+    """Return the window of an image of 2 or 3 axes; a 2-D image is one slice.
 
     Raises
     ------

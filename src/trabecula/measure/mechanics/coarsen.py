@@ -1,11 +1,12 @@
-"""The next coarser grid: blocks of 2x2x2 cells, split where their content does not hang together.
+"""The next coarser grid: blocks of 2x2x2 cells, split into their connected parts.
 
-A strut and its neighbour across a thin gap may lie in one coarse block. Were they one coarse cell,
+A strut and its neighbour across a thin gap may be in one coarse block. Were they one coarse cell,
 the coarse grid would tie them together, and the solver would stall on thin structures; so a block
-becomes as many cells as it holds pieces, each with nodes of its own (Dick, Georgii, Westermann
-2011, doi:10.1109/TVCG.2010.268). Nodes of neighbouring coarse cells are one where a node of the
-finer grid, common to both, depends on them. Displacements of the coarse grid are then displacements
-of the finer one as well, and its operator is the finer one's, seen by them (Galerkin).
+becomes as many cells as it has connected parts, each with nodes of its own (Dick, Georgii,
+Westermann 2011, doi:10.1109/TVCG.2010.268). Nodes of neighbouring coarse cells are one where a node
+of the finer grid, common to both, depends on them. Displacements of the coarse grid are then
+displacements of the finer one as well, and its operator is the finer one's, seen by them
+(Galerkin).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.mechanics.lattice import LEAST, Cells
-from trabecula.measure.union_find import join, root_of
+from trabecula.measure.union_find import join, number_trees
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Interpolation:
 def coarsen(
     cells: Cells, incidence: tuple[np.ndarray, np.ndarray], *, repeated: bool
 ) -> tuple[Cells, Interpolation]:
-    """The coarser cells, and the interpolation from their nodes.
+    """Return the coarser cells, and the interpolation from their nodes.
 
     `repeated` says that blocks with equal kinds of cells have equal matrices (only on the grid of
     voxels).
@@ -42,16 +43,16 @@ def coarsen(
     block = cells.position >> 1
     sides = [len(line) for line in cells.lines]
     number = (block[:, 0].astype(np.int64) * sides[1] + block[:, 1]) * sides[2] + block[:, 2]
-    parent, pieces = _pieces(number, *incidence)
+    parent, total = _split_blocks(number, *incidence)
     weights = _weights(cells.position, upper)
-    corner, count = _corners(parent, pieces, weights, *incidence)
+    corner, count = _corners(parent, total, weights, *incidence)
     down = _interpolation(parent, corner, weights, *incidence)
-    position = np.empty((pieces, 3), np.int32)
+    position = np.empty((total, 3), np.int32)
     position[parent] = block
     kind, chosen = (
-        _kinds(cells, parent, pieces) if repeated else (np.arange(pieces), np.arange(pieces))
+        _kinds(cells, parent, total) if repeated else (np.arange(total), np.arange(total))
     )
-    target = np.full(pieces, -1)
+    target = np.full(total, -1)
     target[chosen] = np.arange(len(chosen))
     matrices = np.zeros((len(chosen), 8, 8, 3, 3))
     _galerkin(target[parent], cells.kind, cells.matrices, weights, matrices)
@@ -69,13 +70,13 @@ def gather(
     *,
     add: bool,
 ) -> None:
-    """out (+)= rows times vector."""
+    """Set out (+)= rows times vector."""
     for_slabs(lambda a, b: _gather(*rows, vector, out, add, a, b), len(out), least=LEAST)
 
 
 def _upper(lines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(3, most cells, 2): for both ends of a fine cell, the weight of the upper end of the coarse
-    cell around it.
+    """Return, for both ends of a fine cell, the weight of the upper end of the coarse cell around
+    it, (3, most cells, 2).
     """
     table = np.zeros((3, max(len(line) for line in lines), 2))
     for axis, line in enumerate(lines):
@@ -87,18 +88,18 @@ def _upper(lines: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def _weights(position: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """(cells, 3, 2) float64: `upper` of every cell."""
+    """Return `upper` of every cell, (cells, 3, 2) float64."""
     return np.ascontiguousarray(
         np.stack([upper[axis, position[:, axis]] for axis in range(3)], axis=1)
     )
 
 
-def _kinds(cells: Cells, parent: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """The kind of every coarse cell, and one cell of each kind: the same kinds of cells in the same
-    places.
+def _kinds(cells: Cells, parent: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the kind of every coarse cell, and one cell of each kind: the same kinds of cells in
+    the same places.
     """
     base = len(cells.matrices) + 1
-    key = np.zeros(pieces, np.int64)
+    key = np.zeros(total, np.int64)
     place = (cells.position & 1) @ np.array([4, 2, 1])
     for c in range(8):
         here = place == c
@@ -106,43 +107,28 @@ def _kinds(cells: Cells, parent: np.ndarray, pieces: int) -> tuple[np.ndarray, n
     # The last block of an odd side is one cell wide.
     sides = np.array([len(line) - 1 for line in cells.lines])
     narrow = ((cells.position == sides - 1) & (sides % 2 == 1)) @ np.array([4, 2, 1])
-    marks = np.zeros(pieces, np.int64)
+    marks = np.zeros(total, np.int64)
     marks[parent] = narrow
     _, chosen, kind = np.unique(key + marks * base**8, return_index=True, return_inverse=True)
     return kind, chosen
 
 
-@inline
-def _number(tree):
-    """Trees numbered by their first member."""
-    number = np.empty(len(tree), np.int64)
-    count = 0
-    for k in range(len(tree)):
-        root = root_of(tree, k)
-        if root == k:
-            number[k] = count
-            count += 1
-        else:
-            number[k] = number[root]
-    return number, count
-
-
 @kernel
-def _pieces(block, first, entry):
-    """Cells of one block that share a node belong to one coarse cell."""
+def _split_blocks(block, first, entry):
+    """Join the cells of one block that share a node to one coarse cell."""
     tree = np.arange(len(block))
     for n in range(len(first) - 1):
         for i in range(first[n], first[n + 1]):
             for j in range(first[n], i):
                 if block[entry[i] // 8] == block[entry[j] // 8]:
                     join(tree, entry[i] // 8, entry[j] // 8)
-    return _number(tree)
+    return number_trees(tree)
 
 
 @inline
 def _supports(weights, cell, corner, s):
-    """Corner of the coarse cell if it is the s-th of the possible ones and has weight at this
-    corner of a fine cell.
+    """Return the weight of the s-th corner of the coarse cell at this corner of a fine cell; 0
+    where it has none.
     """
     weight = 1.0
     for axis in range(3):
@@ -153,15 +139,15 @@ def _supports(weights, cell, corner, s):
 
 
 @kernel
-def _corners(parent, pieces, weights, first, entry):
-    """The coarse node at every corner of every coarse cell."""
-    tree = np.arange(pieces * 8)
+def _corners(parent, total, weights, first, entry):
+    """Return the coarse node at every corner of every coarse cell."""
+    tree = np.arange(total * 8)
     support = np.empty(8, np.int64)
     for n in range(len(first) - 1):
         for i in range(first[n], first[n + 1]):
             cell, corner = entry[i] // 8, entry[i] % 8
             # Supporting corners come in the same order in every cell around the node: axes along
-            # which it lies
+            # which it is
             # between two coarse planes are the same for all of them.
             count = 0
             for s in range(8):
@@ -171,8 +157,8 @@ def _corners(parent, pieces, weights, first, entry):
                     else:
                         join(tree, support[count], parent[cell] * 8 + s)
                     count += 1
-    number, count = _number(tree)
-    return number.reshape(pieces, 8), count
+    number, count = number_trees(tree)
+    return number.reshape(total, 8), count
 
 
 @kernel
@@ -228,7 +214,7 @@ def _gather(first, index, weight, vector, out, add, begin, end):
 
 @kernel
 def _galerkin(target, kind, matrices, weights, out):
-    """out[target] += W^T K W for every fine cell, W[a, A] the weight of coarse corner A at fine
+    """Add W^T K W to out[target] for every fine cell, W[a, A] the weight of coarse corner A at fine
     corner a.
     """
     half = np.zeros((8, 8, 3, 3))

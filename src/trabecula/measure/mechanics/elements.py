@@ -17,7 +17,7 @@ _VOIGT = ((_X, _X), (_Y, _Y), (_Z, _Z), (_Y, _Z), (_X, _Z), (_X, _Y))
 
 
 def isotropic(young: float, poisson: float) -> np.ndarray:
-    """Stiffness of an isotropic material, (6, 6)."""
+    """Return the stiffness of an isotropic material, (6, 6)."""
     lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     shear = young / (2 * (1 + poisson))
     matrix = np.zeros((6, 6))
@@ -27,8 +27,8 @@ def isotropic(young: float, poisson: float) -> np.ndarray:
 
 
 def brick_stiffness(material: np.ndarray, edges: tuple[float, ...]) -> np.ndarray:
-    """Stiffness of a brick by 2x2x2 Gauss points (exact for a trilinear brick), (8, 8, 3, 3): 3x3
-    blocks per pair of corners.
+    """Return the stiffness of a brick by 2x2x2 Gauss points (exact for a trilinear brick), (8, 8,
+    3, 3): 3x3 blocks per pair of corners.
     """
     points = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3)
     total = np.zeros((24, 24))
@@ -41,14 +41,14 @@ def brick_stiffness(material: np.ndarray, edges: tuple[float, ...]) -> np.ndarra
 
 
 def mean_strain(edges: tuple[float, ...]) -> np.ndarray:
-    """Strain averaged over a brick, for a unit displacement of every corner and component, (6, 8,
-    3).
+    """Return the strain averaged over a brick, for a unit displacement of every corner and
+    component, (6, 8, 3).
     """
     return _strain(np.full(3, 0.5), edges)
 
 
 def _strain(at: np.ndarray, edges: tuple[float, ...]) -> np.ndarray:
-    """Strain at a point of the unit cube, (6, 8, 3)."""
+    """Return the strain at a point of the unit cube, (6, 8, 3)."""
     shape = np.where(CORNERS, at, 1 - at)  # (8, 3)
     slope = np.where(CORNERS, 1.0, -1.0) / np.array(edges)
     gradient = np.stack(

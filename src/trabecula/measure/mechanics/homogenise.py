@@ -15,11 +15,11 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import one_blas_thread
-from trabecula.measure.centre_crop import box_sides, centre, check_memory, clipped
+from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_sides
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
-from trabecula.measure.mechanics.lattice import LOADS, Cells, touched, voxel_cells
-from trabecula.measure.mechanics.parts import load_bearing
+from trabecula.measure.mechanics.lattice import LOADS, Cells, node_mask, voxel_cells
 from trabecula.measure.mechanics.solve import Solution, build_levels, solve
+from trabecula.measure.percolation import wrapping_voxels
 from trabecula.measure.phases import indicator
 
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
@@ -53,12 +53,12 @@ class Stiffness:
     exact."""
     iterations: int
     bearing: float
-    """Share of the solid that can carry load: the rest does not hang together with itself across
+    """Share of the solid that can carry load: the rest is not connected with itself across
     the faces.
     """
     halving: float | None = None
     """Relative change of the mean diagonal where every voxel of a centre box is split in eight
-    (with the same materials); None unless asked for."""
+    (with the same materials); None unless requested."""
 
     __repr__ = brief
 
@@ -72,7 +72,7 @@ def stiffness(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Stiffness:
-    """Effective elastic stiffness of a material, void being void.
+    """Measure the effective elastic stiffness of a material, void being void.
 
     The image is repeated periodically, and the fluctuation of the displacement is periodic; every
     voxel of solid is a trilinear brick (Garboczi and Day 1995, doi:10.1016/0022-5096(95)00050-S;
@@ -93,7 +93,7 @@ def stiffness(
         leaves out are void.
     tolerance : float
         Error of the displacements in the energy norm over that of the whole field, 1e-10 .. 0.1,
-        estimated. The diagonal of the matrix errs by about its square, what lies beside it by up to
+        estimated. The diagonal of the matrix errs by about its square, the rest by up to
         itself.
     box : int or (Z, Y, X), optional
         Only the centre box of this many voxels. Default: the whole image.
@@ -130,18 +130,19 @@ def stiffness(
     check_labels(image)
     if image.ndim != 3:
         raise InputError(
-            "stiffness is of a volume and the image is 2-D: stack slices to one (np.stack), or synthesise a volume"
+            "stiffness is of a volume and the image is 2-D: stack slices to one (np.stack), or "
+            "synthesise a volume"
         )
     as_number(tolerance, name="tolerance", low=1e-10, high=0.1)
     inside = with_values(image, centre(image.values, box_sides(box, image.shape)))
     kind, materials = _materials(inside, phase, moduli)
-    check_memory(needed(kind >= 0, halving=halving))
+    check_memory(forecast_bytes(kind >= 0, halving=halving))
     # Lengths cancel; edges near 1 keep the numbers near that of the moduli.
     edges = tuple(edge / min(image.spacing) for edge in image.spacing)
     result = _stiffness(kind, materials, edges, tolerance)
     if not halving:
         return result
-    small = _halved_box(kind)
+    small = _halving_box(kind)
     coarse = result if small.shape == kind.shape else _stiffness(small, materials, edges, tolerance)
     split = small.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     fine = _stiffness(split, materials, edges, tolerance)
@@ -152,7 +153,9 @@ def stiffness(
 def _materials(
     image: Image, phase: str | int | None, moduli: Moduli
 ) -> tuple[np.ndarray, np.ndarray]:
-    """For every voxel the index of its material, -1 for void; and the materials, (n, 6, 6)."""
+    """Return for every voxel the index of its material, -1 for void; and the materials, (n, 6,
+    6).
+    """
     if not isinstance(moduli, Mapping):
         _, inside = indicator(image, phase)
         return np.where(inside, 0, -1).astype(np.int8), _material(moduli, "moduli")[None]
@@ -182,31 +185,31 @@ def _material(pair: Sequence[float], name: str) -> np.ndarray:
     )
 
 
-def needed(solid: np.ndarray, *, halving: bool = False) -> int:
-    """Bytes that solving for the stiffness of a solid (Z, Y, X) takes beyond it; with `halving`
-    those of the larger solve.
+def forecast_bytes(solid: np.ndarray, *, halving: bool = False) -> int:
+    """Forecast the bytes that solving for the stiffness of a solid (Z, Y, X) takes beyond it; with
+    `halving` those of the larger solve.
     """
 
     def one(part: np.ndarray, nodes: int) -> int:
         return nodes * _NODE_BYTES + part.size * _GRID_BYTES
 
-    whole = one(solid, int(np.count_nonzero(touched(solid))))
+    whole = one(solid, int(np.count_nonzero(node_mask(solid))))
     if not halving:
         return whole
-    small = _halved_box(solid)
+    small = _halving_box(solid)
     # Eight voxels for every one, and not even that many nodes for every node.
-    return max(whole, 8 * one(small, int(np.count_nonzero(touched(small)))))
+    return max(whole, 8 * one(small, int(np.count_nonzero(node_mask(small)))))
 
 
-def _halved_box(values: np.ndarray) -> np.ndarray:
-    return centre(values, clipped([_HALVED_SIDE] * 3, values.shape))
+def _halving_box(values: np.ndarray) -> np.ndarray:
+    return centre(values, clip_sides([_HALVED_SIDE] * 3, values.shape))
 
 
 def _stiffness(
     kind: np.ndarray, materials: np.ndarray, edges: tuple[float, ...], tolerance: float
 ) -> Stiffness:
     solid = np.count_nonzero(kind >= 0)
-    kind = np.where(load_bearing(kind >= 0), kind, -1)
+    kind = np.where(wrapping_voxels(kind >= 0), kind, -1)
     bearing = np.count_nonzero(kind >= 0)
     if not bearing:
         return _result(np.zeros((6, 6)), True, 0.0, 0, 0.0)
@@ -238,7 +241,7 @@ def _mean_stress(
     solution: Solution,
     shape: tuple[int, ...],
 ) -> tuple[np.ndarray, float]:
-    """The stiffness, and how far the stress of single layers is from it."""
+    """Return the stiffness, and the largest difference of the stress of a single layer from it."""
     layers = np.zeros((3, max(shape), 6, LOADS))
     _sum_stress(
         cells.nodes, cells.kind, cells.position, materials, strain, solution.displacement, layers
@@ -285,7 +288,7 @@ def _add_loads(nodes, kind, pull, load):
 
 @kernel
 def _sum_stress(nodes, kind, position, materials, strain, u, layers):
-    """layers[axis, layer] += stress of every cell for every load case."""
+    """Add the stress of every cell for every load case to layers[axis, layer]."""
     e = np.zeros((6, LOADS))
     s = np.zeros((6, LOADS))
     for cell in range(len(nodes)):

@@ -1,7 +1,7 @@
-"""Cells, their nodes, and the sparse operator that they add up to.
+"""Cells, their nodes, and the sparse operator assembled from them.
 
 The same structures serve every grid of the multigrid: on the finest a cell is a voxel, on coarser
-ones a connected piece of the solid in a block of voxels. Operators are rows of 3x3 blocks. On the
+ones a connected part of the solid in a block of voxels. Operators are rows of 3x3 blocks. On the
 finest grid rows are shared: a row depends only on the materials of the eight voxels around its
 node, so that two phases need at most 255 of them.
 """
@@ -43,7 +43,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Operator:
+class BlockOperator:
     """Row n holds the blocks `values[start[n] ...]` for the nodes `neighbour[first[n] .. first[n +
     1]]`.
     """
@@ -63,8 +63,8 @@ class Operator:
         return len(self.row)
 
 
-def touched(solid: np.ndarray) -> np.ndarray:
-    """The nodes of a periodic grid, at the first corner of every voxel, that some voxel of the
+def node_mask(solid: np.ndarray) -> np.ndarray:
+    """Mark the nodes of a periodic grid, at the first corner of every voxel, that some voxel of the
     solid touches.
     """
     nodes = np.zeros(solid.shape, bool)
@@ -74,11 +74,11 @@ def touched(solid: np.ndarray) -> np.ndarray:
 
 
 def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]) -> Cells:
-    """Cells of the voxels with `kind` >= 0 on a periodic grid; nodes that touch none of them do not
-    exist.
+    """Return the cells of the voxels with `kind` >= 0 on a periodic grid; nodes that touch none of
+    them do not exist.
     """
     position = np.argwhere(kind >= 0).astype(np.int32)
-    number = np.cumsum(touched(kind >= 0).ravel(), dtype=np.int64) - 1
+    number = np.cumsum(node_mask(kind >= 0).ravel(), dtype=np.int64) - 1
     nodes = np.empty((len(position), 8), np.uint32)
     for c, corner in enumerate(CORNERS):
         z, y, x = ((position + corner) % kind.shape).T
@@ -90,7 +90,7 @@ def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]
 
 
 def row_keys(cells: Cells) -> np.ndarray:
-    """A number per node of a grid of voxels: equal where the eight voxels around it are of equal
+    """Number every node of a grid of voxels: equal where the eight voxels around it are of equal
     kinds.
     """
     keys = np.zeros(cells.count, np.int64)
@@ -103,8 +103,8 @@ def row_keys(cells: Cells) -> np.ndarray:
 
 def assemble(
     cells: Cells, incidence: tuple[np.ndarray, np.ndarray], keys: np.ndarray | None = None
-) -> Operator:
-    """The operator of the cells; nodes of equal `keys` share their row."""
+) -> BlockOperator:
+    """Assemble the operator of the cells; nodes of equal `keys` share their row."""
     first, neighbour = _adjacency(cells.nodes, *incidence)
     if keys is None:
         chosen, row = np.arange(cells.count), np.arange(cells.count, dtype=np.int32)
@@ -129,18 +129,18 @@ def assemble(
         diagonal,
     )
     inverse = np.linalg.pinv(diagonal, rcond=1e-9, hermitian=True)
-    return Operator(first, neighbour, begin[row].astype(np.uint32), values, inverse, row)
+    return BlockOperator(first, neighbour, begin[row].astype(np.uint32), values, inverse, row)
 
 
 def incidence(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
-    """For every node its (cell * 8 + corner): where they begin, and all of them, by corner and then
-    by cell.
+    """Return for every node its (cell * 8 + corner): where they begin, and all of them, by corner
+    and then by cell.
     """
     return _incidence(cells.nodes, cells.count)
 
 
-def apply(operator: Operator, vector: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """`out` = operator times `vector`, (count, 3, LOADS)."""
+def apply(operator: BlockOperator, vector: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Set `out` = operator times `vector`, (count, 3, LOADS)."""
     o = operator
     for_slabs(
         lambda a, b: _apply(o.first, o.neighbour, o.start, o.values, vector, out, a, b),
@@ -150,8 +150,8 @@ def apply(operator: Operator, vector: np.ndarray, out: np.ndarray) -> np.ndarray
     return out
 
 
-def relax(operator: Operator, residual: np.ndarray, pace: float, x: np.ndarray) -> None:
-    """x += pace * D^-1 residual; D holds the diagonal blocks."""
+def relax(operator: BlockOperator, residual: np.ndarray, pace: float, x: np.ndarray) -> None:
+    """Add pace * D^-1 residual to x; D holds the diagonal blocks."""
     o = operator
     for_slabs(
         lambda a, b: _relax(o.inverse, o.row, residual, pace, x, a, b), operator.count, least=LEAST
@@ -159,7 +159,9 @@ def relax(operator: Operator, residual: np.ndarray, pace: float, x: np.ndarray) 
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Inner product of every load case, (LOADS,): by chunks of fixed size, added in order."""
+    """Return the inner product of every load case, (LOADS,): by chunks of fixed size, added in
+    order.
+    """
     parts = np.zeros((-(-len(a) // _CHUNK), LOADS))
     for_slabs(lambda i, j: _dots(a, b, parts, i, j), len(parts), least=1)
     return parts.sum(axis=0)
@@ -185,7 +187,7 @@ def _incidence(nodes, count):
 
 @kernel
 def _adjacency(nodes, begin, entry):
-    """For every node the nodes of its cells, in the order of the incidence."""
+    """Return for every node the nodes of its cells, in the order of the incidence."""
     count = len(begin) - 1
     seen = np.full(count, -1, np.int64)
     first = np.zeros(count + 1, np.uint32)

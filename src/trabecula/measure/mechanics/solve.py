@@ -1,14 +1,16 @@
-"""Conjugate gradients, preconditioned by a W-cycle over coarser grids; all load cases at once.
+"""The elastic solve: conjugate gradients, preconditioned by a W-cycle over coarser grids; all load
+cases at once.
 
 The smoother is one damped step with the diagonal blocks: it has no order of nodes, so the result
 does not depend on the threads. (Chebyshev polynomials of degree 2 and 3 saved few iterations on
-bone, and each cost more.) The operator has a null space: shifts, and turns of what hangs together
-along one axis only. Loads are orthogonal to it, so the method goes on without noticing.
+bone, and each cost more.) The operator has a null space: shifts, and turns of what is connected
+along one axis only. Loads are orthogonal to it, so the method needs no care for it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -18,8 +20,8 @@ from trabecula.measure.mechanics.coarsen import Interpolation, coarsen, gather
 from trabecula.measure.mechanics.lattice import (
     LEAST,
     LOADS,
+    BlockOperator,
     Cells,
-    Operator,
     apply,
     assemble,
     dot,
@@ -27,6 +29,8 @@ from trabecula.measure.mechanics.lattice import (
     relax,
     row_keys,
 )
+from trabecula.numerics.krylov import Iterate, LinearSystem, conjugate_gradients
+from trabecula.numerics.multigrid import Multigrid, w_cycle
 
 _DENSE = 250  # nodes up to which the coarsest problem is solved by its inverse
 # of the smoother, over the largest eigenvalue; 2 would keep the fastest error as it is
@@ -35,50 +39,117 @@ _DAMPING = 1.8
 
 @dataclass(frozen=True)
 class Solution:
-    """Displacements (nodes, 3, LOADS), and how they were reached."""
+    """Displacements (nodes, 3, LOADS), and the iterations that they took."""
 
     displacement: np.ndarray
-    energy: np.ndarray
-    """What the displacements relax, load . displacement, (LOADS,)."""
-    error: np.ndarray
-    """Estimated error in the energy norm, over that of the whole field, (LOADS,)."""
     iterations: int
     converged: bool
 
 
-@dataclass(frozen=True)
-class Level:
-    """One grid of the W-cycle."""
+@dataclass(frozen=True, eq=False)
+class ElasticLevel:
+    """One grid of the W-cycle, with room for its vectors."""
 
-    operator: Operator
+    operator: BlockOperator
     largest: float
+    """Eigenvalue of D^-1 A, or a little more; D holds the diagonal blocks."""
     to_coarse: Interpolation | None
     inverse: np.ndarray | None
     """Of the whole operator, on the coarsest grid."""
-    vectors: tuple[np.ndarray, ...]
-    """Room for right side, solution and product; none on the finest grid."""
+    x: np.ndarray
+    product: np.ndarray
+    coarse_right: np.ndarray | None
+
+    def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
+        """Smooth x, from zero where it is None."""
+        if x is not None:
+            return self.postsmooth(right, x)
+        self.x[:] = 0.0
+        relax(self.operator, right, _DAMPING / self.largest, self.x)
+        return self.x
+
+    def restrict(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the residual on the next grid."""
+        assert self.to_coarse is not None and self.coarse_right is not None
+        gather(self.to_coarse.up, self._residual(right, x), self.coarse_right, add=False)
+        return self.coarse_right
+
+    def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Add the correction of the next grid."""
+        assert self.to_coarse is not None
+        gather(self.to_coarse.down, correction, x, add=True)
+        return x
+
+    def postsmooth(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Smooth x by one damped step with the diagonal blocks."""
+        relax(self.operator, self._residual(right, x), _DAMPING / self.largest, x)
+        return x
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return the solution by the inverse; one step of the smoother where there is none."""
+        if self.inverse is None:
+            return self.presmooth(right, None)
+        np.matmul(self.inverse, right.reshape(-1, LOADS), out=self.x.reshape(-1, LOADS))
+        return self.x
+
+    def _residual(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
+        apply(self.operator, x, self.product)
+        return np.subtract(right, self.product, out=self.product)
 
 
-def build_levels(cells: Cells) -> list[Level]:
-    """The grids, finest first."""
-    levels: list[Level] = []
+class ElasticSystem(LinearSystem):
+    """The finest grid as a system of `conjugate_gradients`, every load case a right-hand side."""
+
+    def __init__(self, levels: list[ElasticLevel]) -> None:
+        self.finest = levels[0]
+        # On coarse grids a W-cycle takes half the iterations of a V-cycle.
+        self.multigrid = Multigrid(levels, w_cycle)
+
+    def apply(self, vector: np.ndarray) -> np.ndarray:
+        """Return the operator times a vector."""
+        return apply(self.finest.operator, vector, self.finest.product)
+
+    def precondition(self, residual: np.ndarray) -> np.ndarray:
+        """Return an approximate solution by a cycle of multigrid."""
+        return self.multigrid(residual)
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the inner product of every load case."""
+        return dot(a, b)
+
+    def turn(self, direction: np.ndarray, factor: np.ndarray, z: np.ndarray) -> None:
+        """Replace the direction by `z + factor * direction`, in threads."""
+        for_slabs(partial(_turn, direction, z, factor), len(z), least=LEAST)
+
+    def advance(
+        self, at: Iterate, length: np.ndarray, direction: np.ndarray, product: np.ndarray
+    ) -> None:
+        """Add `length * direction` to x and take `length * product` from the residual."""
+        work = partial(_advance, at.x, direction, at.residual, product, length)
+        for_slabs(work, len(at.x), least=LEAST)
+
+
+def build_levels(cells: Cells) -> list[ElasticLevel]:
+    """Build the grids, finest first."""
+    levels: list[ElasticLevel] = []
     while True:
         finest = not levels
         around = incidence(cells)
         operator = assemble(cells, around, row_keys(cells) if finest else None)
         last = all(len(line) == 2 for line in cells.lines) or cells.count <= _DENSE
         coarse, between = (None, None) if last else coarsen(cells, around, repeated=finest)
-        inverse = _inverse(operator) if last and cells.count <= 4 * _DENSE else None
-        room = tuple(np.zeros((cells.count, 3, LOADS)) for _ in range(0 if finest else 3))
-        largest = _largest_of_bricks(cells.matrices) if finest else _largest(operator)
-        levels.append(Level(operator, largest, between, inverse, room))
+        inverse = _invert(operator) if last and cells.count <= 4 * _DENSE else None
+        largest = _bound_largest(cells.matrices) if finest else _estimate_largest(operator)
+        x, product = (np.zeros((cells.count, 3, LOADS)) for _ in range(2))
+        right = None if coarse is None else np.zeros((coarse.count, 3, LOADS))
+        levels.append(ElasticLevel(operator, largest, between, inverse, x, product, right))
         if coarse is None:
             return levels
         cells = coarse
 
 
 def solve(
-    levels: list[Level],
+    levels: list[ElasticLevel],
     load: np.ndarray,
     *,
     whole: np.ndarray,
@@ -91,65 +162,24 @@ def solve(
     residual times its preconditioned self estimates the square of the error in the energy norm,
     which is also the error of the stiffness.
     """
-    operator = levels[0].operator
-    residual, x = load, np.zeros_like(load)
-    z, product = np.zeros_like(load), np.zeros_like(load)
-    energy: np.ndarray = np.zeros(LOADS)
-    direction = np.zeros_like(load)
-    before: np.ndarray = np.ones(LOADS)
-    for iteration in range(most_iterations + 1):
-        _cycle(levels, 0, residual, z, product)
-        now = dot(residual, z)
+
+    def error(at: Iterate) -> np.ndarray:
         # a floor: along some axis nothing may be left
-        left = np.maximum(whole - energy, 1e-6 * whole)
-        error = np.sqrt(np.maximum(now, 0) / left)
-        if error.max() <= tolerance or iteration == most_iterations:
-            break
-        _combine(direction, z, now / before if iteration else np.zeros(LOADS))
-        apply(operator, direction, product)
-        curvature = dot(direction, product)
-        pace = np.where(curvature > 0, now / np.where(curvature > 0, curvature, 1.0), 0.0)
-        _advance(x, direction, residual, product, pace)
-        energy += pace * now
-        before = np.where(now > 0, now, 1.0)
-    return Solution(x, energy, error, iteration, bool(error.max() <= tolerance))
+        left = np.maximum(whole - at.energy, 1e-6 * whole)
+        return np.sqrt(np.maximum(at.rho, 0) / left)
+
+    last, converged = conjugate_gradients(
+        ElasticSystem(levels),
+        np.zeros_like(load),
+        load,
+        accept=lambda at: bool(error(at).max() <= tolerance),
+        most=most_iterations,
+    )
+    return Solution(last.x, last.steps, converged)
 
 
-def _cycle(
-    levels: list[Level], at: int, right: np.ndarray, x: np.ndarray, product: np.ndarray
-) -> None:
-    """x = an approximate solution for `right`, symmetric and linear in it."""
-    level = levels[at]
-    if level.inverse is not None:
-        np.matmul(level.inverse, right.reshape(-1, LOADS), out=x.reshape(-1, LOADS))
-        return
-    pace = _DAMPING / level.largest
-    x[:] = 0.0
-    relax(level.operator, right, pace, x)
-    if level.to_coarse is None:
-        return
-    # On coarse grids two rounds, the second on what the first left (a W-cycle): half the iterations
-    # of a V-cycle.
-    for again in range(2 if at else 1):
-        _remainder(level.operator, right, x, product)
-        if again:
-            relax(level.operator, product, pace, x)
-            _remainder(level.operator, right, x, product)
-        coarse_right, coarse_x, coarse_product = levels[at + 1].vectors
-        gather(level.to_coarse.up, product, coarse_right, add=False)
-        _cycle(levels, at + 1, coarse_right, coarse_x, coarse_product)
-        gather(level.to_coarse.down, coarse_x, x, add=True)
-        _remainder(level.operator, right, x, product)
-        relax(level.operator, product, pace, x)
-
-
-def _remainder(operator: Operator, right: np.ndarray, x: np.ndarray, out: np.ndarray) -> None:
-    apply(operator, x, out)
-    np.subtract(right, out, out=out)
-
-
-def _largest_of_bricks(matrices: np.ndarray) -> float:
-    """The largest eigenvalue of D^-1 A is at most that of a single brick: A and D are sums over
+def _bound_largest(matrices: np.ndarray) -> float:
+    """Bound the largest eigenvalue of D^-1 A by that of a single brick: A and D are sums over
     bricks.
     """
     largest = 0.0
@@ -162,8 +192,9 @@ def _largest_of_bricks(matrices: np.ndarray) -> float:
     return largest
 
 
-def _largest(operator: Operator) -> float:
-    """A little above the largest eigenvalue of D^-1 A, by the power method on six fixed vectors.
+def _estimate_largest(operator: BlockOperator) -> float:
+    """Estimate the largest eigenvalue of D^-1 A, with a margin, by the power method on six fixed
+    vectors.
 
     Too low a value would make the smoother amplify what it should remove, so neither the number of
     steps nor the margin is tight.
@@ -182,8 +213,8 @@ def _largest(operator: Operator) -> float:
     return 1.15 * float(size.max()) or 1.0
 
 
-def _inverse(operator: Operator) -> np.ndarray:
-    """Inverse of the operator beside its null space, (3 count, 3 count)."""
+def _invert(operator: BlockOperator) -> np.ndarray:
+    """Return the inverse of the operator beside its null space, (3 count, 3 count)."""
     o = operator
     dense = np.zeros((o.count, 3, o.count, 3))
     for n in range(o.count):
@@ -202,20 +233,6 @@ def _inverse(operator: Operator) -> np.ndarray:
     return (vector / value[keep]) @ vector.T
 
 
-def _combine(direction: np.ndarray, z: np.ndarray, factor: np.ndarray) -> None:
-    for_slabs(lambda a, b: _turn(direction, z, factor, a, b), len(z), least=LEAST)
-
-
-def _advance(
-    x: np.ndarray,
-    direction: np.ndarray,
-    residual: np.ndarray,
-    product: np.ndarray,
-    pace: np.ndarray,
-) -> None:
-    for_slabs(lambda a, b: _go(x, direction, residual, product, pace, a, b), len(x), least=LEAST)
-
-
 @kernel
 def _turn(direction, z, factor, begin, end):
     for n in range(begin, end):
@@ -225,7 +242,7 @@ def _turn(direction, z, factor, begin, end):
 
 
 @kernel
-def _go(x, direction, residual, product, pace, begin, end):
+def _advance(x, direction, residual, product, pace, begin, end):
     for n in range(begin, end):
         for i in range(3):
             for j in range(LOADS):

@@ -18,7 +18,7 @@ from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.measure.phases import indicator
 from trabecula.measure.skeleton.simple import CENTRE_BIT, around
-from trabecula.measure.skeleton.thinning import thinned
+from trabecula.measure.skeleton.thinning import thin_array
 from trabecula.measure.union_find import join, root_of
 
 END_END, END_JOINT, JOINT_JOINT, CYCLE = 0, 1, 2, 3
@@ -63,12 +63,12 @@ class SkeletonGraph:
 
     @property
     def branches(self) -> int:
-        """Number of branches."""
+        """Return the number of branches."""
         return len(self.length)
 
     @property
     def ends(self) -> int:
-        """Number of free ends; a voxel alone has one."""
+        """Return the number of free ends; a voxel alone has one."""
         alone = int(np.count_nonzero((self.kind == END_END) & (np.diff(self.offsets) == 1)))
         return (
             int(np.count_nonzero(self.kind == END_JOINT))
@@ -78,26 +78,27 @@ class SkeletonGraph:
 
     @property
     def loops(self) -> int:
-        """Independent loops of the graph: branches - nodes + pieces."""
+        """Count the independent loops of the graph: branches - nodes + components."""
         parent = np.arange(len(self.joints))
         between = self.kind == JOINT_JOINT
-        pieces = len(parent) - _merges(parent, self.start[between], self.stop[between])
+        components = len(parent) - _merges(parent, self.start[between], self.stop[between])
         return (
             int(np.count_nonzero(between))
             - len(parent)
-            + pieces
+            + components
             + int(np.count_nonzero(self.kind == CYCLE))
         )
 
     def path(self, branch: int) -> np.ndarray:
-        """(n, D) the voxels of a branch, in order."""
+        """Return the voxels of a branch, in order, (n, D)."""
         return self.voxels[self.offsets[branch] : self.offsets[branch + 1]]
 
 
 def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) -> SkeletonGraph:
-    """The skeleton of a phase as a graph (Lee, Kashyap and Chu 1994, doi:10.1006/cgip.1994.1042,
-    section 5; the table of branches follows skan, Nunez-Iglesias et al. 2018,
-    doi:10.7717/peerj.4312).
+    """Measure the skeleton of a phase as a graph.
+
+    Lee, Kashyap and Chu 1994, doi:10.1006/cgip.1994.1042, section 5; the table of branches follows
+    skan, Nunez-Iglesias et al. 2018, doi:10.7717/peerj.4312.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) 
     (3, 3, 0, 1)
     """
     image, inside = indicator(image, phase)
-    skeleton = thinned(inside)
+    skeleton = thin_array(inside)
     lifted = skeleton.reshape((1,) * (3 - skeleton.ndim) + skeleton.shape)
     padded = np.pad(lifted, 1)
     places = np.flatnonzero(padded)
@@ -167,7 +168,7 @@ def skeleton_graph(image: Image | ArrayLike, *, phase: str | int | None = None) 
 def _lengths(
     voxels: np.ndarray, offsets: np.ndarray, spacing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Along every branch, and straight from its first voxel to its last."""
+    """Return the length along every branch, and straight from its first voxel to its last."""
     steps = np.linalg.norm(np.diff(voxels, axis=0) * spacing, axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     first, last = offsets[:-1], offsets[1:] - 1
@@ -187,7 +188,7 @@ def _kinds(
 
 @kernel
 def _neighbours(places, number, steps):
-    """The neighbours of voxel v: near[first[v]:first[v + 1]]."""
+    """List the neighbours of voxel v: near[first[v]:first[v + 1]]."""
     first = np.zeros(len(places) + 1, np.int64)
     for v in range(len(places)):
         count = 0
@@ -207,8 +208,8 @@ def _neighbours(places, number, steps):
 
 @kernel
 def _joints(first, near):
-    """The joint of every voxel, -1 for the others, numbered by their first voxel; and how many
-    there are.
+    """Return the joint of every voxel, -1 for the others, numbered by their first voxel; and their
+    number.
     """
     voxels = len(first) - 1
     parent = np.arange(voxels)
@@ -231,8 +232,8 @@ def _joints(first, near):
 
 @kernel
 def _walk(first, near, joint):
-    """Every branch as numbers of voxels, one after another; where each begins; the joints it starts
-    and stops at.
+    """Walk along every branch: its voxels as numbers, one after another; where each begins; the
+    joints at its ends.
     """
     voxels = len(first) - 1
     path = np.empty(3 * voxels + 1, np.int64)
@@ -286,7 +287,7 @@ def _walk(first, near, joint):
 
 @kernel
 def _merges(parent, one, other):
-    """Join the pairs; how many of them joined two pieces."""
+    """Join the pairs; return the number of them that joined two components."""
     merges = 0
     for n in range(len(one)):
         i, j = root_of(parent, one[n]), root_of(parent, other[n])

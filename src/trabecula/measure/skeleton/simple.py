@@ -21,7 +21,7 @@ FACES = 1 << 4 | 1 << 10 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 22
 
 
 def _layer(axis: int, at: int) -> int:
-    """The bits of the 3x3x3 voxels whose offset along an axis is `at`."""
+    """Return the bits of the 3x3x3 voxels whose offset along an axis is `at`."""
     offsets = np.indices((3, 3, 3))[axis].ravel()
     return sum(1 << int(k) for k in np.flatnonzero(offsets == at))
 
@@ -34,8 +34,9 @@ _NOT_FIRST_Y, _NOT_LAST_Y = NEIGHBOURS & ~_layer(1, 0) | CENTRE, NEIGHBOURS & ~_
 
 @lru_cache
 def euler_changes() -> np.ndarray:
-    """(8, 256) int8: eight times the change of the Euler number (26 neighbours) within octant o, 4
-    dz + 2 dy + dx, of a voxel's neighbourhood when the voxel is removed."""
+    """Return eight times the change of the Euler number (26 neighbours) within octant o, 4 dz + 2
+    dy + dx, of a voxel's neighbourhood when the voxel is removed, (8, 256) int8.
+    """
     eighths = np.round(8 * cube_euler(26)).astype(np.int64)
     number = np.arange(256)
     changes = np.empty((8, 256), np.int8)
@@ -46,8 +47,8 @@ def euler_changes() -> np.ndarray:
 
 
 def around(shape: tuple[int, ...]) -> np.ndarray:
-    """(27,) steps in the flat array of a volume from a voxel to its neighbourhood, in the order of
-    the bits.
+    """Return the steps in the flat array of a volume from a voxel to its neighbourhood, in the
+    order of the bits, (27,).
     """
     steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(27, 3)
     return np.asarray(steps @ np.array([shape[1] * shape[2], shape[2], 1]), np.int64)
@@ -55,7 +56,9 @@ def around(shape: tuple[int, ...]) -> np.ndarray:
 
 @inline
 def neighbourhood(state, at, steps):
-    """The 27 bits around voxel `at` of a flat volume: whether the lowest bit of `state` is set."""
+    """Return the 27 bits around voxel `at` of a flat volume: whether the lowest bit of `state` is
+    set.
+    """
     found = np.int64(0)
     for k in range(27):
         found |= (np.int64(state[at + steps[k]]) & 1) << k
@@ -72,8 +75,10 @@ def _keeps_euler(found, changes):
 
 
 @inline
-def _one_piece(found):
-    """Whether the neighbours, the centre left out, are one piece of 26-connected voxels."""
+def _is_connected(found):
+    """Return whether the neighbours, the centre left out, are one component of 26-connected
+    voxels.
+    """
     found &= NEIGHBOURS
     reached, before = found & -found, 0
     while reached != before:
@@ -87,21 +92,21 @@ def _one_piece(found):
 
 @inline
 def is_simple(found, changes):
-    """Removing the centre changes no topology, with 26 neighbours inside and 6 outside (Lee,
-    Kashyap and Chu 1994).
+    """Return whether removing the centre changes no topology, with 26 neighbours inside and 6
+    outside (Lee, Kashyap and Chu 1994).
     """
     found |= CENTRE
-    return _keeps_euler(found, changes) and _one_piece(found)
+    return _keeps_euler(found, changes) and _is_connected(found)
 
 
 @inline
 def is_simple_by_faces(found, changes):
-    """The same with 6 neighbours inside and 26 outside: then outside is what inside was."""
+    """Return the same with 6 neighbours inside and 26 outside: then outside is what inside was."""
     return is_simple(~found & NEIGHBOURS, changes)
 
 
 @inline
 def is_end(found):
-    """At most one neighbour: the end of a line, or a voxel alone."""
+    """Return whether there is at most one neighbour: the end of a line, or a voxel alone."""
     found &= NEIGHBOURS
     return found & (found - 1) == 0

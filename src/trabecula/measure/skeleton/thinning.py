@@ -5,9 +5,9 @@ algorithms", doi:10.1006/cgip.1994.1042. An iteration has six sub-iterations, on
 each direction:
 
 1. candidates: voxels whose neighbour in that direction is outside, that are simple, and no end of a
-line;
+   line;
 2. one after another each candidate is looked at again, as others have gone in the meantime, and
-removed.
+   removed.
 
 The second look tests the Euler number too, not the connectivity alone, so the topology is kept
 whatever the order. Only voxels of the border are visited, and of those only what has changed around
@@ -35,7 +35,7 @@ _UNSETTLED = 255 - _SETTLED
 
 
 def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndarray:
-    """The skeleton of a phase: lines one voxel wide along its medial axis.
+    """Thin a phase to its skeleton: lines one voxel wide along its medial axis.
 
     Lee, Kashyap and Chu 1994 (doi:10.1006/cgip.1994.1042), section 4, with 26 neighbours inside and
     6 outside.
@@ -50,7 +50,7 @@ def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndar
     -------
     skeleton : bool array, the image's shape
         Has the components, tunnels and cavities of the phase. Around a cavity a shell of one voxel
-        remains. What lies beyond the faces counts as outside, so a strut that a face cuts may end
+        remains. What is beyond the faces counts as outside, so a strut that a face cuts may end
         up to its radius before the face.
 
     Raises
@@ -71,11 +71,11 @@ def thin(image: Image | ArrayLike, *, phase: str | int | None = None) -> np.ndar
     [0, 1, 1, 1, 1, 1, 1, 1, 0]
     """
     image, inside = indicator(image, phase)
-    return thinned(inside)
+    return thin_array(inside)
 
 
-def thinned(inside: np.ndarray) -> np.ndarray:
-    """`thin` of a boolean array, (Z, Y, X) or (Y, X)."""
+def thin_array(inside: np.ndarray) -> np.ndarray:
+    """Apply `thin` to a boolean array, (Z, Y, X) or (Y, X)."""
     state = np.pad(as_inside(inside), 1).view(np.uint8)
     _, height, width = state.shape
     steps = np.array([-height * width, height * width, -width, width, -1, 1])

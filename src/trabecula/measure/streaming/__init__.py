@@ -1,4 +1,4 @@
-"""The measures of a volume whose planes go by once: every figure is that of the whole, wherever it
+"""Measures of a volume in one pass over its planes: every figure is that of the whole, wherever it
 is cut into slabs.
 
 A *tally* takes whole planes along z, from the first to the last, and keeps what the next ones will
@@ -6,21 +6,21 @@ need: the last plane (cubes, crossings, components) or the last `r_max` planes (
 Kernels and formulas are those of the measures in memory, where the whole image is one slab.
 """
 
-from trabecula.measure.streaming.components import Pieces, PieceSizes, pieces_of
-from trabecula.measure.streaming.cubes import Cubes
-from trabecula.measure.streaming.lines import Crossings, Lines
-from trabecula.measure.streaming.numbers import Numbers, PhaseNumbers, phase_figures
-from trabecula.measure.streaming.pairs import RadialPairs
+from trabecula.measure.streaming.components import ComponentSizes, ComponentTally, component_table
+from trabecula.measure.streaming.cubes import ConfigurationCounts
+from trabecula.measure.streaming.lines import CrossingTally, LineTally
+from trabecula.measure.streaming.numbers import PhaseNumbers, SolidNumbers, phase_figures
+from trabecula.measure.streaming.pairs import RadialPairTally
 
 __all__ = [
-    "Crossings",
-    "Cubes",
-    "Lines",
-    "Numbers",
+    "ComponentSizes",
+    "ComponentTally",
+    "ConfigurationCounts",
+    "CrossingTally",
+    "LineTally",
     "PhaseNumbers",
-    "PieceSizes",
-    "Pieces",
-    "RadialPairs",
+    "RadialPairTally",
+    "SolidNumbers",
+    "component_table",
     "phase_figures",
-    "pieces_of",
 ]

@@ -1,5 +1,5 @@
-"""Sums over small cubes of voxels, plane after plane: what local densities of any window are added
-up from.
+"""Sums over small cubes of voxels, plane after plane: local densities of any window add up from
+them.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ class CellMeans:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """CellMeans along z, y and x."""
+        """Return the number of cells along z, y and x."""
         return self.faces.shape[1:]
 
     @property
     def extents(self) -> tuple[float, ...]:
-        """Length of the image that the cells cover along z, y and x, in its unit."""
+        """Return the length of the image that the cells cover along z, y and x, in its unit."""
         steps = zip(self.shape, self.edges, self.spacing, strict=True)
         return tuple(count * edge * step for count, edge, step in steps)
 
 
 class CellSums:
-    """Collect the sums of cells from planes given one slab after another.
+    """Sums of cells, collected from planes given one slab after another.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class CellSums:
             self._plane += 1
 
     def result(self) -> CellMeans:
-        """The cells, once every plane was given."""
+        """Return the cells, once every plane was given."""
         voxels = np.prod(self.edges)
         # A cell of n voxels has n - 1 faces between them along an axis.
         inner = np.array([max(1, voxels // edge * (edge - 1)) for edge in self.edges]).reshape(

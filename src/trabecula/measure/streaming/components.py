@@ -1,11 +1,10 @@
 """Connected components, plane after plane.
 
 1. Number the components of a slab, and join those that meet the last plane of the slab before
-(union-find).
+   (union-find).
 2. A component without a voxel in the slab's last plane cannot grow any more: of it only its size
-and the faces that it
-   touches are kept, and how many are alike. So memory is that of a plane, whatever the number of
-   components.
+   and the faces that it touches are kept, and how many are alike. So memory is that of a plane,
+   whatever the number of components.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.measure.labelling import meeting
+from trabecula.measure.labelling import pairs_across
 from trabecula.measure.phases import as_inside
-from trabecula.measure.runs import INSIDE, Runs, merged_pieces, runs_of
+from trabecula.measure.runs import INSIDE, Runs, merge_labels, runs_of
 
 _FIRST, _LAST = (1, 4, 16), (2, 8, 32)
 """Bits of the end faces of z, y, x."""
 
 
 @dataclass(frozen=True)
-class PieceSizes:
+class ComponentSizes:
     """The components of a volume: how many there are of each size that touch the same end faces.
 
     Attributes
@@ -43,32 +42,32 @@ class PieceSizes:
 
     @property
     def components(self) -> int:
-        """Number of components."""
+        """Return the number of components."""
         return int(self.count.sum())
 
     @property
     def voxels(self) -> int:
-        """Voxels of all components."""
+        """Return the voxels of all components."""
         return int(self.size @ self.count)
 
     @property
     def largest(self) -> int:
-        """Voxels of the largest component, 0 where there is none."""
+        """Return the voxels of the largest component, 0 where there is none."""
         return int(self.size.max(initial=0))
 
     def sizes(self) -> np.ndarray:
-        """Voxels of every component, largest first, as `component_sizes` gives them."""
+        """Return the voxels of every component, largest first, as `component_sizes` gives them."""
         return np.sort(np.repeat(self.size, self.count))[::-1]
 
     def through(self, axis: int) -> int:
-        """Voxels of the components that touch both ends of an axis (0 z, 1 y, 2 x)."""
+        """Return the voxels of the components that touch both ends of an axis (0 z, 1 y, 2 x)."""
         both = _FIRST[axis] | _LAST[axis]
         spans = self.faces & both == both
         return int(self.size[spans] @ self.count[spans])
 
     def spans(self, axes: Iterable[int]) -> np.ndarray:
-        """(n,) bool: whether components of each row touch both ends of one of the axes (0 z, 1 y, 2
-        x).
+        """Return whether components of each row touch both ends of one of the axes (0 z, 1 y, 2 x),
+        (n,) bool.
         """
         found = np.zeros(len(self.faces), bool)
         for axis in axes:
@@ -77,15 +76,15 @@ class PieceSizes:
         return found
 
 
-def pieces_of(runs: Runs) -> PieceSizes:
+def component_table(runs: Runs) -> ComponentSizes:
     """Return the components of a whole volume, one a row, in the order of their labels."""
     faces = _lateral_faces(runs)
     for at, bits in ((0, _FIRST), (-1, _LAST)):
         faces[_layer(runs, 0, at)] |= bits[0]
-    return PieceSizes(runs.sizes, faces[1:], np.ones(len(runs.sizes), np.int64))
+    return ComponentSizes(runs.sizes, faces[1:], np.ones(len(runs.sizes), np.int64))
 
 
-class Pieces:
+class ComponentTally:
     """Connected components of a phase, given plane after plane.
 
     Parameters
@@ -96,7 +95,7 @@ class Pieces:
 
     def __init__(self, connectivity: int = 6) -> None:
         self._connectivity = connectivity
-        # (Y, X): the number of an open piece in the last plane, from 1 on; or 0
+        # (Y, X): the number of an open component in the last plane, from 1 on; or 0
         self._front: np.ndarray | None = None
         self._sizes = np.zeros(0, np.int64)
         self._faces = np.zeros(0, np.int64)
@@ -105,22 +104,22 @@ class Pieces:
     def add(self, inside: np.ndarray) -> None:
         """Take the next planes: a bool array, (planes, Y, X)."""
         runs = runs_of(as_inside(inside).view(np.uint8), INSIDE, self._connectivity)
-        sizes, first, last = runs.sizes, _layer(runs, 0, 0), _layer(runs, 0, -1)
+        first, last = _layer(runs, 0, 0), _layer(runs, 0, -1)
         faces = _lateral_faces(runs)
         if self._front is None:
             faces[first] |= _FIRST[0]
             pairs = np.empty((0, 2), np.int64)
         else:
-            pairs = meeting(self._front, first, self._connectivity, (False, False))
+            pairs = pairs_across(self._front, first, self._connectivity, (False, False))
         opened = len(self._sizes)
         pairs[:, 1] += opened
-        number, merged = merged_pieces(np.concatenate([self._sizes, sizes]), pairs)
+        number, merged = merge_labels(np.concatenate([self._sizes, runs.sizes]), pairs)
         touched = np.zeros(len(merged), np.int64)
         np.bitwise_or.at(touched, number - 1, np.concatenate([self._faces, faces[1:]]))
         self._carry(np.concatenate([[0], number[opened:]])[last], merged, touched)
 
     def _carry(self, front: np.ndarray, sizes: np.ndarray, faces: np.ndarray) -> None:
-        """Keep the pieces that the front touches, numbered anew, and close the others."""
+        """Carry on the components that the front touches, numbered anew, and close the others."""
         is_open = np.zeros(len(sizes) + 1, bool)
         is_open[front] = True
         is_open[0] = False
@@ -133,17 +132,17 @@ class Pieces:
         for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
             self._closed[key >> 6, key & 63] += count
 
-    def result(self) -> PieceSizes:
-        """The components of all planes that were given."""
+    def result(self) -> ComponentSizes:
+        """Return the components of all planes that were given."""
         found = self._closed.copy()
         for size, faces in zip(self._sizes.tolist(), self._faces.tolist(), strict=True):
             found[size, faces | _LAST[0]] += 1
         rows = np.array([(*key, count) for key, count in found.items()], np.int64).reshape(-1, 3)
-        return PieceSizes(*rows.T)
+        return ComponentSizes(*rows.T)
 
 
 def _lateral_faces(runs: Runs) -> np.ndarray:
-    """(n + 1,): the ends of y and x that every label touches, as bits."""
+    """Return the ends of y and x that every label touches, as bits, (n + 1,)."""
     faces = np.zeros(len(runs.sizes) + 1, np.int64)
     for axis in (1, 2):
         for at, bits in ((0, _FIRST), (-1, _LAST)):
@@ -152,7 +151,7 @@ def _lateral_faces(runs: Runs) -> np.ndarray:
 
 
 def _layer(runs: Runs, axis: int, at: int) -> np.ndarray:
-    """The labels of one layer across an axis."""
+    """Return the labels of one layer across an axis."""
     at %= runs.shape[axis]
     box = tuple(
         (at, at + 1) if other == axis else (0, side) for other, side in enumerate(runs.shape)

@@ -1,4 +1,4 @@
-"""How often each of the 256 cubes of 2x2x2 voxels occurs, plane after plane (see `measure.cubes`)."""
+"""Counts of the 256 cubes of 2x2x2 voxels, plane after plane (see `measure.configurations`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from trabecula.measure.configurations import count_cubes
 
 
-class Cubes:
+class ConfigurationCounts:
     """Counts of cubes inside a volume, and of those with a margin of outside voxels around it,
     given plane after plane.
 
@@ -28,7 +28,7 @@ class Cubes:
         if self._flat:
             inside = np.concatenate([inside, inside])
         elif self._last is None:
-            self._rim += count_cubes(_margined(inside[:1], z=(1, 0)), None)
+            self._rim += count_cubes(_add_margin(inside[:1], z=(1, 0)), None)
         else:
             inside = np.concatenate([self._last, inside])
         self._inside += count_cubes(inside, None)
@@ -36,25 +36,27 @@ class Cubes:
         self._last = inside[-1:].copy()
 
     def inside(self) -> np.ndarray:
-        """(256,) cubes wholly inside the volume: what densities are taken over."""
+        """Return the counts of cubes wholly inside the volume, (256,): densities are taken over
+        them.
+        """
         return self._inside.copy()
 
     def object(self) -> np.ndarray:
-        """(256,) cubes of the volume and a margin around it: the phase as an object, cut faces
-        being surface.
+        """Return the counts of cubes of the volume and a margin around it, (256,): the phase as an
+        object, cut faces being surface.
         """
         if self._flat or self._last is None:
             return self._inside + self._rim
-        return self._inside + self._rim + count_cubes(_margined(self._last, z=(0, 1)), None)
+        return self._inside + self._rim + count_cubes(_add_margin(self._last, z=(0, 1)), None)
 
 
-def _margined(plane: np.ndarray, *, z: tuple[int, int]) -> np.ndarray:
+def _add_margin(plane: np.ndarray, *, z: tuple[int, int]) -> np.ndarray:
     return np.pad(plane, (z, (1, 1), (1, 1)))
 
 
 def _around(inside: np.ndarray) -> np.ndarray:
-    """Cubes with a corner beyond the faces across y and x: thin plates along these faces hold them
-    all.
+    """Count the cubes with a corner beyond the faces across y and x: thin plates along these faces
+    hold them all.
     """
     low = np.pad(inside[:, :1], ((0, 0), (1, 0), (1, 1)))
     high = np.pad(inside[:, -1:], ((0, 0), (0, 1), (1, 1)))

@@ -1,4 +1,4 @@
-"""What is counted along the three axes, plane after plane: pairs, segments, and crossings of the
+"""Counts along the three axes, plane after plane: pairs, segments, and crossings of the
 interface.
 """
 
@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from trabecula.measure.correlation.lagged_counts import packed, pairs_ending, segments_ending
+from trabecula.measure.correlation.lagged_counts import (
+    count_pairs_ending,
+    count_segments_ending,
+    pack_lines,
+)
 from trabecula.measure.thickness import crossings
 
 
-class Lines:
+class LineTally:
     """Pairs and segments of a phase along z, y and x, given plane after plane.
 
     Parameters
@@ -29,20 +33,20 @@ class Lines:
 
     def add(self, inside: np.ndarray) -> None:
         """Take the next planes: a bool array, (planes, Y, X)."""
-        rows = packed(inside, 0)
+        rows = pack_lines(inside, 0)
         lines = rows if self._last is None else np.concatenate([self._last, rows])
         self._count(0, lines, len(lines) - len(rows))
         self._last = lines[max(0, len(lines) - self._r_max) :].copy()
         for axis in (1, 2):
-            self._count(axis, packed(inside, axis), 0)
+            self._count(axis, pack_lines(inside, axis), 0)
 
     def _count(self, axis: int, lines: np.ndarray, before: int) -> None:
-        self.pairs[axis] += pairs_ending(lines, lines, self._r_max, before=before)
-        self.segments[axis] += segments_ending(lines, self._r_max, before=before)
+        self.pairs[axis] += count_pairs_ending(lines, lines, self._r_max, before=before)
+        self.segments[axis] += count_segments_ending(lines, self._r_max, before=before)
 
 
-class Crossings:
-    """How often lines along z, y and x cross the interface of a phase, given plane after plane."""
+class CrossingTally:
+    """Crossings of the interface of a phase by lines along z, y and x, given plane after plane."""
 
     def __init__(self) -> None:
         self._last: np.ndarray | None = None
@@ -64,7 +68,7 @@ class Crossings:
         self._steps[axis] += steps
 
     def rates(self, spacing: tuple[float, ...]) -> list[float]:
-        """Crossings per length along every axis of the image that has steps to cross."""
+        """Return the crossings per length along every axis of the image that has steps to cross."""
         along = range(3 - len(spacing), 3)
         return [
             self._crossed[axis] / self._steps[axis] / edge

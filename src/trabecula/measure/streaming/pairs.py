@@ -1,7 +1,7 @@
 """Pairs of voxels at all offsets within reach, plane after plane.
 
-Pairs are counted with the slab in which their later end lies: those of the slab and the last planes
-before it, less those of these last planes alone.
+Pairs are counted with the slab of their later end: those of the slab and the last planes before it,
+less those of these last planes alone.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
-from trabecula.measure.correlation.fourier import mirrored_counts, transform_bytes
+from trabecula.measure.correlation.fourier import count_mirror_pairs, transform_bytes
 from trabecula.measure.correlation.pair_geometry import Radial, probability
 
 
-class RadialPairs:
+class RadialPairTally:
     """Pairs of a phase whose distance rounds to r, given plane after plane.
 
     Parameters
@@ -40,17 +40,17 @@ class RadialPairs:
         self._last = inside[max(0, len(inside) - reach) :].copy() if reach else None
 
     def _count(self, inside: np.ndarray) -> np.ndarray:
-        return mirrored_counts(
+        return count_mirror_pairs(
             inside, None, self._pairs.reach, self._pairs.window.wraps, exact=self._exact
         )
 
     def result(self) -> np.ndarray:
-        """(r_max + 1,) S2(r), as `two_point` gives it."""
+        """Return S2(r), as `two_point` gives it, (r_max + 1,)."""
         return probability(self._pairs.sum(self._counts), self._fits)
 
 
 def pairs_bytes(pairs: Radial, depth: int) -> int:
-    """Memory of taking `depth` planes at a time."""
+    """Forecast the memory of taking `depth` planes at a time."""
     _, height, width = pairs.window.shape
     planes = min(depth + pairs.reach[0], pairs.window.shape[0])
     exact = pairs.sparse(pairs.fits())

@@ -1,5 +1,5 @@
-"""Transport along one axis: diffusion, conduction and flow, each with word on how far the figure
-can be trusted.
+"""Transport along one axis: diffusion, conduction and flow, each with figures of how far it can be
+trusted.
 """
 
 from trabecula.measure.transport.conduction import conductivity, diffusivity, tortuosity

@@ -14,17 +14,17 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.transport.aggregation import AggregationMultigrid
 from trabecula.measure.transport.conduction_kernels import (
     assemble,
     enumerate_voxels,
     section_fluxes,
 )
-from trabecula.measure.transport.graph import Graph
-from trabecula.measure.transport.krylov import conjugate_gradients
-from trabecula.measure.transport.multigrid import multigrid
+from trabecula.measure.transport.graph import Graph, solve_graph
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
-from trabecula.measure.transport.section import Solver, checked_tolerance, effective, percolating
-from trabecula.measure.transport.vectors import dot
+from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
+from trabecula.numerics.krylov import Iterate
+from trabecula.numerics.vectors import dot
 
 _MOST_STEPS = 300
 _MOST_CONTRAST = 1e12
@@ -42,8 +42,8 @@ def diffusivity(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Effective diffusivity of a phase along one axis, relative to that of the bulk: D_eff / D_0,
-    0..1.
+    """Measure the effective diffusivity of a phase along one axis, relative to that of the bulk:
+    D_eff / D_0, 0..1.
 
     Steady diffusion through the phase from one end face of the image (concentration 1) to the other
     (0), nothing through the sides and the other phases: flux times length over area and difference.
@@ -68,7 +68,7 @@ def diffusivity(
     halving : bool
         Also estimate the error of discretisation: on a centre box of at most 48 voxels an edge, the
         value with every voxel split into 2x2x2 (2x2) over the value without, minus 1. Stairs stay
-        stairs, so this tells whether the equation is resolved, not whether the image is.
+        stairs, so this shows whether the equation is resolved, not whether the image is.
 
     Returns
     -------
@@ -107,7 +107,8 @@ def tortuosity(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Tortuosity factor of a phase along one axis: its volume fraction over D_eff / D_0, 1 or more.
+    """Measure the tortuosity factor of a phase along one axis: its volume fraction over D_eff /
+    D_0, 1 or more.
 
     Cooper et al. 2016, doi:10.1016/j.softx.2016.09.002, equation 1. All of the phase counts, also
     what does not percolate.
@@ -150,7 +151,8 @@ def conductivity(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Effective conductivity (thermal, electric, ...) along one axis when every phase conducts.
+    """Measure the effective conductivity (thermal, electric, ...) along one axis when every phase
+    conducts.
 
     As `diffusivity`, with the harmonic mean of both voxels at a face, which is exact for layers
     (Patankar 1980, doi:10.1201/9781482234213, section 4.2-3). Phases of conductivity 0 insulate.
@@ -187,7 +189,7 @@ def conductivity(
     """
     image = as_image(image)
     check_labels(image)
-    sigma = _checked_conductivities(image, conductivities)
+    sigma = _as_conductivities(image, conductivities)
     largest = float(sigma.max(initial=0.0)) or 1.0
     solver = _solver(sigma / largest, tolerance)
     found = effective(image, image.values, solver, axis=axis, box=box, halving=halving)
@@ -195,15 +197,16 @@ def conductivity(
 
 
 def _solver(sigma: np.ndarray, tolerance: float) -> Solver:
-    solve = partial(_conduct, sigma=sigma, tolerance=checked_tolerance(tolerance))
+    solve = partial(_conduct, sigma=sigma, tolerance=as_tolerance(tolerance))
     return Solver(solve, sigma > 0.0, CONDUCTION_BYTES)
 
 
-def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -> np.ndarray:
-    """One conductivity a label."""
+def _as_conductivities(image: Image, conductivities: Mapping[str, float]) -> np.ndarray:
+    """Return one conductivity a label."""
     if not isinstance(conductivities, Mapping):
         raise InputError(
-            f"conductivities is {conductivities!r}: give a mapping from the name of every phase to a number"
+            f"conductivities is {conductivities!r}: give a mapping from the name of every phase "
+            "to a number"
         )
     sigma = np.zeros(len(image.phases))
     for name, value in conductivities.items():
@@ -222,12 +225,14 @@ def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -
     ]
     if missing:
         raise InputError(
-            f"no conductivity is given for {', '.join(missing)}: give one for every phase, 0 to insulate"
+            f"no conductivity is given for {', '.join(missing)}: give one for every phase, 0 to "
+            "insulate"
         )
     conducting = sigma[sigma > 0.0]
     if len(conducting) and conducting.max() > _MOST_CONTRAST * conducting.min():
         raise InputError(
-            f"the conductivities differ by more than {_MOST_CONTRAST:g} times, which float64 cannot resolve: give 0 for "
+            f"the conductivities differ by more than {_MOST_CONTRAST:g} times, which float64 "
+            "cannot resolve: give 0 for "
             "phases that insulate"
         )
     return sigma
@@ -236,10 +241,10 @@ def _checked_conductivities(image: Image, conductivities: Mapping[str, float]) -
 def _conduct(
     labels: np.ndarray, edges: np.ndarray, *, sigma: np.ndarray, tolerance: float
 ) -> Effective:
-    """Conduction along the first axis; sigma of every label, at most 1."""
+    """Solve for the conduction along the first axis; sigma of every label, at most 1."""
     inside = sigma[labels] > 0.0
     fraction = int(np.count_nonzero(inside)) / inside.size
-    active = percolating(inside)
+    active = percolating_voxels(inside)
     if active is None:
         return not_percolating(fraction)
     # Scaled by the smallest edge, so that couplings stay near 1 in any unit.
@@ -255,20 +260,17 @@ def _conduct(
     def flows(x: np.ndarray) -> np.ndarray:
         return section_fluxes(labels, number, face, end, x)
 
-    def done(x: np.ndarray, residual: np.ndarray) -> bool:
-        if dot(residual, residual) > limit:
+    def accept(at: Iterate) -> bool:
+        if dot(at.residual, at.residual) > limit:
             return False
-        flow = flows(x)
+        flow = flows(at.x)
         # x . residual is the power put in less the power dissipated.
-        return imbalance(flow) <= tolerance and abs(dot(x, residual)) <= tolerance * abs(
-            float(flow.mean())
-        )
+        power = abs(dot(at.x, at.residual))
+        return imbalance(flow) <= tolerance and power <= tolerance * abs(float(flow.mean()))
 
-    x = np.zeros(count)
-    steps, converged = conjugate_gradients(
-        graph, right, x, multigrid(graph), done=done, most=_MOST_STEPS
-    )
-    flow = flows(x)
+    precondition = AggregationMultigrid(graph)
+    last, converged = solve_graph(graph, right, precondition, accept=accept, most=_MOST_STEPS)
+    flow = flows(last.x)
     depth, height, width = labels.shape
     value = float(flow.mean()) * depth / (height * width) / float(pull[0])
-    return Effective(value, converged, imbalance(flow), steps, fraction)
+    return Effective(value, converged, imbalance(flow), last.steps, fraction)

@@ -9,7 +9,7 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def enumerate_voxels(active):
-    """Number of every active voxel in raster order, -1 elsewhere, and how many there are."""
+    """Number every active voxel in raster order, -1 elsewhere; return also their count."""
     number = np.empty(active.shape, np.int32)
     count = 0
     for z in range(active.shape[0]):
@@ -22,8 +22,8 @@ def enumerate_voxels(active):
 
 @kernel
 def assemble(labels, number, count, face, end):
-    """Couplings of active voxels: face[a, b, d] between labels a and b along axis d, end[a] to an
-    end face.
+    """Assemble the couplings of active voxels: face[a, b, d] between labels a and b along axis d,
+    end[a] to an end face.
 
     Returns the fields of a Graph, and the coupling of every voxel of the first plane to its end
     face times 1 (the right-hand side for 1 on that face and 0 on the other).
@@ -66,8 +66,8 @@ def assemble(labels, number, count, face, end):
 
 @kernel
 def section_fluxes(labels, number, face, end, potential):
-    """Flux through every section across the first axis, from 1 on the near end face to 0 on the far
-    one.
+    """Return the flux through every section across the first axis, from 1 on the near end face to 0
+    on the far one.
     """
     depth, height, width = number.shape
     flux = np.zeros(depth + 1)

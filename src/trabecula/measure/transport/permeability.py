@@ -1,9 +1,25 @@
-"""Permeability: slow viscous flow through the void."""
+"""Permeability: slow viscous flow through the void.
+
+The saddle point of velocity and pressure along the first axis, with viscous matrix A and divergence
+B: A u - B' p = f, B u = 0. A step of the preconditioner is a step of SIMPLE (Patankar and Spalding
+1972, doi:10.1016/0017-9310(72)90054-3): a velocity from the momentum, a pressure that makes it free
+of divergence, a velocity corrected by that pressure. Two things make it quick in porous media:
+
+- The inverse of A that stands between pressure and velocity is replaced by its row sums, the
+  solution of A m = 1: the parabola of every channel, so that m is the local permeability, and B m
+  B' the pressure equation of Darcy's law. It is exact for a constant gradient, where the usual
+  inverse of A's diagonal is off by the square of the pore's width.
+- Below the width of a pore B A^-1 B' is the identity; so the identity's inverse is added to that of
+  B m B' (as for a Helmholtz term by Cahouet and Chabard 1988, doi:10.1002/fld.1650080802).
+
+With it some 12 to 20 steps do, whatever the size of the image and the width of its pores.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,9 +27,26 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.transport.aggregation import AggregationMultigrid
+from trabecula.measure.transport.conduction_kernels import enumerate_voxels
+from trabecula.measure.transport.graph import Graph, solve_graph
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
-from trabecula.measure.transport.section import Solver, checked_tolerance, effective, percolating
-from trabecula.measure.transport.stokes import flow_through
+from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
+from trabecula.measure.transport.stokes_kernels import (
+    assemble_pressure,
+    assemble_viscous,
+    divergence,
+    enumerate_faces,
+    link,
+    momentum,
+    push,
+    section_flows,
+)
+from trabecula.numerics.krylov import Iterate, conjugate_residuals
+from trabecula.numerics.vectors import dot
+
+_MOST_STEPS = 300
+_ROUGH = 0.03  # residual at which mobility and first pressure are good enough
 
 FLOW_BYTES = 880
 """Memory per voxel that carries flow, at the peak: resident memory, from 40 and 64 voxels an edge.
@@ -29,8 +62,9 @@ def permeability(
     box: int | Sequence[int] | None = None,
     halving: bool = False,
 ) -> Effective:
-    """Permeability k of a phase along one axis, in unit^2 (voxel^2 without a unit): Darcy's law, q
-    = -k grad(p) / viscosity.
+    """Return the permeability k of a phase along one axis, in unit^2 (voxel^2 without a unit).
+
+    Darcy's law: q = -k grad(p) / viscosity.
 
     Stokes flow through the phase from one end face of the image to the other by a difference of
     pressure: no slip at the other phases, mirrors at the side faces (no flow across them, no drag
@@ -85,17 +119,17 @@ def permeability(
     1.0312
     """
     image, inside = indicator(image, phase, default="void")
-    solve = partial(_flow, tolerance=checked_tolerance(tolerance))
+    solve = partial(_permeability, tolerance=as_tolerance(tolerance))
     solver = Solver(solve, np.array([False, True]), FLOW_BYTES)
     return effective(
         image, as_inside(inside).reshape(image.shape), solver, axis=axis, box=box, halving=halving
     )
 
 
-def _flow(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) -> Effective:
-    """Permeability along the first axis."""
+def _permeability(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) -> Effective:
+    """Solve for the permeability along the first axis."""
     fraction = int(np.count_nonzero(inside)) / inside.size
-    active = percolating(inside)
+    active = percolating_voxels(inside)
     if active is None:
         return not_percolating(fraction)
     if active.all():  # mirrors alone hold no fluid
@@ -103,8 +137,122 @@ def _flow(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) -> Effecti
     # In units of the smallest edge, so that couplings stay near 1 in any unit.
     least = float(edges.min())
     sides = edges / least
-    flow, steps, converged = flow_through(active, sides, tolerance=tolerance)
+    flow, steps, converged = _section_flows(active, sides, tolerance=tolerance)
     depth, height, width = inside.shape
     length, area = depth * sides[0], height * width * sides[1] * sides[2]
     value = float(flow.mean() * length / area) * least**2
     return Effective(value, converged, imbalance(flow), steps, fraction)
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerGrid:
+    """Unknowns and links of a marker-and-cell grid, as `stokes_kernels` describes them."""
+
+    faces: np.ndarray  # int32, (3, Z + 1, Y, X)
+    bounds: np.ndarray  # int64, (4,)
+    faces_of: np.ndarray  # int32, (N, 6)
+    cells_of: np.ndarray  # int32, (M, 2)
+    area: np.ndarray  # float64, (3,)
+    volume: float
+    viscous: Graph
+    place: np.ndarray  # int16, (N, 3), of the voxels
+
+    @classmethod
+    def of(cls, active: np.ndarray, edges: np.ndarray) -> MarkerGrid:
+        """Build the grid of the active voxels."""
+        number, cells = enumerate_voxels(active)
+        faces, bounds = enumerate_faces(number)
+        count = int(bounds[3])
+        faces_of, cells_of = link(number, faces, cells, count)
+        volume = float(np.prod(edges))
+        viscous = Graph(*assemble_viscous(number, faces, count, volume / edges**2))
+        place = np.argwhere(active).astype(np.int16)
+        return cls(faces, bounds, faces_of, cells_of, volume / edges, volume, viscous, place)
+
+    def apply(self, x: np.ndarray) -> np.ndarray:
+        """Return the whole matrix times (velocity, pressure)."""
+        u, p = np.split(x, [len(self.cells_of)])
+        force = momentum(*self.viscous.rows, self.cells_of, self.bounds, self.area, u, p)
+        return np.concatenate([force, divergence(self.faces_of, self.area, u)])
+
+    def driving_force(self) -> np.ndarray:
+        """Return the force of a pressure of 1 on the near end face."""
+        return np.where(self.cells_of[:, 0] < 0, self.area[0], 0.0)
+
+
+class SimplePreconditioner:
+    """A step of SIMPLE; calling it maps a residual to a correction."""
+
+    def __init__(self, flow: MarkerGrid) -> None:
+        self.flow = flow
+        self.velocity = AggregationMultigrid(flow.viscous)
+        ends = (flow.cells_of < 0).any(axis=1)
+        share = np.where(ends, 0.5 * flow.volume, flow.volume)
+        self.mobility = _solve_roughly(flow.viscous, share, self.velocity) / share
+        links = assemble_pressure(
+            flow.faces_of, flow.cells_of, self.mobility, flow.area, flow.place
+        )
+        self.pressure_graph = Graph(*links)
+        self.pressure = AggregationMultigrid(self.pressure_graph)
+
+    def start(self, force: np.ndarray) -> np.ndarray:
+        """Return velocity and pressure of Darcy's law."""
+        flow = self.flow
+        u = self.mobility * force
+        right = -divergence(flow.faces_of, flow.area, u)
+        p = _solve_roughly(self.pressure_graph, right, self.pressure)
+        push(flow.cells_of, flow.bounds, flow.area, p, self.mobility, u)
+        return np.concatenate([u, p])
+
+    def __call__(self, residual: np.ndarray) -> np.ndarray:
+        """Return a correction of velocity and pressure."""
+        flow = self.flow
+        force, outflow = np.split(residual, [len(flow.cells_of)])
+        u = self.velocity(force)
+        rest = outflow - divergence(flow.faces_of, flow.area, u)
+        p = self.pressure(rest)
+        push(flow.cells_of, flow.bounds, flow.area, p, self.mobility, u)
+        return np.concatenate([u, p + rest / flow.volume])
+
+
+def _solve_roughly(
+    graph: Graph, right: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    limit = _ROUGH**2 * dot(right, right)
+
+    def accept(at: Iterate) -> bool:
+        return bool(dot(at.residual, at.residual) <= limit)
+
+    return solve_graph(graph, right, precondition, accept=accept, most=20)[0].x
+
+
+def _section_flows(
+    active: np.ndarray, edges: np.ndarray, *, tolerance: float
+) -> tuple[np.ndarray, int, bool]:
+    """Solve for the flow through every section of the first axis, pressure drop and viscosity 1;
+    return also the steps, and whether they converged.
+    """
+    flow = MarkerGrid.of(active, edges)
+    count = len(flow.cells_of)
+    force = flow.driving_force()
+    precondition = SimplePreconditioner(flow)
+    x = precondition.start(force)
+    residual = -flow.apply(x)
+    residual[:count] += force
+    limit = tolerance**2 * dot(force, force)
+
+    def flows(x: np.ndarray) -> np.ndarray:
+        return section_flows(flow.faces, x[:count]) * flow.area[0]
+
+    def accept(x: np.ndarray, residual: np.ndarray) -> bool:
+        if dot(residual[:count], residual[:count]) > limit:
+            return False
+        through = flows(x)
+        # x . residual is the power put in less the power dissipated.
+        power = abs(dot(x, residual))
+        return imbalance(through) <= tolerance and power <= tolerance * abs(float(through.mean()))
+
+    steps, converged = conjugate_residuals(
+        flow.apply, residual, x, precondition, accept=accept, most=_MOST_STEPS
+    )
+    return flows(x), steps, converged

@@ -31,7 +31,7 @@ class Effective:
         solved.
     halving : float, optional
         Relative change of the value when every voxel of a centre box is split into 2x2x2 (2x2).
-        None where it was not asked for, or where that box does not percolate.
+        None where it was not requested, or where that box does not percolate.
     """
 
     value: float
@@ -45,11 +45,13 @@ class Effective:
 
 
 def not_percolating(fraction: float) -> Effective:
-    """What is known without solving anything."""
+    """Return the result of a phase that does not percolate."""
     return Effective(0.0, True, 0.0, 0, fraction)
 
 
 def imbalance(flow: np.ndarray) -> float:
-    """(max - min) / mean of the flow through sections; infinite where the mean is not positive."""
+    """Return (max - min) / mean of the flow through sections; infinite where the mean is not
+    positive.
+    """
     mean = float(flow.mean())
     return float(flow.max() - flow.min()) / mean if mean > 0.0 else math.inf

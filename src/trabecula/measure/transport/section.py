@@ -1,5 +1,5 @@
-"""What is solved: a centred box of the image, the axis of transport first, and the voxels that
-percolate along it.
+"""The part of an image that is solved: a centred box, the axis of transport first, and the voxels
+that percolate along it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.centre_crop import box_sides, centre, check_memory, clipped
+from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_sides
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
 from trabecula.measure.phases import as_axis
@@ -30,7 +30,7 @@ _GRID_BYTES = 40  # per voxel, of the phase or not: labels, components, numbers
 
 @dataclass(frozen=True)
 class Solver:
-    """How a coefficient is found, and what that takes."""
+    """The solve of a coefficient, and the memory that it takes."""
 
     solve: Callable[[np.ndarray, np.ndarray], Effective]
     """From an array (Z, Y, X), transport along its first axis, and its voxel edges."""
@@ -49,7 +49,9 @@ def effective(
     box: int | Sequence[int] | None,
     halving: bool,
 ) -> Effective:
-    """Cut the box, turn the axis to the front, solve; where asked, solve a centre box twice more."""
+    """Cut the box, turn the axis to the front, and solve; with `halving` solve a centre box twice
+    more.
+    """
     own, front = image.ndim, as_axis(axis, image.ndim)
     cut = np.moveaxis(centre(values, box_sides(box, image.shape)), front, 0)
     edges = np.roll(image.spacing[: front + 1], 1).tolist() + list(image.spacing[front + 1 :])
@@ -57,12 +59,14 @@ def effective(
         cut, edges = cut[:, None, :], [edges[0], min(edges), edges[1]]
     _check_size(cut.shape)
     check_memory(
-        needed(solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0)
+        forecast_bytes(
+            solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0
+        )
     )
     result = solver.solve(np.ascontiguousarray(cut), np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
-    small = centre(cut, clipped([HALVED] * 3, cut.shape))
+    small = centre(cut, clip_sides([HALVED] * 3, cut.shape))
     whole = solver.solve(np.ascontiguousarray(small), np.array(edges))
     if not 0.0 < whole.value < math.inf:
         return result
@@ -74,9 +78,9 @@ def effective(
     return replace(result, halving=split.value / whole.value - 1.0)
 
 
-def needed(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
-    """Bytes that a solve takes beyond its input; with `split` axes halved in a centre box, those of
-    the larger solve.
+def forecast_bytes(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
+    """Forecast the bytes that a solve takes beyond its input; with `split` axes halved in a centre
+    box, those of the larger solve.
 
     What does not percolate is left out of the solve, but is found too late to count here.
     """
@@ -88,13 +92,13 @@ def needed(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) -> int:
         return one(carrying)
     return max(
         one(carrying),
-        2**split * one(centre(carrying, clipped([HALVED] * carrying.ndim, carrying.shape))),
+        2**split * one(centre(carrying, clip_sides([HALVED] * carrying.ndim, carrying.shape))),
     )
 
 
-def percolating(inside: np.ndarray) -> np.ndarray | None:
-    """The voxels of the components (of shared faces) that touch both ends of the first axis; None
-    without any.
+def percolating_voxels(inside: np.ndarray) -> np.ndarray | None:
+    """Return the voxels of the components (of shared faces) that touch both ends of the first axis;
+    None without any.
     """
     if not (inside[0].any() and inside[-1].any()):
         return None
@@ -102,8 +106,8 @@ def percolating(inside: np.ndarray) -> np.ndarray | None:
     return voxels if voxels.any() else None
 
 
-def checked_tolerance(tolerance: float) -> float:
-    """A tolerance that float64 can reach."""
+def as_tolerance(tolerance: float) -> float:
+    """Return a tolerance that float64 can reach."""
     return float(as_number(tolerance, name="tolerance", low=1e-10, high=0.1))
 
 

@@ -19,8 +19,8 @@ from trabecula.engine.compile import inline, kernel
 
 @kernel
 def enumerate_faces(number):
-    """Number of every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; the first of every
-    axis, and the end.
+    """Number every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; return also the first
+    of every axis, and the end.
     """
     depth, height, width = number.shape
     bounds = np.zeros(4, np.int64)
@@ -49,8 +49,8 @@ def enumerate_faces(number):
 
 @kernel
 def link(number, faces, cells, count):
-    """The faces of every voxel, (N, 6): low z, y, x, high z, y, x; and the voxels of every face,
-    (M, 2): -1 is an end.
+    """Return the faces of every voxel, (N, 6): low z, y, x, high z, y, x; and the voxels of every
+    face, (M, 2): -1 is an end.
     """
     depth, height, width = number.shape
     faces_of, cells_of = np.full((cells, 6), -1, np.int32), np.full((count, 2), -1, np.int32)
@@ -79,11 +79,11 @@ def _is_void(number, z, y, x):
 
 @kernel
 def assemble_viscous(number, faces, count, pull):
-    """The viscous matrix of all velocities as the fields of a Graph; pull[d] is volume /
+    """Assemble the viscous matrix of all velocities as the fields of a Graph; pull[d] is volume /
     edge[d]**2.
 
     Ahead and behind, a wall face is a velocity of 0 at the distance of an edge. Beside, the wall
-    lies half an edge off where both voxels are solid; where one of them is, the face between them
+    is half an edge off where both voxels are solid; where one of them is, the face between them
     is a velocity of 0 at the distance of an edge (a wall at half of it over half of the face holds
     staircases more firmly, but makes round grains too large: the drag of a simple cubic array of
     spheres 3 to 5 % too high at radii of 6 to 12 voxels, against 1 %). Tangential velocity is 0 on
@@ -138,8 +138,8 @@ def assemble_viscous(number, faces, count, pull):
 
 @kernel
 def assemble_pressure(faces_of, cells_of, mobility, area, place):
-    """The matrix of div (mobility grad) over the voxels, as the fields of a Graph; area[d] of a
-    face.
+    """Assemble the matrix of div (mobility grad) over the voxels, as the fields of a Graph; area[d]
+    of a face.
     """
     count = len(faces_of)
     start, middle = np.zeros(count + 1, np.int64), np.zeros(count, np.int64)
@@ -165,7 +165,7 @@ def assemble_pressure(faces_of, cells_of, mobility, area, place):
 
 @kernel
 def momentum(start, other, weight, diagonal, cells_of, bounds, area, velocity, pressure):
-    """Viscous force less the force of the pressure, on every control volume."""
+    """Return the viscous force less the force of the pressure, on every control volume."""
     force = np.empty(len(velocity))
     for d in range(3):
         for f in range(bounds[d], bounds[d + 1]):
@@ -182,7 +182,7 @@ def momentum(start, other, weight, diagonal, cells_of, bounds, area, velocity, p
 
 @kernel
 def divergence(faces_of, area, velocity):
-    """Outflow of every voxel."""
+    """Return the outflow of every voxel."""
     out = np.empty(len(faces_of), velocity.dtype)
     for i in range(len(faces_of)):
         total = 0.0
@@ -197,7 +197,7 @@ def divergence(faces_of, area, velocity):
 
 @kernel
 def push(cells_of, bounds, area, pressure, mobility, velocity):
-    """velocity += mobility * area * (pressure before a face - pressure behind it); the pressure
+    """Add mobility * area * (pressure before a face - pressure behind it) to velocity; the pressure
     beyond the ends is 0.
     """
     for d in range(3):
@@ -212,7 +212,7 @@ def push(cells_of, bounds, area, pressure, mobility, velocity):
 
 @kernel
 def section_flows(faces, velocity):
-    """Sum of the velocities through every section across the first axis."""
+    """Sum the velocities through every section across the first axis."""
     flow = np.zeros(faces.shape[1])
     for z in range(faces.shape[1]):
         for y in range(faces.shape[2]):

@@ -1,6 +1,4 @@
-"""What a model knows of its exemplar apart from the voxels: enough to describe what it makes, and
-to tell where it is from.
-"""
+"""An exemplar without its voxels: enough to describe what a model makes, and to tell its origin."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from trabecula.core.recipe import Recipe
 
 @dataclass(frozen=True)
 class ExemplarInfo:
-    """An exemplar without its voxels.
+    """An exemplar without its voxels, or the voxels' size of material made from settings alone.
 
     Attributes
     ----------
@@ -26,7 +24,7 @@ class ExemplarInfo:
     shape : tuple of int
         Empty where there is no exemplar (`without_exemplar`).
     shares : tuple of float
-        Of every phase, 0 .. 1; of what has no phases, none.
+        Volume fraction of every phase, 0 .. 1; empty without phases or without an exemplar.
     """
 
     kind: str
@@ -38,30 +36,33 @@ class ExemplarInfo:
     recipe: Recipe
 
     def __repr__(self) -> str:
-        made = outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
-        return (
-            made.replace("<Image", "<Facts of an image", 1)
-            if self.shape
-            else "<Facts: no exemplar>"
-        )
+        if self.blank:
+            return "<ExemplarInfo: no exemplar>"
+        text = outline(self.shape, self.kind, self.spacing, self.unit, self.phases)
+        return text.replace("<Image", "<ExemplarInfo", 1)
 
     @property
     def ndim(self) -> int:
-        """Number of spatial axes, 2 or 3."""
+        """Return the number of spatial axes, 2 or 3."""
         return len(self.spacing)
 
     @property
     def blank(self) -> bool:
-        """Whether there is no exemplar, and these say no more than what is made."""
+        """Tell whether there is no exemplar: the fields then describe the result alone."""
         return not self.shape
 
+    @property
+    def empty_label(self) -> int:
+        """Return the label outside a mask: that of the phase "void", else 0."""
+        return self.phases.index("void") if "void" in self.phases else 0
+
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return plain JSON."""
         return {**asdict(self), "recipe": self.recipe.to_json()}
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> ExemplarInfo:
-        """What `to_json` gave.
+        """Build it from the JSON of `to_json`.
 
         Raises
         ------
@@ -70,48 +71,49 @@ class ExemplarInfo:
         """
         check_name(plain["kind"], KINDS, name="kind of image")
         spacing = as_spacing(plain["spacing"], ndim=len(plain["spacing"]))
-        phases, shares = (
-            tuple(map(str, plain["phases"])),
-            tuple(float(share) for share in plain["shares"]),
-        )
-        if len(shares) != (len(phases) if plain["shape"] else 0) or not isinstance(
-            plain["unit"], str
-        ):
+        phases = tuple(map(str, plain["phases"]))
+        shares = tuple(map(float, plain["shares"]))
+        expected = len(phases) if plain["shape"] else 0
+        if len(shares) != expected or not isinstance(plain["unit"], str):
             raise ValueError(
                 f"{len(phases)} phases have {len(shares)} shares, in unit {plain['unit']!r}"
             )
-        shape = as_shape(plain["shape"], ndim=len(spacing)) if plain["shape"] else ()
         return cls(
-            plain["kind"],
-            shape,
-            spacing,
-            plain["unit"],
-            phases,
-            shares,
-            Recipe.from_json(plain["recipe"]),
+            kind=plain["kind"],
+            shape=as_shape(plain["shape"], ndim=len(spacing)) if plain["shape"] else (),
+            spacing=spacing,
+            unit=plain["unit"],
+            phases=phases,
+            shares=shares,
+            recipe=Recipe.from_json(plain["recipe"]),
         )
 
 
 def without_exemplar(spacing: float = 1.0, unit: str = "voxel") -> ExemplarInfo:
-    """Of material that is made from settings alone, in cubes of edge `spacing`: void and solid.
+    """Describe material made from settings alone: void and solid in cubes of edge `spacing`.
 
     Raises
     ------
     InputError
         The spacing is no number above 0.
     """
-    return ExemplarInfo(
-        "labels", (), as_spacing((spacing,), ndim=3), unit, default_phases(2), (), Recipe()
-    )
+    edges = as_spacing((spacing,), ndim=3)
+    return ExemplarInfo("labels", (), edges, unit, default_phases(2), (), Recipe())
 
 
 def exemplar_info(exemplar: Image | ExemplarInfo) -> ExemplarInfo:
-    """The facts of an exemplar."""
+    """Return the description of an exemplar."""
     if isinstance(exemplar, ExemplarInfo):
         return exemplar
     values = exemplar.values
-    shares = tuple(
-        np.count_nonzero(values == label) / values.size for label in range(len(exemplar.phases))
+    return ExemplarInfo(
+        kind=exemplar.kind,
+        shape=exemplar.shape,
+        spacing=exemplar.spacing,
+        unit=exemplar.unit,
+        phases=exemplar.phases,
+        shares=tuple(
+            np.count_nonzero(values == label) / values.size for label in range(len(exemplar.phases))
+        ),
+        recipe=exemplar.recipe,
     )
-    fields = (exemplar.spacing, exemplar.unit, exemplar.phases, shares, exemplar.recipe)
-    return ExemplarInfo(exemplar.kind, exemplar.shape, *fields)

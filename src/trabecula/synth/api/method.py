@@ -1,14 +1,12 @@
-"""What a method's folder builds on: `Capabilities` (what it can do), `Method` (fit) and `Model`
-(generate).
+"""The base of every method: `Method`, which learns from exemplars and gives a `Model`.
 
-A method's folder holds `CAPABILITIES` in its `__init__.py`, a frozen dataclass in `config.py` and a
-`Method` in `method.py`, which fills in `_plan_fit` and `learn`; the checks and the memory budget
-are here, once.
+A method's folder holds `CAPABILITIES` in its `__init__.py`, a frozen dataclass in `config.py`, and
+a `Method` and a `Model` in `method.py`. The checks and the memory budget are here, once.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, ClassVar
@@ -20,20 +18,34 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, with_values
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe
-from trabecula.engine.plan import Plan, check_budget
+from trabecula.engine.memory import Plan, check_budget
 from trabecula.measure.margins import margin_note
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, without_exemplar
-from trabecula.synth.api.model import Model, as_request, changed_settings
+from trabecula.synth.api.model import Model, ModelState, as_request, changed_settings
 
-__all__ = ["Capabilities", "Method", "Model", "as_exemplars", "as_request"]
+__all__ = ["Capabilities", "Method", "Model", "ModelState", "as_exemplars", "as_request"]
 
 
 class Method(ABC):
-    """A way to make material, with its settings."""
+    """A way to make material, with its settings.
+
+    A subclass names its `capabilities`, `config_type` and `model_type`, and may override three
+    hooks: `learn`, `from_state` and `memory`.
+
+    Attributes
+    ----------
+    capabilities : Capabilities
+    config_type : type
+        Frozen dataclass of the settings; with presets, its class method `preset(name)` gives the
+        settings of one.
+    model_type : type
+        `Model` that the default `learn` builds.
+    """
 
     capabilities: ClassVar[Capabilities]
     config_type: ClassVar[type]
+    model_type: ClassVar[type[Model]]
 
     def __init__(self, config: Any) -> None:
         self.config = config
@@ -43,7 +55,7 @@ class Method(ABC):
 
     @classmethod
     def configured(cls, /, *, preset: str | None = None, **settings: Any) -> Method:
-        """The method with a preset's settings, changed by `settings`.
+        """Build the method with a preset's settings, changed by `settings`.
 
         Raises
         ------
@@ -57,6 +69,41 @@ class Method(ABC):
         for name in settings:
             check_name(name, known, name=f"setting of {cls.capabilities.name}")
         return cls(cls.config_type(**settings))
+
+    def learn(self, exemplars: Sequence[Any]) -> Model:
+        """Build the model of exemplars (hook).
+
+        Parameters
+        ----------
+        exemplars : sequence of Image
+            Checked against the capabilities, each with a recipe. Where the settings alone are
+            enough and none was given: one `ExemplarInfo`, which tells spacing and unit.
+        """
+        return self.model_type(self.config, exemplars)
+
+    def from_state(self, exemplars: Sequence[Any], state: ModelState) -> Model:
+        """Build the model that gave a `Model.state` (hook).
+
+        Parameters
+        ----------
+        exemplars : sequence of Image, or of ExemplarInfo
+            The exemplars that it learned from; without voxels where a model `stores_exemplar`
+            not, or learned from settings alone.
+        state : ModelState
+            Arrays and plain values of a file: to be checked.
+
+        Raises
+        ------
+        ValueError, TypeError, LookupError
+            No state of such a model.
+        """
+        return self.learn(exemplars)
+
+    def memory(self, exemplars: Sequence[Any]) -> Mapping[str, int]:
+        """Forecast the bytes that `learn` takes at its peak beside the exemplars, by purpose
+        (hook); empty where nothing is known.
+        """
+        return {}
 
     def fit(
         self,
@@ -74,10 +121,9 @@ class Method(ABC):
         exemplar : Image or array of labels, or a list or tuple of them, optional
             Several need one kind, one spacing and the same phases.
         spacing, unit : float and str, optional
-            Edge of the voxels that are made, where there is no exemplar to tell it. Default: 1
-            "voxel".
+            Edge of the result's voxels, without an exemplar. Default: 1 "voxel".
         memory : int, optional
-            Budget in bytes. Default: what the machine has available.
+            Budget in bytes. Default: the memory that the machine has available.
 
         Raises
         ------
@@ -88,40 +134,41 @@ class Method(ABC):
             Learning would take more memory than the budget.
         """
         if exemplar is None and self.capabilities.alone:
-            return self._blank(
-                without_exemplar(
-                    1.0 if spacing is None else spacing, "voxel" if unit is None else unit
-                )
-            )
+            edge, name = 1.0 if spacing is None else spacing, "voxel" if unit is None else unit
+            return self.learn([without_exemplar(edge, name)])
         if spacing is not None or unit is not None:
             raise InputError(
-                "spacing and unit are those of the exemplar: set them there (tb.read(..., spacing=, unit=))"
+                "spacing and unit are those of the exemplar: set them there (tb.read(..., "
+                "spacing=, unit=))"
             )
         images = as_exemplars(exemplar)
         self._check_exemplars(images)
-        _say_margins(images)
-        check_budget(
-            self.plan_fit(images), budget=memory, advice="learn from a smaller crop (--crop)"
-        )
-        return self.learn([_named(image) for image in images])
+        _notify_margins(images)
+        advice = "learn from a smaller crop (--crop)"
+        check_budget(self.plan_fit(images), budget=memory, advice=advice)
+        return self.learn([_with_recipe(image) for image in images])
 
-    def fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> Model:
-        """The model that `fit` made of the same exemplars, from what it had found in them
-        (`Model.looked_up`).
+    def restore(self, exemplars: Sequence[Image | ExemplarInfo], state: ModelState) -> Model:
+        """Build the model that `fit` made of the same exemplars, from its state.
 
         Raises
         ------
         InputError
             As `fit`.
         ValueError, TypeError, LookupError
-            Something else than had been found.
+            No state of such a model.
         """
-        self._check_exemplars(exemplars)
-        return self._fit_again([_named(image) for image in exemplars], found)
+        images = [one for one in exemplars if isinstance(one, Image)]
+        if images:
+            self._check_exemplars(images)
+            exemplars = [_with_recipe(image) for image in images]
+        return self.from_state(exemplars, state)
 
-    def _fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> Model:
-        """As `learn`, of a method whose models tell what they `looked_up`."""
-        raise NotImplementedError
+    def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image] | None = None) -> Plan:
+        """Forecast the memory that learning takes, the exemplars themselves left out."""
+        if exemplar is None and self.capabilities.alone:
+            return Plan()
+        return Plan(dict(self.memory(as_exemplars(exemplar))))
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         if len(images) > 1 and not self.capabilities.several:
@@ -135,85 +182,51 @@ class Method(ABC):
             for name in ("kind", "phases", "spacing", "unit"):
                 if getattr(image, name) != getattr(first, name):
                     raise InputError(
-                        f"exemplars of one material agree in {name}: got {getattr(first, name)} and "
-                        f"{getattr(image, name)}; resample or rename them first"
+                        f"exemplars of one material agree in {name}: got {getattr(first, name)} "
+                        f"and {getattr(image, name)}; resample or rename them first"
                     )
 
     def _check_exemplar(self, image: Image) -> None:
-        spec = self.capabilities
-        if spec.exemplar is None:
-            raise InputError(f"method {spec.name!r} takes no exemplar")
-        if f"{image.ndim}d" != spec.exemplar and not (spec.flat and image.ndim == 2):
+        known = self.capabilities
+        if known.exemplar is None:
             raise InputError(
-                f"method {spec.name!r} learns from a {spec.exemplar} exemplar, got {image.ndim}d of shape {image.shape}: "
-                "tb.inspect(image).recommendation names one that fits"
+                f"method {known.name!r} takes no exemplar: leave it out, its settings are enough"
             )
-        if image.kind not in spec.kinds:
+        if not known.accepts(image.ndim):
             raise InputError(
-                f"method {spec.name!r} takes {' or '.join(spec.kinds)}, got {image.kind}: "
+                f"method {known.name!r} learns from a {known.exemplar} exemplar, got {image.ndim}d "
+                f"of shape {image.shape}: tb.inspect(image).recommendation names one that fits"
+            )
+        if image.kind not in known.kinds:
+            raise InputError(
+                f"method {known.name!r} takes {' or '.join(known.kinds)}, got {image.kind}: "
                 "segment it first (tb.segment, or --threshold auto)"
             )
         if image.kind == "labels" and len(np.unique(image.values)) < 2:
+            phase = image.phases[int(image.values.flat[0])]
             raise InputError(
-                f"the exemplar holds one phase only ({image.phases[int(image.values.flat[0])]}): "
+                f"the exemplar holds one phase only ({phase}): "
                 "give a crop with both, or another threshold"
             )
 
-    def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image] | None = None) -> Plan:
-        """Forecast the memory that learning takes, the exemplars themselves left out."""
-        return (
-            Plan()
-            if exemplar is None and self.capabilities.alone
-            else self._plan_fit(as_exemplars(exemplar))
-        )
 
-    @abstractmethod
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan: ...
-
-    @abstractmethod
-    def learn(self, exemplars: Sequence[Image]) -> Model: ...
-
-    def _blank(self, facts: ExemplarInfo) -> Model:
-        """The model of the settings alone, of a method whose Spec says `alone`."""
-        raise NotImplementedError
-
-    def from_state(
-        self,
-        facts: Sequence[ExemplarInfo],
-        arrays: Mapping[str, np.ndarray],
-        plain: Mapping[str, Any],
-        *,
-        history: Mapping[str, Any],
-    ) -> Model:
-        """The model that told `Model.state`, of a method whose Spec says `learns`.
-
-        Raises
-        ------
-        ValueError, TypeError, LookupError
-            Arrays or words that are not such a model's.
-        """
-        raise NotImplementedError
-
-
-def _say_margins(images: Sequence[Image]) -> None:
-    """Say which exemplars have margins without material, since what is made has as much of them."""
+def _notify_margins(images: Sequence[Image]) -> None:
+    """Report exemplars that have margins without material, since results have as much of them."""
     for number, image in enumerate(images, start=1):
         note = margin_note(image)
         if note is not None:
             notify(note if len(images) == 1 else f"exemplar {number}: {note}")
 
 
-def _named(image: Image) -> Image:
-    """An exemplar whose recipe names it, by its voxels at least."""
-    return (
-        image
-        if image.recipe
-        else with_values(image, image.values, recipe=Recipe().then("array", image.values))
-    )
+def _with_recipe(image: Image) -> Image:
+    """Give an exemplar a recipe that names it, by its voxels at least."""
+    if image.recipe:
+        return image
+    return with_values(image, image.values, recipe=Recipe().then("array", image.values))
 
 
 def as_exemplars(given: Any) -> list[Image]:
-    """One or several exemplars as a list of images."""
+    """Return one or several exemplars as a list of images."""
     images = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
     if not images:
         raise InputError("no exemplar was given: give one, or several of one material")

@@ -1,16 +1,17 @@
-"""What a method becomes once it has seen its exemplar: `Model`, which generates.
+"""The base of every model: `Model`, a method that has learned, which generates.
 
-The checks, the memory budget and the recipe are here, once; a method's own model fills in `_plan`
-and `make`.
+The checks, the memory budget and the recipe are here, once.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import prod
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,105 +20,181 @@ import numpy as np
 from trabecula.core.checks import as_seed
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, outline
-from trabecula.core.recipe import Recipe
+from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
-from trabecula.engine import checkpoint
-from trabecula.engine.plan import Plan, check_budget, largest_within
+from trabecula.engine import checkpoint, tensors
+from trabecula.engine.files import replacing
+from trabecula.engine.memory import Plan, check_budget, largest_within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info
 from trabecula.synth.api.result_voxels import result_voxels
 
-_WRITING = 24 << 20  # bytes of what writes a store, loaded
+FORMAT = 1
+"""Format of model files; `serialize` says what is in one."""
+
+KEY, VOXELS, STATE = "trabecula", "exemplar.", "learned."
+"""The word of a model's file, and the prefixes of its arrays."""
+
+_WRITING = 24 << 20  # bytes of the code that writes a store, loaded
 
 
-class Model(ABC):
-    """A method that has seen its exemplar.
+@dataclass(frozen=True)
+class ModelState:
+    """Everything that a model learned and that is not in its settings.
 
     Attributes
     ----------
-    facts : tuple of Facts
-        What is known of the exemplars apart from their voxels; without any, of what is made
-        (`facts.blank`).
+    arrays : mapping of str to array
+    plain : mapping
+        Plain JSON.
+    history : mapping
+        Course of the learning, plain JSON: stored in the model's file, and no part of its identity.
+    """
+
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    plain: Mapping[str, Any] = field(default_factory=dict)
+    history: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Model(ABC):
+    """A method that has learned.
+
+    A subclass names its `capabilities` and gives the hook `make` (a `WindowModel`: `make_box`). It
+    may override `state`, `memory` and `mapped_memory`; to refuse what the base class lets pass,
+    `_check_request` and `_check_target`; where a result differs from the exemplar in kind, spacing,
+    unit or phases, `_result_fields`.
+
+    Attributes
+    ----------
+    facts : tuple of ExemplarInfo
+        Descriptions of the exemplars; without any, one of the result (`ExemplarInfo.blank`).
     exemplars : tuple of Image
-        The exemplars themselves; none where the method `learns` all that it needs of them.
-    spills : bool
-        Whether volumes that do not fit into memory are made in scratch files (`plan_spilled`).
+        The exemplars themselves; none where the model does not store them.
     name : str, optional
-        Of the file that it was saved to or loaded from, or of the shipped model.
+        Name of the file that it was saved to or loaded from, or of the shipped model.
     """
 
     capabilities: ClassVar[Capabilities]
-    spills: ClassVar[bool] = False
     name: str | None = None
 
     def __init__(self, config: Any, exemplars: Sequence[Image | ExemplarInfo]) -> None:
         self.config = config
         self.facts = tuple(exemplar_info(exemplar) for exemplar in exemplars)
-        self.exemplars = (
-            ()
-            if self.capabilities.learns
-            else tuple(one for one in exemplars if isinstance(one, Image))
-        )
+        images = tuple(one for one in exemplars if isinstance(one, Image))
+        self.exemplars = images if self.capabilities.stores_exemplar else ()
 
     def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""
         seen = [
-            outline(one.shape, one.kind, one.spacing, one.unit, one.phases)
+            outline(one.shape, one.kind, one.spacing, one.unit, one.phases)[1:-1]
             for one in self.facts
             if not one.blank
         ]
-        of = (
-            f" of {seen[0][1:-1]}{f' and {len(seen) - 1} more' if seen[1:] else ''}" if seen else ""
-        )
+        more = f" and {len(seen) - 1} more" if seen[1:] else ""
+        of = f" of {seen[0]}{more}" if seen else ""
         return f"<Model{name}: {self.capabilities.name}{of}; {changed_settings(self.config)}>"
 
-    def state(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
-        """Arrays and plain JSON from which `Method.from_state` makes the same model, of a method
-        that `learns`.
-        """
-        raise NotImplementedError
+    @abstractmethod
+    def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
+        """Return the values of a checked request, or the values and a report (hook).
 
-    def looked_up(self) -> Mapping[str, Any]:
-        """What fitting took long to find in the exemplars, plain JSON from which `Method.fit_again`
-        makes the same model at once; empty where learning them anew is as good."""
-        return {}
+        Returns
+        -------
+        array (Z, Y, X), of a picture (Y, X), colour last
+        report : mapping, optional
+            Plain JSON for the recipe.
+        """
+
+    def state(self) -> ModelState:
+        """Return the state from which `Method.from_state` makes the same model at once (hook);
+        empty where learning anew is as good.
+        """
+        return ModelState()
+
+    def memory(self, request: Request) -> Mapping[str, int]:
+        """Forecast the bytes of a request at its peak, by purpose (hook).
+
+        "interpreter and kernels" and "exemplar" are those that are there before it starts. The
+        default counts the result alone.
+        """
+        return {"output": self.output_bytes(request)}
+
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
+        """Forecast the bytes that stay in memory where arrays are memory-mapped (hook).
+
+        For methods whose large volumes are "memmap": "interpreter and kernels", "exemplar", and
+        "slab", the bytes of the thinnest slabs that are worked on.
+        """
+        return self.memory(request)
 
     @property
     def history(self) -> Mapping[str, Any]:
-        """How the learning went, plain JSON: kept in the model's file, and no part of what the
-        model is.
-        """
-        return {}
+        """Return the course of the learning, plain JSON: no part of the model's identity."""
+        return self.state().history
 
     @property
     def sha256(self) -> str:
-        """Digest of all that its results depend on: of the file it is saved as, without its history
-        and versions.
+        """Return the digest of all that its results depend on: of the bytes of its file, without
+        history and versions.
         """
-        # which knows the registry, and that knows us
-        from trabecula.synth.api.serialize import encoded
+        return hashlib.sha256(self.to_bytes()).hexdigest()
 
-        return hashlib.sha256(encoded(self)).hexdigest()
+    def to_bytes(self, **more: Any) -> bytes:
+        """Return the bytes of the model's file; `more` is plain JSON that is stored as well."""
+        about: dict[str, Any] = {
+            "format": FORMAT,
+            "method": self.capabilities.name,
+            "settings": asdict(self.config),
+            "exemplars": [one.to_json() for one in self.facts],
+        }
+        state = self.state()
+        arrays = {f"{STATE}{name}": array for name, array in state.arrays.items()}
+        if not self.capabilities.stores_exemplar:
+            about["learned"] = dict(state.plain)
+        else:
+            arrays |= {f"{VOXELS}{n}": image.values for n, image in enumerate(self.exemplars)}
+            about |= {"found": dict(state.plain)} if state.plain else {}
+        plain = json.dumps({**about, **more}, sort_keys=True, allow_nan=False)
+        return tensors.encode(arrays, {KEY: plain})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the model to a file that `tb.load_model` reads; it holds no voxels where the method
-        `learns`.
+        """Write the model to a file that `tb.load_model` reads; it holds no voxels where the model
+        does not store its exemplars.
 
         Raises
         ------
         FileError
             The file cannot be written.
         """
-        from trabecula.synth.api.serialize import save_model
-
-        return save_model(self, path)
+        place = Path(path)
+        data = self.to_bytes(history=dict(self.history), versions=versions())
+        with replacing(place) as temporary:
+            temporary.write_bytes(data)
+        self.name = place.name
+        return place
 
     def plan(self, request: Request) -> Plan:
         """Forecast memory and disk of a request, without starting it."""
         self._check_request(request)
         return self._plan(request)
+
+    def plan_mapped(self, request: Request, memory: int) -> Plan:
+        """Forecast a request that is made out of core within a budget of bytes: in memory-mapped
+        arrays, or ("memory") in memory and then copied to a file.
+
+        "pages" are the bytes of the files that may be resident.
+        """
+        whole = self.plan(request)
+        if self.capabilities.large == "memory":
+            memory_there = {**whole.memory, "writing": _WRITING, "pages": 0, "slab": 0}
+            return Plan(memory_there, disk=whole.disk * 8 // 7, scratch=whole.disk)
+        fixed = {**self.resident_memory(request), "writing": _WRITING}
+        resident = sum(fixed.values())
+        files = max(0, whole.peak - resident)
+        pages = max(0, min(memory - resident, files))
+        return Plan({**fixed, "pages": pages}, disk=whole.disk * 8 // 7, scratch=files + whole.disk)
 
     def generate(
         self,
@@ -137,7 +214,7 @@ class Model(ABC):
             0 .. 2**63 - 1; 0 where neither this nor the request says otherwise. Same seed, same
             voxels.
         memory : int, optional
-            Budget in bytes. Default: what the machine has available.
+            Budget in bytes. Default: the memory that the machine has available.
         **parts
             Other fields of `Request`: periodic, mask, target, fixed.
 
@@ -150,58 +227,69 @@ class Model(ABC):
         """
         request = as_request(shape, seed, parts)
         check_budget(
-            self.plan(request), budget=memory, advice=lambda limit: self._smaller(request, limit)
+            self.plan(request),
+            budget=memory,
+            advice=lambda limit: self._advise_smaller(request, limit),
         )
-        values, report = self.made(request)
+        values, report = self.compute(request)
         recipe = Recipe().then("generate", values, **self._step(request, report))
         return Image(values, **self.fields(request), recipe=recipe)
 
-    def made(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
-        """The values of a request that was checked, and what there is to tell of how they came to
-        be (plain JSON); a run that keeps its state goes on from it."""
-        asked = {"step": lambda: self.recipe(request, "").to_json()[0]}
-        with checkpoint.running(
-            self.capabilities.name, self._decisive(), request, self.exemplars, **asked
-        ):
-            made = self.make(request)
-        return made if isinstance(made, tuple) else (made, {})
+    def compute(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Return the values of a checked request and the report (plain JSON); a run that stores
+        checkpoints resumes from its own.
+        """
+        step = {"step": lambda: self.recipe(request, "").to_json()[0]}
+        running = checkpoint.running(
+            self.capabilities.name, self._decisive(), request, self.exemplars, **step
+        )
+        with running:
+            result = self.make(request)
+        return result if isinstance(result, tuple) else (result, {})
 
     def recipe(
         self, request: Request, sha256: str, report: Mapping[str, Any] | None = None
     ) -> Recipe:
-        """The recipe of a result whose voxels have this digest."""
-        return Recipe().then_made("generate", sha256, **self._step(request, report or {}))
+        """Return the recipe of a result whose voxels have this digest."""
+        return Recipe().then_digest("generate", sha256, **self._step(request, report or {}))
 
     @property
     def dtype(self) -> np.dtype:
-        """Of the values."""
-        kind = self.facts[0].kind
-        return (
-            np.dtype(np.uint8)
-            if kind == "labels" or not self.exemplars
-            else self.exemplars[0].values.dtype
+        """Return the type of a result's values."""
+        if self.facts[0].kind == "labels" or not self.exemplars:
+            return np.dtype(np.uint8)
+        return self.exemplars[0].values.dtype
+
+    def output_bytes(self, request: Request) -> int:
+        """Return the bytes of a result's values."""
+        channels = 3 if self.facts[0].kind == "colour" else 1
+        return self.dtype.itemsize * channels * prod(request.shape)
+
+    def fields(self, request: Request) -> dict[str, Any]:
+        """Return kind, spacing, unit and phases of the result of a request."""
+        found = self._result_fields()
+        unit = found.get("unit", "voxel")
+        spacing, unit = result_voxels(request, found["spacing"][-len(request.shape) :], unit)
+        return {**found, "spacing": spacing, "unit": unit}
+
+    def settings(self) -> dict[str, Any]:
+        """Return everything beside the exemplars that tells one model of a method from another:
+        plain JSON.
+        """
+        return {**asdict(self.config), **self._voxel()}
+
+    def identity(self, request: Request) -> str:
+        """Return the SHA-256 of all that the voxels of a request depend on."""
+        return checkpoint.identity_of(
+            self.capabilities.name, self._decisive(), request, self.exemplars
         )
 
-    def plan_spilled(self, request: Request, memory: int) -> Plan:
-        """Forecast of making a request in scratch files within a budget of bytes, of a method that
-        `spills`.
+    def _plan(self, request: Request) -> Plan:
+        return Plan(dict(self.memory(request)), disk=self.output_bytes(request))
 
-        "pages" is what may be resident of the files.
-        """
-        whole, fixed = self.plan(request), {**self._plan_spilled(request), "writing": _WRITING}
-        kept = sum(fixed.values())
-        files = max(0, whole.peak - kept)
-        pages = max(0, min(memory - kept, files))
-        return Plan({**fixed, "pages": pages}, disk=whole.disk * 8 // 7, scratch=files + whole.disk)
-
-    def _plan_spilled(self, request: Request) -> Mapping[str, int]:
-        """Bytes needed in memory where arrays lie in scratch files: "interpreter and kernels",
-        "exemplar", and "slab", what the thinnest slabs take."""
-        raise NotImplementedError
-
-    def _smaller(self, request: Request, budget: int) -> str:
-        """Advice to one whose request is over the budget: what fits, where nothing in it is tied to
-        its shape.
+    def _advise_smaller(self, request: Request, budget: int) -> str:
+        """Return advice for a request over its budget: the largest shape that fits, where nothing
+        in the request is tied to its shape.
         """
         advice = "ask for a smaller --shape"
         if request.is_tied:
@@ -211,60 +299,39 @@ class Model(ABC):
         )
         return advice if found is None else f"{advice} ({' '.join(map(str, found))} fits)"
 
-    def fields(self, request: Request) -> dict[str, Any]:
-        """Kind, spacing, unit and phases of the result of a request."""
-        found = self._result_fields()
-        unit = found.get("unit", "voxel")
-        spacing, unit = result_voxels(request, found["spacing"][-len(request.shape) :], unit)
-        return {**found, "spacing": spacing, "unit": unit}
-
-    def settings(self) -> dict[str, Any]:
-        """All that tells one model of a method from another, beside its exemplars: plain JSON."""
-        return {**asdict(self.config), **self._voxel()}
-
-    def identity(self, request: Request) -> str:
-        """SHA-256 of all that the voxels of a request depend on."""
-        return checkpoint.identity_of(
-            self.capabilities.name, self._decisive(), request, self.exemplars
-        )
-
     def _decisive(self) -> dict[str, Any]:
-        """All that tells this model from another, beside its exemplars."""
-        return {"model": self.sha256} if self.capabilities.learns else self.settings()
+        """Return everything beside the exemplars that the results depend on."""
+        return self.settings() if self.capabilities.stores_exemplar else {"model": self.sha256}
 
     def _voxel(self) -> dict[str, Any]:
-        """The size of the voxels, where no exemplar tells it."""
-        return (
-            {"voxel": {"spacing": self.facts[0].spacing[0], "unit": self.facts[0].unit}}
-            if self._is_alone()
-            else {}
-        )
+        """Return the size of the voxels of a model without exemplar."""
+        if not self._is_alone():
+            return {}
+        return {"voxel": {"spacing": self.facts[0].spacing[0], "unit": self.facts[0].unit}}
 
     def _is_alone(self) -> bool:
         return bool(self.facts) and self.facts[0].blank
 
     def _check_request(self, request: Request) -> None:
-        refused = sorted(request.asks_for() - self.capabilities.honours)
+        known = self.capabilities
+        refused = sorted(request.asks_for() - known.honours)
         if refused:
-            can = ", ".join(sorted(self.capabilities.honours)) or "shape and seed alone"
+            can = ", ".join(sorted(known.honours)) or "shape and seed alone"
             raise RequestError(
-                f"method {self.capabilities.name!r} cannot honour {', '.join(refused)}: it honours {can}"
+                f"method {known.name!r} cannot honour {', '.join(refused)}: it honours {can}"
             )
-        strange = [
-            name
-            for name in request.target
-            if name not in self.capabilities.targets and not self._knows_share(name)
-        ]
+        strange = [name for name in request.target if not self._knows_target(name)]
         if strange:
-            can = ", ".join(self.capabilities.targets)
             raise RequestError(
-                f"method {self.capabilities.name!r} cannot honour the target {', '.join(strange)}: it honours {can}"
+                f"method {known.name!r} cannot honour the target {', '.join(strange)}: it honours "
+                f"{', '.join(known.targets)}"
             )
-        axes = self._axes()
+        axes = known.output_axes(None if self._is_alone() or not self.facts else self.facts[0].ndim)
         if len(request.shape) not in axes:
+            of = "" if self._is_alone() else " of this exemplar"
             raise RequestError(
-                f"method {self.capabilities.name!r} makes {axes[0]}-D images{'' if self._is_alone() else ' of this exemplar'}, the "
-                f"request is for {request.shape}: give {axes[0]} numbers"
+                f"method {known.name!r} makes {axes[0]}-D images{of}, the request is for "
+                f"{request.shape}: give {axes[0]} numbers"
             )
         if self.exemplars:
             check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
@@ -272,14 +339,9 @@ class Model(ABC):
         if self.facts:
             self.fields(request)  # a form of other voxels is refused before any work
 
-    def _axes(self) -> tuple[int, ...]:
-        """Of what can be made: 3 for volumes, 2 for pictures."""
-        if not (self.capabilities.flat and self.facts):
-            return (3,)
-        return (3, 2) if self._is_alone() else (self.facts[0].ndim,)
-
-    def _knows_share(self, name: str) -> bool:
-        return OF_A_PHASE in self.capabilities.targets and name.startswith(OF_A_PHASE)
+    def _knows_target(self, name: str) -> bool:
+        known = self.capabilities.targets
+        return name in known or (OF_A_PHASE in known and name.startswith(OF_A_PHASE))
 
     def _check_target(self, request: Request) -> None:
         """Raise where the exemplars hold nothing like the target; a method that comes as near as it
@@ -297,31 +359,21 @@ class Model(ABC):
         }
 
     def _step(self, request: Request, report: Mapping[str, Any]) -> dict[str, Any]:
-        """What the recipe of a result says of how it was made."""
-        return {
+        """Return the step of a result's recipe."""
+        step = {
             "method": self.capabilities.name,
             "settings": asdict(self.config),
             "request": request.to_json(),
-            "exemplars": [facts.recipe.to_json() for facts in self.facts if not facts.blank],
+            "exemplars": [one.recipe.to_json() for one in self.facts if not one.blank],
             **self._voxel(),
-            **(
-                {"model": {"name": self.name, "sha256": self.sha256}}
-                if self.capabilities.learns
-                else {}
-            ),
-            **({"report": dict(report)} if report else {}),
         }
-
-    @abstractmethod
-    def _plan(self, request: Request) -> Plan: ...
-
-    @abstractmethod
-    def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
-        """The values, or the values and what there is to tell of how they came to be (plain JSON)."""
+        if not self.capabilities.stores_exemplar:
+            step["model"] = {"name": self.name, "sha256": self.sha256}
+        return {**step, "report": dict(report)} if report else step
 
 
 def as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
-    """A request as it is, or one of a shape, a seed and other parts."""
+    """Return a request as it is, or build one of a shape, a seed and other parts."""
     if isinstance(shape, Request):
         if parts or seed is not None:
             raise InputError("give a Request, or shape, seed and parts, not both")

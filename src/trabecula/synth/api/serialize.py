@@ -1,17 +1,18 @@
-"""Models in files: a method's name and settings, with the exemplars or with what was learned of
-them.
+"""Models in files: a method's name and settings, with the exemplars or with the state of training.
 
 A file is laid out as safetensors (engine.tensors) and holds one word, "trabecula": plain JSON of
 
     format      1; a reader refuses what is newer
     method, settings
-    exemplars   facts of each; its voxels are the array "exemplar.0" and so on, of a method that
-    does not learn learned     plain JSON of a method that does; its arrays are "learned.NAME"
-    found       plain JSON of what one that does not took long to find in its exemplars
-    history     plain JSON of how the learning went
-    versions    of what wrote it
+    exemplars   description of each; where the model stores them, their voxels are the arrays
+                "exemplar.0" and so on
+    learned     plain JSON of the state, of a model that does not store its exemplars
+    found       plain JSON of the state, of one that does, where it has a state
+    history     plain JSON of the course of the learning
+    versions    of the package that wrote it
 
-Loading checks all of it, and executes nothing.
+The arrays of a state are "learned.NAME". `Model.save` writes it; loading checks all of it, and
+executes nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,22 +29,17 @@ from trabecula import models
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, MissingExtraError
 from trabecula.core.image import Image
-from trabecula.core.recipe import versions
 from trabecula.engine import tensors
-from trabecula.engine.files import replacing
-from trabecula.engine.plan import available_memory, format_bytes
+from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.io.guard import check_there, damaged
 from trabecula.synth.api.exemplar_info import ExemplarInfo
-from trabecula.synth.api.method import Method, Model
+from trabecula.synth.api.method import Method
+from trabecula.synth.api.model import FORMAT, KEY, STATE, VOXELS, Model, ModelState
 from trabecula.synth.api.registry import method, methods
-
-FORMAT = 1
-_KEY = "trabecula"
-_VOXELS, _LEARNED = "exemplar.", "learned."
 
 
 def load_model(source: str | os.PathLike[str]) -> Model:
-    """A model from a file, or one that comes with the package by its name.
+    """Load a model from a file, or one that comes with the package by its name.
 
     Parameters
     ----------
@@ -63,24 +58,25 @@ def load_model(source: str | os.PathLike[str]) -> Model:
     --------
     >>> import tempfile, trabecula as tb
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = tb.method("noise", reach=8).fit(tb.crop(tb.sample("bone"), 24)).save(f"{folder}/bone.model")
-    ...     tb.load_model(path).generate(30, seed=1)
+    ...     model = tb.method("noise", reach=8).fit(tb.crop(tb.sample("bone"), 24))
+    ...     tb.load_model(model.save(f"{folder}/bone.model")).generate(30, seed=1)
     <Image 30x30x30 labels, voxel 40x40x40 um, phases void/solid>
     """
     path = place_of(source)
     size = path.stat().st_size
     if 2 * size > available_memory():
         raise FileError(
-            f"cannot read {path} as a model: it has {format_bytes(size)}, more than fits into memory twice"
+            f"cannot read {path} as a model: it has {format_bytes(size)}, more than fits into "
+            "memory twice"
         )
     with damaged(path, "a model", checked=False):
-        model = decoded(path.read_bytes(), path)
+        model = decode_model(path.read_bytes(), path)
     model.name = path.stem if path == models.shipped().get(path.stem) else path.name
     return model
 
 
 def place_of(source: str | os.PathLike[str]) -> Path:
-    """The file of a model: the path itself, or that of a shipped model of that name."""
+    """Return the file of a model: the path itself, or that of a shipped model of that name."""
     path, known = Path(source), models.shipped()
     if path.is_dir():
         raise FileError(f"cannot read {path} as a model: it is a folder")
@@ -92,40 +88,14 @@ def place_of(source: str | os.PathLike[str]) -> Path:
     return path
 
 
-def save_model(model: Model, path: str | os.PathLike[str]) -> Path:
-    """Write a model (see `Model.save`)."""
-    place = Path(path)
-    data = encoded(model, history=dict(model.history), versions=versions())
-    with replacing(place) as temporary:
-        temporary.write_bytes(data)
-    model.name = place.name
-    return place
+def decode_model(data: bytes, path: Path) -> Model:
+    """Build the model of a file's bytes (`Model.to_bytes` with history and versions).
 
-
-def encoded(model: Model, **more: Any) -> bytes:
-    """The bytes of a model's file; `more` is said in it as well."""
-    about: dict[str, Any] = {
-        "format": FORMAT,
-        "method": model.capabilities.name,
-        "settings": asdict(model.config),
-        "exemplars": [facts.to_json() for facts in model.facts],
-    }
-    if model.capabilities.learns:
-        arrays, plain = model.state()
-        about["learned"] = dict(plain)
-        named = {f"{_LEARNED}{name}": array for name, array in arrays.items()}
-    else:
-        named = {f"{_VOXELS}{number}": image.values for number, image in enumerate(model.exemplars)}
-        found = dict(model.looked_up())
-        about.update({"found": found} if found else {})
-    return tensors.encode(
-        named, {_KEY: json.dumps({**about, **more}, sort_keys=True, allow_nan=False)}
-    )
-
-
-def decoded(data: bytes, path: Path) -> Model:
-    """The model that `encoded` gave the bytes of, history and versions among it; `path` is what
-    messages call it.
+    Parameters
+    ----------
+    data : bytes
+    path : Path
+        Name for messages.
 
     Raises
     ------
@@ -133,73 +103,92 @@ def decoded(data: bytes, path: Path) -> Model:
         Other bytes.
     """
     arrays, words = tensors.decode(data)
-    return _opened(path, arrays, _about(path, words))
+    return _build(path, arrays, _about(path, words))
 
 
 def _about(path: Path, words: Mapping[str, str]) -> dict[str, Any]:
-    if _KEY not in words:
+    """Return the plain JSON of a file, its format checked."""
+    if KEY not in words:
         raise FileError(
             f"cannot read {path} as a model: it holds arrays, but none that this package wrote"
         )
-    about = json.loads(words[_KEY])
+    about = json.loads(words[KEY])
     if not isinstance(about, dict) or type(about.get("format")) is not int:
         raise ValueError("what it says of itself is damaged")
     if about["format"] > FORMAT:
-        made = dict(about.get("versions") or {}).get("trabecula", "unknown")
+        wrote = dict(about.get("versions") or {}).get("trabecula", "unknown")
         raise FileError(
-            f"cannot read {path} as a model: trabecula {made} wrote it, in format {about['format']}; this one reads up "
-            f"to {FORMAT}: install a newer trabecula"
+            f"cannot read {path} as a model: trabecula {wrote} wrote it, in format "
+            f"{about['format']}; this one reads up to {FORMAT}: install a newer trabecula"
         )
     return about
 
 
-def _opened(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Model:
+def _build(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Model:
+    """Build a model from the parts of its file."""
     known, name = methods(), about["method"]
     if name not in known:
         raise FileError(
-            f"cannot read {path} as a model: its method {name!r} is not in this trabecula; update it"
+            f"cannot read {path} as a model: its method {name!r} is not in this trabecula; update "
+            "it, or install the package that has it"
         )
     try:
-        facts = [ExemplarInfo.from_json(plain) for plain in about["exemplars"]]
-        if not facts:
+        exemplars = [ExemplarInfo.from_json(plain) for plain in about["exemplars"]]
+        if not exemplars:
             raise ValueError("it names no exemplar")
         _check_finite(arrays)
         chosen = method(name, **about["settings"])
-        if known[name].learns:
-            return chosen.from_state(
-                facts, _named(arrays, _LEARNED), about["learned"], history=dict(about["history"])
-            )
-        return _fitted(chosen, facts, _named(arrays, _VOXELS), about.get("found"))
+        stores = known[name].stores_exemplar
+        _check_prefixes(arrays, (VOXELS, STATE) if stores else (STATE,))
+        voxels, state = _take(arrays, VOXELS), _take(arrays, STATE)
+        if not stores:
+            history = dict(about["history"])
+            return chosen.from_state(exemplars, ModelState(state, about["learned"], history))
+        history = dict(about.get("history") or {})
+        found = ModelState(state, about.get("found") or {}, history)
+        return _learned_again(chosen, exemplars, voxels, found)
     except MissingExtraError:
         raise
     except InputError as error:
         raise FileError(f"cannot read {path} as a model: {error}") from error
 
 
-def _fitted(
+def _learned_again(
     chosen: Method,
-    facts: Sequence[ExemplarInfo],
+    exemplars: Sequence[ExemplarInfo],
     voxels: Mapping[str, np.ndarray],
-    found: Mapping[str, Any] | None,
+    state: ModelState,
 ) -> Model:
-    if len(facts) == 1 and facts[0].blank:
-        return chosen.fit(spacing=facts[0].spacing[0], unit=facts[0].unit)
-    if sorted(voxels) != sorted(str(number) for number in range(len(facts))):
+    """Restore a model that stores its exemplars, or fit it anew where it has no state."""
+    stateless = not state.plain and not state.arrays
+    if len(exemplars) == 1 and exemplars[0].blank:
+        if not stateless:
+            return chosen.restore(exemplars, state)
+        return chosen.fit(spacing=exemplars[0].spacing[0], unit=exemplars[0].unit)
+    if sorted(voxels) != sorted(str(number) for number in range(len(exemplars))):
         raise ValueError(
-            f"it holds the voxels of {len(voxels)} exemplars and describes {len(facts)}"
+            f"it holds the voxels of {len(voxels)} exemplars and describes {len(exemplars)}"
         )
-    exemplars = [
+    images = [
         Image(voxels[str(number)], one.kind, one.spacing, one.unit, one.phases, one.recipe)
-        for number, one in enumerate(facts)
+        for number, one in enumerate(exemplars)
     ]
-    return chosen.fit(exemplars) if found is None else chosen.fit_again(exemplars, found)
+    return chosen.fit(images) if stateless else chosen.restore(images, state)
 
 
-def _named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    strange = [name for name in arrays if not name.startswith(prefix)]
+def _take(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays of a prefix by their names without it."""
+    return {
+        name.removeprefix(prefix): array
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }
+
+
+def _check_prefixes(arrays: Mapping[str, np.ndarray], prefixes: tuple[str, ...]) -> None:
+    strange = [name for name in arrays if not name.startswith(prefixes)]
     if strange:
         raise ValueError(f"it holds {strange[0]!r}, which has no place in it")
-    return {name.removeprefix(prefix): array for name, array in arrays.items()}
 
 
 def _check_finite(arrays: Mapping[str, np.ndarray]) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
@@ -14,25 +14,48 @@ from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box, part_bytes, slices_of
-from trabecula.engine.plan import Plan
-from trabecula.synth.api.method import Model, as_request
+from trabecula.engine.memory import Plan
+from trabecula.synth.api.model import Model, as_request
 
 # voxels from the origin, so that every coordinate of a cell or voxel fits into 32 bits
 _FARTHEST = 2**30
 
 
+def makes_boxes(model: Model) -> TypeGuard[WindowModel]:
+    """Tell whether a model makes any box of its material alone."""
+    return model.capabilities.large == "box"
+
+
 class WindowModel(Model):
-    """A model that fills in `make_box` and `_plan_box`, and gets the rest: whole volumes, windows,
-    forms, streams.
+    """A model that gives the hook `make_box` and gets the rest: whole volumes, windows, forms,
+    streams.
+
+    It may also override `box_memory`; `report_run`, for the recipe; and `_check_windows`, where some
+    settings let no box be made alone (such a model gives `make` as well).
 
     Attributes
     ----------
     block : int
-        Edge of the boxes that it makes with least work for what it keeps, voxels; a multiple of
-        128.
+        Edge of the boxes that it makes with least work for their voxels; a multiple of 128.
     """
 
     block: ClassVar[int] = 128
+
+    @abstractmethod
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
+        """Return the values of a box (Z, Y, X), of a picture (Y, X), in an array that the caller
+        may write into (hook); the request's mask is applied by the caller.
+        """
+
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        """Forecast the bytes that making a box of this shape takes beside its values, by purpose
+        (hook; see `Model.memory`).
+        """
+        return {}
+
+    def report_run(self) -> Mapping[str, Any]:
+        """Return plain JSON for the recipe of every result (hook)."""
+        return {}
 
     def window(
         self,
@@ -42,15 +65,15 @@ class WindowModel(Model):
         seed: int | None = None,
         **parts: Any,
     ) -> np.ndarray:
-        """The values of a box of what `generate` would make of the same request, or of what lies
-        beyond it.
+        """Return the values of a box of the result of the same request to `generate`, or of the
+        material around it.
 
         Parameters
         ----------
         shape : int, sequence of int, or Request
             As of `generate`; along an axis that is not periodic it does not matter.
         box : three pairs of int, of a picture two
-            First voxel and the one after the last along z, y, x; negative ones lie before the
+            First voxel and the one after the last along z, y, x; negative ones are before the
             origin.
         seed, **parts :
             As of `generate`.
@@ -81,60 +104,60 @@ class WindowModel(Model):
         return self.values_of(request, _as_box(box, request))
 
     def values_of(self, request: Request, box: Box) -> np.ndarray:
-        """The values of a box of a request that has been checked."""
+        """Return the values of a box of a checked request."""
         self._check_windows()
         values = self.make_box(request, box)
         if request.mask is not None:
-            phases = self.facts[0].phases
-            values[~request.mask[slices_of(box)]] = phases.index("void") if "void" in phases else 0
+            values[~request.mask[slices_of(box)]] = self.facts[0].empty_label
         return values
 
+    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Return the whole volume as one box, and the report."""
+        whole = tuple((0, side) for side in request.shape)
+        return self.values_of(request, whole), self.report_run()
+
+    def memory(self, request: Request) -> Mapping[str, int]:
+        """Forecast the bytes of the whole volume made as one box."""
+        return {**self.box_memory(request, request.shape), **super().memory(request)}
+
     def plan_block(self, request: Request, side: int) -> Plan:
-        """Forecast of making the request in blocks of `side` voxels."""
+        """Forecast making a request in blocks of `side` voxels."""
         self._check_request(request)
         self._check_windows()
         shape = tuple(min(side, length) for length in request.shape)
-        block = part_bytes(request.shape, shape, self.dtype)
-        levels = self._size(request) // 7  # an eighth, and an eighth of that, ...
-        return Plan(
-            {**self._plan_box(request, shape), "block": block}, disk=self._size(request) + levels
-        )
+        block, size = part_bytes(request.shape, shape, self.dtype), self.output_bytes(request)
+        levels = size // 7  # an eighth, and an eighth of that, ...
+        return Plan({**self.box_memory(request, shape), "block": block}, disk=size + levels)
 
     def recipe(
         self, request: Request, sha256: str, report: Mapping[str, Any] | None = None
     ) -> Recipe:
-        """The recipe of a result whose voxels have this digest."""
-        return super().recipe(request, sha256, self._report() if report is None else report)
-
-    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
-        return self.values_of(request, tuple((0, side) for side in request.shape)), self._report()
-
-    def _report(self) -> Mapping[str, Any]:
-        """What else there is to tell of how the values come to be (plain JSON)."""
-        return {}
-
-    def _plan(self, request: Request) -> Plan:
-        size = self._size(request)
-        return Plan({**self._plan_box(request, request.shape), "output": size}, disk=size)
-
-    def _size(self, request: Request) -> int:
-        return self.dtype.itemsize * int(np.prod(request.shape, dtype=np.int64))
+        """Return the recipe of a result whose voxels have this digest."""
+        return super().recipe(request, sha256, self.report_run() if report is None else report)
 
     def _check_windows(self) -> None:
-        """Raise where the settings let no box be made alone; such a model fills in `make` as well."""
+        """Raise where the settings let no box be made alone."""
 
-    @abstractmethod
-    def make_box(self, request: Request, box: Box) -> np.ndarray:
-        """The values of a box, (Z, Y, X), the caller's to write into; the mask is not looked at."""
 
-    @abstractmethod
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        """Bytes that making a box of this shape takes beside its values; with "interpreter and
-        kernels" and "exemplar".
-        """
+def field_in(field: np.ndarray, box: Box) -> np.ndarray:
+    """Return the part of a request's field, such as a target, in a box.
+
+    Raises
+    ------
+    InputError
+        The box leaves the field.
+    """
+    for (start, stop), side in zip(box, field.shape, strict=True):
+        if start < 0 or stop > side:
+            raise InputError(
+                f"the box {box} leaves the target's field of shape {field.shape}: nothing says "
+                "what it is there"
+            )
+    return field[slices_of(box)]
 
 
 def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
+    """Check a box and return it as pairs of int."""
     axes = "zyx"[-len(request.shape) :]
     pairs = (
         f"{'three' if len(axes) == 3 else 'two'} pairs of whole numbers, along {', '.join(axes)}"
@@ -153,7 +176,8 @@ def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
             )
         if first < -_FARTHEST or last > _FARTHEST:
             raise InputError(
-                f"the box runs from {first} to {last} along {axis}: farther than 2**30 voxels from the origin"
+                f"the box runs from {first} to {last} along {axis}: farther than 2**30 "
+                "voxels from the origin"
             )
     inside = all(
         first >= 0 and last <= side
@@ -161,6 +185,7 @@ def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
     )
     if request.mask is not None and not inside:
         raise InputError(
-            f"the box {found} leaves the mask of shape {request.shape}: nothing says what is filled there"
+            f"the box {found} leaves the mask of shape {request.shape}: nothing says what is filled "
+            "there"
         )
     return found

@@ -16,7 +16,7 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.engine.blocks import Box, slices_of
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel

@@ -2,17 +2,16 @@
 this folder.
 """
 
-from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="chen",
     summary="a volume from pictures as kopf makes it, of the pictures' own pixels, all of which are used evenly",
     paper="Chen, Wang (2010), High quality solid texture synthesis using position and index histogram matching",
-    exemplar="2d",
+    learns_from=("pictures",),
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
-    several=True,
     presets=("fast", "best", "paper"),
-    scaling="sweep",
-    target="trabecula.synth.chen.method:Chen",
+    large="memmap",
+    method="trabecula.synth.chen.method:Chen",
 )

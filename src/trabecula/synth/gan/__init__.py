@@ -2,19 +2,20 @@
 folder.
 """
 
-from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="gan",
-    summary="a generator learnt from one exemplar in minutes, which then makes material without limit in a moment",
+    summary="a generator learnt from one exemplar in minutes, which then makes material without "
+    "limit in a moment",
     paper="Zhang, Yang, Li, Wu, Wang (2021), ScaffoldGAN",
-    exemplar="3d",
+    learns_from=("volume",),
     kinds=("labels", "grey"),
     honours=frozenset({"periodic", "mask"}),
-    scaling="window",
-    learns=True,
+    large="box",
+    stores_exemplar=False,
     trial={"iterations": 2, "minutes": 1000.0, "width": 2, "batch": 2, "crop": 64},
-    target="trabecula.synth.gan.method:Gan",
+    method="trabecula.synth.gan.method:Gan",
     extras=("learn",),
     presets=("compact", "paper", "3dgan", "patchgan", "gram", "structural", "all"),
 )

@@ -1,6 +1,4 @@
-"""The two networks at play: the maker, its average over time and the judge, with their optimisers,
-and one step of each.
-"""
+"""The generator, its exponential moving average and the discriminator, with a training step."""
 
 from __future__ import annotations
 
@@ -15,18 +13,16 @@ from torch import Tensor
 from trabecula.core.seeds import key
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.loading import arithmetic
-from trabecula.synth.gan.networks import Score, discriminator_of, generator_of
-from trabecula.synth.gan.perceptual import Table, gram
+from trabecula.synth.gan.networks import Score, arithmetic, new_discriminator, new_generator
 
 _PENALTY_EVERY = 2  # iterations; its weight makes up for it
 _SLICED_EVERY = 2
-_WARM = 2.0  # times the rate, while nothing is judged
-_RAMP = 0.1  # the average forgets the first iterations faster
+_WARMUP_RATE = 2.0  # times the learning rate, while the discriminator waits
+_RAMP = 0.1  # the moving average forgets the first iterations faster
 
 
-class Players:
-    """Maker, average and judge.
+class AdversarialPair:
+    """Generator and discriminator with their optimisers, and the generator's moving average.
 
     Parameters
     ----------
@@ -40,146 +36,158 @@ class Players:
         self.config, self.channels, self.device = config, channels, device
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(key(config.seed, "gan/weights")) >> 1)
-            maker, judge = generator_of(config, channels), discriminator_of(config, channels)
-        self.maker, self.judge = (
-            net.to(device, memory_format=torch.channels_last_3d) for net in (maker, judge)
+            networks = new_generator(config, channels), new_discriminator(config, channels)
+        self.generator, self.discriminator = (
+            network.to(device, memory_format=torch.channels_last_3d) for network in networks
         )
-        self.average = copy.deepcopy(self.maker).requires_grad_(False)
+        self.ema = copy.deepcopy(self.generator).requires_grad_(False)
         betas = (0.5, 0.999) if config.adversarial == "standard" else (0.5, 0.99)
         self.optimisers = [
-            torch.optim.Adam(net.parameters(), config.rate, betas)
-            for net in (self.maker, self.judge)
+            torch.optim.Adam(network.parameters(), config.rate, betas)
+            for network in (self.generator, self.discriminator)
         ]
-        self.table: Table | None = None
+        self.table: losses.CandidateTable | None = None
 
-    def mixed(self) -> AbstractContextManager[Any]:
-        """The arithmetic of the networks."""
+    def autocast(self) -> AbstractContextManager[Any]:
+        """Run the networks in the arithmetic of the config."""
         return torch.autocast(
             self.device.type, torch.bfloat16, enabled=arithmetic(self.config) == "bf16"
         )
 
-    def made(self, draw: torch.Generator) -> Tensor:
-        """A batch of made crops, (B, K, crop, crop, crop) float32."""
+    def generate(self, random: torch.Generator) -> Tensor:
+        """Generate a batch of crops, (B, K, crop, crop, crop) float32."""
         cells = self.config.crop // self.config.cell
-        side = cells + 2 * self.maker.halo if self.config.generator == "subpixel" else cells - 3
+        side = cells + 2 * self.generator.halo if self.config.generator == "subpixel" else cells - 3
         z = torch.randn(
             self.config.batch,
-            self.maker.latent,
+            self.generator.latent,
             side,
             side,
             side,
-            generator=draw,
+            generator=random,
             device=self.device,
         )
-        with self.mixed():
-            return self.maker(z.to(memory_format=torch.channels_last_3d)).float()
+        with self.autocast():
+            return self.generator(z.to(memory_format=torch.channels_last_3d)).float()
 
-    def shown(self, draw: torch.Generator) -> Tensor:
-        """A batch of made crops to look at."""
+    def sample(self, random: torch.Generator) -> Tensor:
+        """Generate a batch of crops without gradients."""
         with torch.no_grad():
-            return self.made(draw)
+            return self.generate(random)
 
-    def paced(self, pace: float) -> None:
-        """Set the rates, `pace` times those of the config."""
+    def set_learning_rate(self, factor: float) -> None:
+        """Set the learning rates to `factor` times the config's."""
         for optimiser in self.optimisers:
             for group in optimiser.param_groups:
-                group["lr"] = self.config.rate * pace
+                group["lr"] = self.config.rate * factor
 
-    def warm(self, real: Tensor, draw: torch.Generator) -> dict[str, float]:
-        """A step of the maker on the distribution of neighbourhoods alone."""
-        loss = losses.sliced(self.made(draw), real, draw)
+    def warmup_step(self, real: Tensor, random: torch.Generator) -> dict[str, float]:
+        """Step the generator on the distribution of neighbourhoods alone; return the losses."""
+        loss = losses.sliced(self.generate(random), real, random)
         for group in self.optimisers[0].param_groups:
-            group["lr"] *= _WARM
-        self._stepped(0, loss)
-        return {"maker": 0.0, "judge": 0.0, "sliced": loss.item()}
+            group["lr"] *= _WARMUP_RATE
+        self._step(0, loss)
+        return {"generator": 0.0, "discriminator": 0.0, "sliced": loss.item()}
 
-    def play(
-        self, real: Tensor, draw: torch.Generator, iteration: int, noise: float
+    def train_step(
+        self, real: Tensor, random: torch.Generator, iteration: int, noise: float
     ) -> dict[str, float]:
-        """A step of the judge, then one of the maker, on the same crops."""
+        """Step the discriminator, then the generator, on the same crops; return the losses.
+
+        Parameters
+        ----------
+        real : (B, K, crop, crop, crop) tensor
+        random : torch.Generator
+        iteration : int
+        noise : float
+            Standard deviation of the noise on all crops that the discriminator sees.
+        """
         config = self.config
-        made = self.made(draw)
-        blurs = [
-            noise * torch.randn(real.shape, generator=draw, device=self.device) if noise else 0.0
+        fake = self.generate(random)
+        noises = [
+            noise * torch.randn(real.shape, generator=random, device=self.device) if noise else 0.0
             for _ in range(2)
         ]
-        shown = real + blurs[0]
-        with self.mixed():
-            verdicts, fooled = self.judge(shown), self.judge(made.detach() + blurs[1])
+        real_noisy = real + noises[0]
+        with self.autocast():
+            verdicts = self.discriminator(real_noisy)
+            fake_verdicts = self.discriminator(fake.detach() + noises[1])
             if config.adversarial == "relativistic":
-                judged = losses.relativistic(verdicts, fooled)
+                loss = losses.relativistic(verdicts, fake_verdicts)
             else:
-                judged = losses.standard(verdicts, real=True) + losses.standard(fooled, real=False)
+                loss = losses.standard(verdicts, real=True)
+                loss = loss + losses.standard(fake_verdicts, real=False)
             if config.penalty and iteration % _PENALTY_EVERY == 0:
-                penalty = losses.gradient_penalty(self.judge, shown)
-                judged = judged + 0.5 * config.penalty * _PENALTY_EVERY * penalty
-        self._stepped(1, judged)
-        self.judge.requires_grad_(False)
-        with self.mixed():
-            making, told = self._making(
-                made, made + blurs[1], shown, [v.detach() for v in verdicts]
+                penalty = losses.gradient_penalty(self.discriminator, real_noisy)
+                loss = loss + 0.5 * config.penalty * _PENALTY_EVERY * penalty
+        self._step(1, loss)
+        self.discriminator.requires_grad_(False)
+        with self.autocast():
+            generator_loss, parts = self._generator_loss(
+                fake + noises[1], real_noisy, [verdict.detach() for verdict in verdicts]
             )
         if config.sliced and iteration % _SLICED_EVERY == 0:
-            term = losses.sliced(made, real, draw)
-            making, told["sliced"] = making + config.sliced * _SLICED_EVERY * term, term.item()
-        self._stepped(0, making)
-        self.judge.requires_grad_(True)
-        return {"judge": judged.item(), **told}
+            term = losses.sliced(fake, real, random)
+            generator_loss = generator_loss + config.sliced * _SLICED_EVERY * term
+            parts["sliced"] = term.item()
+        self._step(0, generator_loss)
+        self.discriminator.requires_grad_(True)
+        return {"discriminator": loss.item(), **parts}
 
-    def _making(
-        self, made: Tensor, seen: Tensor, real: Tensor, verdicts: list[Tensor]
+    def _generator_loss(
+        self, fake: Tensor, real: Tensor, verdicts: list[Tensor]
     ) -> tuple[Tensor, dict[str, float]]:
-        """What the maker minimises (equation 2), and its parts."""
+        """Return the generator's loss (equation 2 of the paper) and the values of its parts."""
         config = self.config
         plain = not (config.gram or config.structural)
-        if not plain and not isinstance(self.judge, Score):
+        if not plain and not isinstance(self.discriminator, Score):
             raise TypeError("the gram and the structural loss need the paper's discriminator")
-        features = [] if plain else self.judge.features(seen)
-        fooled = self.judge(seen) if plain else self.judge.judged(features)
+        features = [] if plain else self.discriminator.features(fake)
+        fake_verdicts = self.discriminator(fake) if plain else self.discriminator.verdicts(features)
         relative = config.adversarial == "relativistic"
         loss = (
-            losses.relativistic(fooled, verdicts)
+            losses.relativistic(fake_verdicts, verdicts)
             if relative
-            else losses.standard(fooled, real=True)
+            else losses.standard(fake_verdicts, real=True)
         )
-        told = {"maker": loss.item()}
+        parts = {"generator": loss.item()}
         if config.gram:
             with torch.no_grad():
-                aims = self.judge.features(real)
-            part = gram(features, aims)
-            loss, told["gram"] = loss + config.gram * part, part.item()
+                real_features = self.discriminator.features(real)
+            part = losses.gram(features, real_features)
+            loss, parts["gram"] = loss + config.gram * part, part.item()
         if config.structural and self.table is not None:
-            part = self.table.loss(self.judge, features)
-            loss, told["structural"] = loss + config.structural * part, part.item()
-        return loss, told
+            part = self.table.loss(self.discriminator, features)
+            loss, parts["structural"] = loss + config.structural * part, part.item()
+        return loss, parts
 
-    def _stepped(self, player: int, loss: Tensor) -> None:
-        self.optimisers[player].zero_grad()
+    def _step(self, network: int, loss: Tensor) -> None:
+        self.optimisers[network].zero_grad()
         loss.backward()
-        self.optimisers[player].step()
+        self.optimisers[network].step()
 
-    def averaged(self, iteration: int) -> None:
-        """Let the average follow the maker."""
-        kept = min(self.config.average, 1 - 1 / (1 + _RAMP * iteration))
+    def update_ema(self, iteration: int) -> None:
+        """Move the moving average towards the generator."""
+        decay = min(self.config.average, 1 - 1 / (1 + _RAMP * iteration))
         with torch.no_grad():
-            for old, new in zip(self.average.parameters(), self.maker.parameters(), strict=True):
-                old.lerp_(new, 1 - kept)
-            for old, new in zip(self.average.buffers(), self.maker.buffers(), strict=True):
+            for old, new in zip(self.ema.parameters(), self.generator.parameters(), strict=True):
+                old.lerp_(new, 1 - decay)
+            for old, new in zip(self.ema.buffers(), self.generator.buffers(), strict=True):
                 old.copy_(new)
 
     def state(self) -> dict[str, Tensor]:
-        """All that the next step starts from, copied, by name."""
+        """Copy all tensors that the next step starts from, by name."""
         return {name: tensor.detach().clone() for name, tensor in self._tensors()}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Go back to a state."""
-        for net in ("maker", "average", "judge"):
+        """Go back to what `state` returned."""
+        for network in ("generator", "ema", "discriminator"):
             part = {
-                name.removeprefix(f"{net}."): value
+                name.removeprefix(f"{network}."): value
                 for name, value in state.items()
-                if name.startswith(f"{net}.")
+                if name.startswith(f"{network}.")
             }
-            getattr(self, net).load_state_dict(part)
+            getattr(self, network).load_state_dict(part)
         for number, optimiser in enumerate(self.optimisers):
             for place, parameter in enumerate(optimiser.param_groups[0]["params"]):
                 head = f"optimiser{number}.{place}."
@@ -194,9 +202,9 @@ class Players:
                     optimiser.state.pop(parameter, None)
 
     def _tensors(self) -> Iterator[tuple[str, Tensor]]:
-        for net in ("maker", "average", "judge"):
-            for name, tensor in getattr(self, net).state_dict().items():
-                yield f"{net}.{name}", tensor
+        for network in ("generator", "ema", "discriminator"):
+            for name, tensor in getattr(self, network).state_dict().items():
+                yield f"{network}.{name}", tensor
         for number, optimiser in enumerate(self.optimisers):
             for place, parameter in enumerate(optimiser.param_groups[0]["params"]):
                 for name, tensor in optimiser.state.get(parameter, {}).items():

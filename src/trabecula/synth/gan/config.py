@@ -21,12 +21,12 @@ class GanConfig:
     """Settings of `gan`."""
 
     generator: str = "subpixel"
-    """Network that makes: "subpixel" (convolutions without padding, sub-pixel steps),
+    """Generator: "subpixel" (convolutions without padding, sub-pixel steps),
     "deconvolution" (the paper's table read with its fifth layer as the output: B) or
     "deconvolution+conv" (with an output convolution after it: A)."""
 
     discriminator: str = "scales"
-    """Network that judges: "scales" (a verdict for every place, on two scales), or the paper's
+    """Discriminator: "scales" (a verdict for every place, on two scales), or the paper's
     layers with one verdict for the whole crop ("score") or one for every place ("patch")."""
 
     width: int = 16
@@ -44,15 +44,15 @@ class GanConfig:
     smoother interfaces, fewer connections."""
 
     specks: int = 2
-    """Edge of the box, voxels, 0 .. 2: pieces of a phase that fit into it are taken away when
-    material is made, 1 to 8 voxels that are joined to nothing. 0 keeps them."""
+    """Edge of the box, voxels, 0 .. 2: components of a phase that fit into it, 1 to 8
+    voxels, are removed when material is made. 0 keeps them."""
 
     latent: int = 16
     """Channels of the latent, 1 .. 512. The paper's: 100."""
 
     crop: int = 64
-    """Edge of the crops that are judged, voxels, 32 .. 128: a multiple of 8 of at least 40, for the
-    paper's networks of 32.
+    """Edge of the crops that the discriminator sees, voxels, 32 .. 128: a multiple of 8 of at least
+    40, for the paper's networks of 32.
     """
 
     batch: int = 2
@@ -65,21 +65,21 @@ class GanConfig:
 
     penalty: float = 0.5
     """Weight of the gradient penalty R1 on real crops (squared gradient of all verdicts over their
-    number), 0 .. 1000; 0 leaves it out. Too much and the judge sees nothing, too little and it runs
-    away from the maker."""
+    number), 0 .. 1000; 0 leaves it out. With too much the discriminator learns nothing, with too
+    little it runs away from the generator."""
 
     noise: tuple[float, float] = (0.1, 0.02)
-    """Standard deviation of the noise that both kinds of crops get before they are judged, at the
-    start and at the end.
+    """Standard deviation of the noise that both kinds of crops get before the discriminator
+    sees them, at the start and at the end.
     """
 
     warmup: float = 0.12
-    """Share of the training that matches sliced distributions of neighbourhoods, before anything is
-    judged, 0 .. 1.
+    """Share of the training that matches sliced distributions of neighbourhoods, before the
+    discriminator starts, 0 .. 1.
     """
 
     sliced: float = 2.0
-    """Weight of the same term beside the verdict afterwards, 0 .. 1000."""
+    """Weight of the same term beside the adversarial loss afterwards, 0 .. 1000."""
 
     gram: float = 0.0
     """Weight of the gram loss, 0 .. 1000. The paper's: 0.1."""
@@ -94,8 +94,8 @@ class GanConfig:
     """Share of the training, at its end, over which the rate falls to nothing, 0 .. 1."""
 
     average: float = 0.995
-    """How much of the averaged weights is kept an iteration, 0 .. 0.99999; 0 keeps the last weights
-    alone.
+    """Decay of the exponential moving average of the weights per iteration, 0 .. 0.99999; 0 takes
+    the last weights alone.
     """
 
     clip: float = 5.0
@@ -116,21 +116,21 @@ class GanConfig:
     give the same model; give minutes as well, and it stops where they are over."""
 
     looks: int = 24
-    """Looks at what is made in a run, 1 .. 1000: figures, a picture, and a state to go on from."""
+    """Evaluations in a run, 1 .. 1000: figures, a picture, and a checkpoint."""
 
     patience: int = 0
-    """Looks without a better two-point function after which the training stops, 0 .. 1000; 0 goes
-    on.
+    """Evaluations without a better two-point function after which the training stops, 0 .. 1000;
+    0 never stops it.
     """
 
     seed: int = 0
-    """Of the training: weights, crops and noise."""
+    """Seed of the training: weights, crops and noise."""
 
     device: str = "auto"
     """Where to train and to generate: "cpu", "cuda", or "auto" (a GPU where there is one)."""
 
     precision: str = "auto"
-    """Of the networks' arithmetic in training: "bf16", "float32", or "auto" (bf16 where the
+    """Arithmetic of the networks in training: "bf16", "float32", or "auto" (bf16 where the
     processor multiplies in it).
     """
 
@@ -139,7 +139,7 @@ class GanConfig:
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """Settings of a preset."""
+        """Return the settings of a preset."""
         return PRESETS[name]
 
     def __post_init__(self) -> None:
@@ -159,32 +159,35 @@ class GanConfig:
         self._check_crop()
         if self.smoothing + self.polish > 2:
             raise InputError(
-                f"smoothing={self.smoothing} and polish={self.polish} are more than 2 blurs: lower one of them"
+                f"smoothing={self.smoothing} and polish={self.polish} are more than 2 blurs: "
+                "lower one of them"
             )
         if not self.minutes and not self.iterations:
             raise InputError("minutes=0 and iterations=0 train for ever: give one of them")
         if (self.gram or self.structural) and self.discriminator == "scales":
             raise InputError(
-                "gram and structural losses compare features of the paper's networks: discriminator='score'"
+                "gram and structural losses compare features of the paper's networks: "
+                "discriminator='score'"
             )
 
     def _check_crop(self) -> None:
         step = 8 if self.discriminator == "scales" else 32
         if self.crop % max(step, self.cell) or self.crop < self.least_crop:
             raise InputError(
-                f"crop={self.crop} should be a multiple of {max(step, self.cell)} voxels, {self.least_crop} at least, with "
-                f"generator={self.generator!r} and discriminator={self.discriminator!r}"
+                f"crop={self.crop} should be a multiple of {max(step, self.cell)} voxels, "
+                f"{self.least_crop} at least, with generator={self.generator!r} and "
+                f"discriminator={self.discriminator!r}"
             )
 
     @property
     def least_crop(self) -> int:
-        """Edge of the smallest crop that its networks take, voxels."""
+        """Return the edge of the smallest crop that the networks take, voxels."""
         least = 40 if self.discriminator == "scales" else 32
         return least if self.generator == "subpixel" else max(64, least)
 
     @property
     def cell(self) -> int:
-        """Edge of a cell of the latent, voxels."""
+        """Return the edge of a cell of the latent, voxels."""
         return 8 if self.generator == "subpixel" else 16
 
 
@@ -214,7 +217,7 @@ _RANGES = (
 
 
 def _as_pair(noise: Any) -> tuple[float, float]:
-    """The two standard deviations of `noise`."""
+    """Return the two standard deviations of `noise`."""
     try:
         first, last = noise
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""From an exemplar to what the networks see: fields in -1 .. 1, and random crops of them."""
+"""An exemplar as training data: fields in -1 .. 1, and random crops of them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from trabecula.synth.shared.fields import phase_fields
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 
 Turn = tuple[tuple[int, ...], tuple[int, ...]]
-"""Order of the axes 1, 2, 3 of a field, and those that are then turned around."""
+"""Order of the axes 1, 2, 3 of a field, and the axes that are then flipped."""
 
 
 @dataclass(frozen=True)
-class Fields:
-    """An exemplar as the networks see it.
+class TrainingFields:
+    """The fields of an exemplar, and the orientations in which crops are taken.
 
     Parameters
     ----------
@@ -40,13 +40,14 @@ class Fields:
     crop: int
 
     def crops(self, count: int, seed: int, iteration: int) -> Tensor:
-        """(count, K, crop, crop, crop), random in place and orientation: a function of seed and
-        iteration alone.
+        """Return (count, K, crop, crop, crop), random in place and orientation.
+
+        They are a function of seed and iteration alone.
         """
-        draw = generator(seed, "gan/crops", iteration)
+        random = generator(seed, "gan/crops", iteration)
         c = self.crop
-        starts = draw.integers(0, np.asarray(self.values.shape[1:]) - c + 1, (count, 3)).tolist()
-        turns = draw.integers(0, len(self.turns), count).tolist()
+        starts = random.integers(0, np.asarray(self.values.shape[1:]) - c + 1, (count, 3)).tolist()
+        turns = random.integers(0, len(self.turns), count).tolist()
         parts = []
         for (z, y, x), turn in zip(starts, turns, strict=True):
             order, flipped = self.turns[turn]
@@ -54,13 +55,13 @@ class Fields:
             parts.append(part.permute(0, *order).flip(flipped))
         return torch.stack(parts)
 
-    def on(self, device: torch.device) -> Fields:
-        """The same on a device."""
+    def on(self, device: torch.device) -> TrainingFields:
+        """Return the same on a device."""
         return replace(self, values=self.values.to(device))
 
 
-def fields_of(image: Image, config: GanConfig) -> Fields:
-    """The fields of an exemplar."""
+def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
+    """Return the fields of an exemplar."""
     if image.kind == "grey":
         low, high = grey_range(image.values)
         values = np.clip(
@@ -72,20 +73,20 @@ def fields_of(image: Image, config: GanConfig) -> Fields:
         clipped = np.clip(values, -config.clip, config.clip)
         values = np.tanh(clipped / 2) if config.clip else np.sign(values)
     values = np.ascontiguousarray(values, np.float32)
-    return Fields(torch.from_numpy(values), turns_of(config.orientations), config.crop)
+    return TrainingFields(torch.from_numpy(values), turns_of(config.orientations), config.crop)
 
 
 def grey_range(values: np.ndarray) -> tuple[float, float]:
-    """The grey values at -1 and at 1."""
+    """Return the grey values at -1 and at 1."""
     low, high = np.quantile(values, [_TAIL, 1 - _TAIL])
     return float(low), float(high)
 
 
 def turns_of(orientations: str) -> tuple[Turn, ...]:
-    """The orientations by name.
+    """List the orientations of a setting.
 
-    Turned through a point ("inverted") a material keeps every two-point function along every
-    direction; mirrored it keeps those along the axes.
+    Inverted through a point a material has the same two-point function along every direction;
+    mirrored it has the same along the axes.
     """
     orders = list(permutations((1, 2, 3))) if orientations == "all" else [(1, 2, 3)]
     flips: list[tuple[int, ...]] = [()]

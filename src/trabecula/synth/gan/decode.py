@@ -1,7 +1,7 @@
-"""From what a generator makes to values of an image, voxel by voxel: windows agree because no
-neighbour counts.
+"""From the field of a generator to the values of an image, and the calibration for it.
 
-A field has one channel for two phases (rising into the phase of the higher label), one for grey,
+Each voxel counts alone, so windows agree. A field has one channel for two phases (rising into the
+phase of the higher label), one for grey,
 and one for each phase where there are more. A calibration is plain JSON: {"kind": "labels",
 "present": [0, 1], "offsets": [t]} where the higher label is given above t; {"kind": "labels",
 "present": [0, 1, 2], "offsets": [a, b, c]} where the channel that is highest after its offset is
@@ -16,9 +16,30 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.image import Image
+from trabecula.core.optional import need
+from trabecula.core.seeds import key
+from trabecula.engine.compile import inline, kernel
+
+CELLS = 8
+"""Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes
+that are no multiple.
+"""
+
+LARGEST_SPECK = 2
+"""Edge of the largest box, voxels, whose components may be removed: none of
+them can enclose another.
+"""
+
+# Calibration takes every third voxel along every axis: neighbours say nearly the same, and an odd
+# step meets all places of a cell.
+_EVERY = 3
+_LEVELS = 257  # of the table of grey values
+_ROUNDS = 200  # of moving the offsets of several phases
+
 
 def decode(field: np.ndarray, calibration: Mapping[str, Any]) -> np.ndarray:
-    """Labels or grey values of a field.
+    """Convert a field to labels or grey values.
 
     Parameters
     ----------
@@ -43,3 +64,170 @@ def decode(field: np.ndarray, calibration: Mapping[str, Any]) -> np.ndarray:
         index[value > best] = place
         np.maximum(best, value, out=best)
     return present[index]
+
+
+def remove_specks(labels: np.ndarray, edge: int) -> np.ndarray:
+    """Remove the components that fit into a box of `edge` voxels along every axis.
+
+    Components are joined across faces. One takes the label before its first voxel along x: its own
+    neighbourhood alone decides, so that windows agree. Components that touch the border of the
+    array stay, since they may go on beyond it. Scans have such specks too, but fewer.
+
+    Parameters
+    ----------
+    labels : (Z, Y, X) uint8 array
+    edge : int
+        0 .. 2 voxels; 0 removes nothing.
+
+    Returns
+    -------
+    labels : (Z, Y, X) uint8 array
+    """
+    found = np.ascontiguousarray(labels).copy()
+    if edge:
+        _clear_specks(
+            np.ascontiguousarray(labels), edge, np.empty((LARGEST_SPECK**3, 3), np.int64), found
+        )
+    return found
+
+
+@kernel
+def _clear_specks(labels, edge, voxels, found):
+    """Visit every voxel that can be the first of a component in raster order.
+
+    `voxels` is room for the places of one component.
+    """
+    depth, height, width = labels.shape
+    for z in range(1, depth - 1):
+        for y in range(1, height - 1):
+            for x in range(1, width - 1):
+                label = labels[z, y, x]
+                if (
+                    labels[z, y, x - 1] == label
+                    or labels[z, y - 1, x] == label
+                    or labels[z - 1, y, x] == label
+                ):
+                    continue
+                for number in range(_gather(labels, z, y, x, edge, voxels)):
+                    a, b, c = voxels[number]
+                    found[a, b, c] = labels[z, y, x - 1]
+
+
+@inline
+def _gather(labels, z, y, x, edge, voxels):
+    """Collect the voxels of the component that starts with a voxel; return their number.
+
+    0 where it starts before, is larger than `edge` or touches the border.
+    """
+    low, high = np.array([z, y, x]), np.array([z, y, x])
+    voxels[0] = low
+    count, at = 1, 0
+    here = np.empty(3, np.int64)
+    while at < count:
+        for side in range(6):
+            axis = side >> 1
+            here[:] = voxels[at]
+            here[axis] += 1 if side & 1 else -1
+            if here[axis] < 0 or here[axis] == labels.shape[axis]:
+                return 0
+            if labels[here[0], here[1], here[2]] != labels[z, y, x]:
+                continue
+            known = False
+            for number in range(count):
+                known = known or (
+                    voxels[number, 0] == here[0]
+                    and voxels[number, 1] == here[1]
+                    and voxels[number, 2] == here[2]
+                )
+            if known:
+                continue
+            if here[0] < z or (here[0] == z and (here[1] < y or (here[1] == y and here[2] < x))):
+                return 0
+            low[axis] = min(low[axis], here[axis])
+            high[axis] = max(high[axis], here[axis])
+            if high[axis] - low[axis] >= edge:
+                return 0
+            voxels[count] = here
+            count += 1
+        at += 1
+    return count
+
+
+def calibrate(network: Any, image: Image, seed: int, *, tiles: int | None = None) -> dict[str, Any]:
+    """Calibrate a generator so that `decode` gives the exemplar's fractions or grey values.
+
+    The noise is one that the training never saw.
+
+    Parameters
+    ----------
+    network : generator
+        As `networks.load_generator` returns it, in the arithmetic of inference.
+    image : Image
+        The exemplar.
+    seed : int
+        Of the training.
+    tiles : int, optional
+        Number of tiles of noise. Default: the network's. Fractions differ from tile to tile, so
+        that few tiles would shift every sample alike: 32 of bone (64^3) by .0025, half of the
+        spread between samples of 120^3.
+    """
+    field = held_out_field(network, seed, tiles or network.tiles)
+    if image.kind == "grey":
+        levels = np.linspace(0, 1, _LEVELS)
+        tables = {"from": np.quantile(field[0], levels), "to": np.quantile(image.values, levels)}
+        # np.interp wants a rising table: of equal levels the first stays.
+        rising = np.concatenate([[True], np.diff(tables["from"]) > 0])
+        return {
+            "kind": "grey",
+            "dtype": str(image.values.dtype),
+            **{k: t[rising].tolist() for k, t in tables.items()},
+        }
+    present = np.unique(image.values)
+    fractions = np.bincount(image.values.ravel())[present] / image.values.size
+    offsets = (
+        [float(np.quantile(field[0], fractions[0]))]
+        if len(present) == 2
+        else balance_offsets(field, fractions)
+    )
+    return {"kind": "labels", "present": present.tolist(), "offsets": offsets}
+
+
+def held_out_field(network: Any, seed: int, tiles: int) -> np.ndarray:
+    """Return every third voxel along every axis of tiles of noise, (K, voxels) float32."""
+    torch = need("torch", extra="learn", purpose="method 'gan'")
+    weight = next(network.parameters())
+    random = torch.Generator().manual_seed(int(key(seed, "gan/held out")) >> 1)
+    side = CELLS + 2 * network.halo
+    found = []
+    with torch.inference_mode():
+        for _ in range(tiles):
+            z = torch.randn(1, network.latent, side, side, side, generator=random).to(weight.dtype)
+            field = network.cells(z.to(memory_format=torch.channels_last_3d))[
+                0, :, ::_EVERY, ::_EVERY, ::_EVERY
+            ]
+            found.append(field.float().flatten(1).numpy())
+    return np.concatenate(found, axis=1)
+
+
+def balance_offsets(field: np.ndarray, fractions: np.ndarray) -> list[float]:
+    """Find offsets of the channels (K, N) such that the largest one gives the fractions, to a few
+    in a thousand.
+
+    A phase that is short is raised, one in excess lowered, by steps that shrink once a fraction has
+    been passed.
+    """
+    offsets = np.zeros(len(field), np.float32)
+    step: np.ndarray = np.full(len(field), 0.1, np.float32)
+    before = np.zeros(len(field))
+    for _ in range(_ROUNDS):
+        share = (
+            np.bincount((field + offsets[:, None]).argmax(0), minlength=len(field)) / field.shape[1]
+        )
+        missing = fractions - share
+        step = np.where(missing * before < 0, step / 2, step * 1.1).astype(np.float32)
+        offsets += np.sign(missing).astype(np.float32) * np.minimum(step, 1)
+        offsets -= offsets.mean()
+        before = missing
+        if abs(missing).max() < 2e-4:
+            break
+    return [float(offset) for offset in offsets]

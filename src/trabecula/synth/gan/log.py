@@ -1,24 +1,36 @@
-"""What a training leaves behind in its folder: metrics.csv, a slice at every look, and the curve
-with slices along it.
+"""The folder of a training: metrics, a slice at every evaluation, the curve of losses with slices
+along it, and a checkpoint (arrays and plain JSON in one file, nothing pickled).
 """
 
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
+import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image as Picture
 from PIL import ImageDraw
 
+from trabecula.core.image import Image
+from trabecula.core.optional import need
+from trabecula.core.progress import notify
+from trabecula.core.recipe import digest
 from trabecula.engine.files import replacing
+from trabecula.synth.gan.config import GanConfig
+
+_CHECKPOINT, _ABOUT, _FORMAT = "training.npz", "about", 2
 
 _WIDTH, _HEIGHT, _MARGIN, _SLICE = 960, 300, 30, 150  # of the plot, pixels
 _SHOWN = 6  # slices along the curve
 _COLOURS = {
-    "maker": (31, 119, 180),
-    "judge": (214, 39, 40),
+    "generator": (31, 119, 180),
+    "discriminator": (214, 39, 40),
     "sliced": (44, 160, 44),
     "two_point": (120, 60, 160),
 }
@@ -38,18 +50,18 @@ class TrainingLog:
         self.rows: list[dict[str, float]] = []
         self.slices: list[np.ndarray] = []
 
-    def continued(self, rows: Sequence[Mapping[str, float]]) -> None:
-        """Go on after the looks of a run that was interrupted."""
+    def restore(self, rows: Sequence[Mapping[str, float]]) -> None:
+        """Continue after the evaluations of an interrupted run."""
         self.rows = [dict(row) for row in rows]
         self.slices = (
-            [np.asarray(Picture.open(self._slice(row))) for row in rows] if self.path else []
+            [np.asarray(Picture.open(self._slice_path(row))) for row in rows] if self.path else []
         )
 
-    def _slice(self, row: Mapping[str, float]) -> Path:
+    def _slice_path(self, row: Mapping[str, float]) -> Path:
         return (self.path or Path()) / f"slice-{int(row['iteration']):06d}.png"
 
     def add(self, row: Mapping[str, float], middle: np.ndarray) -> None:
-        """A look: its figures, and a slice (Y, X) of what was made."""
+        """Add the figures of an evaluation and a slice (Y, X) of what was generated."""
         self.rows.append(dict(row))
         self.slices.append(as_bytes(middle))
         if self.path is None:
@@ -62,22 +74,20 @@ class TrainingLog:
             writer = csv.DictWriter(stream, names)
             writer.writeheader()
             writer.writerows(self.rows)
-        with replacing(self._slice(row)) as temporary:
+        with replacing(self._slice_path(row)) as temporary:
             Picture.fromarray(self.slices[-1]).save(temporary)
         with replacing(self.path / "training.png") as temporary:
-            plotted(self.rows, self.slices).save(temporary)
+            plot_losses(self.rows, self.slices).save(temporary)
 
 
 def as_bytes(middle: np.ndarray) -> np.ndarray:
-    """A slice of labels or grey as uint8, black to white."""
+    """Convert a slice of labels or grey to uint8, black to white."""
     low, high = float(middle.min()), float(middle.max())
     return np.rint((middle - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
 
 
-def plotted(rows: Sequence[Mapping[str, float]], slices: Sequence[np.ndarray]) -> Picture.Image:
-    """The losses over the iterations with slices of what was made above them (figure 5 of the
-    paper).
-    """
+def plot_losses(rows: Sequence[Mapping[str, float]], slices: Sequence[np.ndarray]) -> Picture.Image:
+    """Plot the losses over the iterations, with generated slices above (figure 5 of the paper)."""
     canvas = Picture.new("RGB", (_WIDTH, _HEIGHT + _SLICE + 2 * _MARGIN), "white")
     draw = ImageDraw.Draw(canvas)
     last = max(row["iteration"] for row in rows)
@@ -88,7 +98,7 @@ def plotted(rows: Sequence[Mapping[str, float]], slices: Sequence[np.ndarray]) -
             Picture.fromarray(slices[place]).resize((_SLICE, _SLICE), Picture.Resampling.NEAREST),
             (left, 0),
         )
-        x = _across(rows[place]["iteration"], last)
+        x = _column(rows[place]["iteration"], last)
         draw.line([(left + _SLICE // 2, _SLICE), (x, _SLICE + _MARGIN)], fill=(150, 150, 150))
     draw.rectangle(
         [_MARGIN, _SLICE + _MARGIN, _WIDTH - _MARGIN, _SLICE + _MARGIN + _HEIGHT], outline="black"
@@ -101,7 +111,7 @@ def plotted(rows: Sequence[Mapping[str, float]], slices: Sequence[np.ndarray]) -
             continue
         top = max(value for _, value in points) or 1.0
         line = [
-            (_across(at, last), _SLICE + _MARGIN + round(_HEIGHT * (1 - max(value, 0) / top)))
+            (_column(at, last), _SLICE + _MARGIN + round(_HEIGHT * (1 - max(value, 0) / top)))
             for at, value in points
         ]
         draw.line(line if len(line) > 1 else line * 2, fill=colour, width=2)
@@ -116,5 +126,65 @@ def plotted(rows: Sequence[Mapping[str, float]], slices: Sequence[np.ndarray]) -
     return canvas
 
 
-def _across(iteration: float, last: float) -> int:
+def _column(iteration: float, last: float) -> int:
     return _MARGIN + round((_WIDTH - 2 * _MARGIN) * iteration / max(last, 1))
+
+
+@dataclass(frozen=True)
+class TrainingCheckpoint:
+    """A training that can be resumed: tensors by name, and plain JSON."""
+
+    tensors: dict[str, Any]
+    plain: dict[str, Any]
+
+
+def save_checkpoint(
+    config: GanConfig, image: Image, tensors: Mapping[str, Any], plain: Mapping[str, Any]
+) -> None:
+    """Write a checkpoint into the folder of the run, if there is one."""
+    if not config.run:
+        return
+    about = json.dumps({"identity": _identity(config, image), **plain}).encode()
+    with replacing(Path(config.run) / _CHECKPOINT) as temporary, temporary.open("wb") as stream:
+        arrays = {f"state.{name}": tensor.cpu().numpy() for name, tensor in tensors.items()}
+        np.savez(stream, **{_ABOUT: np.frombuffer(about, np.uint8)}, **arrays)  # type: ignore[arg-type]
+
+
+def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | None:
+    """Read the checkpoint of the same run; None where there is none."""
+    path = Path(config.run or ".") / _CHECKPOINT
+    if not config.run or not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            about = json.loads(bytes(stored[_ABOUT]))
+            arrays = {
+                name.removeprefix("state."): stored[name] for name in stored.files if name != _ABOUT
+            }
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        notify(f"{path.name} is damaged ({error}): starting from the beginning")
+        return None
+    if about.pop("identity", None) != _identity(config, image):
+        notify(f"{path.name} was left by another training: starting from the beginning")
+        return None
+    torch = need("torch", extra="learn", purpose="method 'gan'")
+    return TrainingCheckpoint(
+        {name: torch.from_numpy(array) for name, array in arrays.items()}, about
+    )
+
+
+def _identity(config: GanConfig, image: Image) -> str:
+    """Return the SHA-256 of all that the training depends on; its length may change."""
+    settings = {
+        name: value
+        for name, value in asdict(config).items()
+        if name not in ("run", "minutes", "looks", "patience")
+    }
+    torch = need("torch", extra="learn", purpose="method 'gan'")
+    parts = {
+        "format": _FORMAT,
+        "settings": settings,
+        "exemplar": digest(image.values),
+        "torch": str(torch.__version__),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,8 @@
-"""What the training minimises."""
+"""The losses: adversarial, sliced transport, and the paper's on the discriminator's features.
+
+The gram (section 3.3) and the structural loss (section 3.2, equations 3 and 4) are means rather
+than the sums of the paper's equations, so that their weights do not depend on the size of a crop.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool3d, conv3d, softplus
 
+from trabecula.synth.gan.networks import Score
+
+SLICES = 4
+"""Equally spaced slices along every axis that the gram loss looks at."""
+
+EDGES = (8, 4, 2)
+"""Edge and stride of the cubical regions of the structural loss, voxels of each of the first three
+layers.
+"""
+
 
 def relativistic(better: Sequence[Tensor], worse: Sequence[Tensor]) -> Tensor:
-    """Paired: a verdict on one kind should lie above that on the other (Jolicoeur-Martineau 2018,
-    Huang et al. 2024).
+    """Return the paired relativistic loss: verdicts on one kind should exceed those on the other
+    (Jolicoeur-Martineau 2018, Huang et al. 2024).
     """
     return sum(
         (softplus(w.float() - b.float()).mean() for b, w in zip(better, worse, strict=True)),
@@ -20,41 +34,42 @@ def relativistic(better: Sequence[Tensor], worse: Sequence[Tensor]) -> Tensor:
 
 
 def standard(verdicts: Sequence[Tensor], *, real: bool) -> Tensor:
-    """The non-saturating loss on verdicts before the sigmoid (equation 1 of the paper)."""
+    """Return the non-saturating loss on verdicts before the sigmoid (equation 1 of the paper)."""
     return sum(
         (softplus(-v.float() if real else v.float()).mean() for v in verdicts), torch.zeros(())
     )
 
 
-def gradient_penalty(judge: nn.Module, real: Tensor) -> Tensor:
-    """R1 (Mescheder et al. 2018): squared gradient of a verdict by the crop it is on, a mean over
-    verdicts.
+def gradient_penalty(discriminator: nn.Module, real: Tensor) -> Tensor:
+    """Return R1 (Mescheder et al. 2018): the squared gradient of a verdict by its crop, a mean
+    over verdicts.
     """
     real = real.detach().requires_grad_(True)
     total = sum(
-        (v.float().sum() / (v.numel() / len(v)) ** 0.5 for v in judge(real)), torch.zeros(())
+        (v.float().sum() / (v.numel() / len(v)) ** 0.5 for v in discriminator(real)),
+        torch.zeros(()),
     )
     (slope,) = torch.autograd.grad(total, real, create_graph=True)
     return slope.float().square().sum() / len(real)
 
 
 def sliced(
-    made: Tensor,
+    fake: Tensor,
     real: Tensor,
-    draw: torch.Generator,
+    random: torch.Generator,
     *,
     width: int = 7,
     count: int = 32,
     scales: int = 3,
 ) -> Tensor:
-    """Distance of the distributions of neighbourhoods along random directions, on several scales
-    (Rabin et al. 2011).
+    """Return the distance of the distributions of neighbourhoods along random directions, on
+    several scales (Rabin et al. 2011).
 
     Parameters
     ----------
-    made, real : (B, K, Z, Y, X) tensor
-    draw : torch.Generator
-        Of the directions and of where the grid of neighbourhoods starts.
+    fake, real : (B, K, Z, Y, X) tensor
+    random : torch.Generator
+        Source of the directions and of the first place of the grid of neighbourhoods.
     width : int
         Of a neighbourhood, voxels of its scale.
     count : int
@@ -62,24 +77,128 @@ def sliced(
     scales : int
         Each has half the resolution of the one before, and twice as dense a grid.
     """
-    total = torch.zeros((), device=made.device)
+    total = torch.zeros((), device=fake.device)
     for scale in range(scales):
         step = max(1, 4 >> scale)
         directions = torch.randn(
-            count, made.shape[1], width, width, width, generator=draw, device=draw.device
+            count, fake.shape[1], width, width, width, generator=random, device=random.device
         )
         directions = (directions / directions.flatten(1).norm(dim=1)[:, None, None, None, None]).to(
-            made.device
+            fake.device
         )
-        starts = torch.randint(0, step, (3,), generator=draw, device=draw.device).tolist()
-        a, b = (_along(volume, directions, starts, step) for volume in (made, real))
+        starts = torch.randint(0, step, (3,), generator=random, device=random.device).tolist()
+        a, b = (_sort_projections(volume, directions, starts, step) for volume in (fake, real))
         total = total + (a - b).square().mean()
-        made, real = avg_pool3d(made, 2), avg_pool3d(real, 2)
+        fake, real = avg_pool3d(fake, 2), avg_pool3d(real, 2)
     return total
 
 
-def _along(volume: Tensor, directions: Tensor, starts: Sequence[int], step: int) -> Tensor:
-    """(directions, places) sorted products of neighbourhoods with directions."""
+def _sort_projections(
+    volume: Tensor, directions: Tensor, starts: Sequence[int], step: int
+) -> Tensor:
+    """Return (directions, places), the sorted projections of neighbourhoods on directions."""
     z, y, x = starts
     products = conv3d(volume[:, :, z:, y:, x:], directions, stride=step)
     return torch.sort(products.movedim(1, 0).flatten(1), dim=1).values
+
+
+def gram(fake: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:
+    """Return the squared distance of the gram matrices of slices in three directions, a sum over
+    layers, a mean over crops.
+
+    Parameters
+    ----------
+    fake, real : sequence of (B, C, Z, Y, X) tensor
+        Features of the layers.
+    """
+    return sum(
+        (
+            (_gram_matrices(a) - _gram_matrices(b.detach())).square().mean()
+            for a, b in zip(fake, real, strict=True)
+        ),
+        torch.zeros((), device=fake[0].device),
+    )
+
+
+def _gram_matrices(features: Tensor) -> Tensor:
+    """Return (B, 3 directions, slices, C, C), the products of every two features, each a mean over
+    the voxels of a slice.
+    """
+    found = []
+    for axis in (2, 3, 4):
+        side = features.shape[axis]
+        at = torch.arange(SLICES, device=features.device) * side // SLICES + side // (2 * SLICES)
+        # (B, slices, C, voxels)
+        flat = features.index_select(axis, at).movedim(axis, 1).flatten(3).float()
+        found.append(flat @ flat.transpose(2, 3) / flat.shape[3])
+    return torch.stack(found, 1)
+
+
+class CandidateTable:
+    """The look-up table of the structural loss, refreshed in chunks so that it need not be in
+    memory at once.
+
+    Parameters
+    ----------
+    crops : (N, K, Z, Y, X) tensor
+        Crops of the exemplar that hold the candidates, sampled before the training.
+    chunk : int
+        Crops whose features are held at once.
+    """
+
+    def __init__(self, crops: Tensor, *, chunk: int) -> None:
+        self.crops = crops
+        self.chunk = chunk
+
+    def loss(self, discriminator: Score, fake: Sequence[Tensor]) -> Tensor:
+        """Return the mean squared distance of the regions of generated features to the nearest of
+        the exemplar, a sum over layers.
+
+        Parameters
+        ----------
+        discriminator : Score
+            The discriminator after its latest step: it gives the candidates' features.
+        fake : sequence of (B, C, Z, Y, X) tensor
+            Its features of generated crops.
+        """
+        queries = [cubes_of(layer, edge) for layer, edge in zip(fake, EDGES, strict=True)]
+        nearest = self._nearest(discriminator, [cubes.detach() for cubes in queries])
+        return sum(
+            (
+                (cubes.float() - match.float()).square().mean()
+                for cubes, match in zip(queries, nearest, strict=True)
+            ),
+            torch.zeros((), device=fake[0].device),
+        )
+
+    def _nearest(self, discriminator: Score, queries: Sequence[Tensor]) -> list[Tensor]:
+        """Find the candidate nearest to each query (Q, D), layer by layer."""
+        best = [torch.full((len(cubes),), torch.inf, device=cubes.device) for cubes in queries]
+        found = [torch.empty_like(cubes) for cubes in queries]
+        with torch.no_grad():
+            for chunk in self.crops.split(self.chunk):
+                for layer, features in enumerate(discriminator.features(chunk)):
+                    candidates = cubes_of(features, EDGES[layer]).to(queries[layer].dtype)
+                    distance, index = squared_distances(queries[layer], candidates).min(1)
+                    nearer = distance < best[layer]
+                    best[layer][nearer] = distance[nearer]
+                    found[layer][nearer] = candidates[index[nearer]]
+        return found
+
+
+def cubes_of(features: Tensor, edge: int) -> Tensor:
+    """Split (B, C, Z, Y, X) into cubes of `edge`, (B Z Y X / edge^3, C edge^3); cut the rest."""
+    b, c, *sides = features.shape
+    z, y, x = (side // edge for side in sides)
+    cut = features[:, :, : z * edge, : y * edge, : x * edge]
+    return (
+        cut.reshape(b, c, z, edge, y, edge, x, edge)
+        .permute(0, 2, 4, 6, 1, 3, 5, 7)
+        .reshape(b * z * y * x, -1)
+    )
+
+
+def squared_distances(a: Tensor, b: Tensor) -> Tensor:
+    """Return (N, M) float32, the squared distances of rows (equation 3 of the paper)."""
+    squares = [part.float().square().sum(1) for part in (a, b)]
+    return squares[0][:, None] + squares[1] - 2 * (a @ b.T).float()

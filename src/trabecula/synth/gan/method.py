@@ -1,20 +1,33 @@
-"""`gan`: fit trains a generator, generate makes any box of what it learnt."""
+"""`gan`: fit trains a generator, generate makes any box of an unlimited material."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.optional import need
-from trabecula.engine.plan import Plan
+from trabecula.core.request import Request
+from trabecula.core.seeds import key
+from trabecula.engine.blocks import Box
+from trabecula.engine.memory import Plan
+from trabecula.engine.parallel import thread_count
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
+from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.model import PROCESS, GanModel, opened
+from trabecula.synth.gan.decode import CELLS, decode
+
+PROCESS = 470 << 20
+"""Bytes of the interpreter with NumPy, Numba and torch loaded."""
+
+_LATENT = 200 << 10  # bytes of a tile's latent and the places of the tiles
 
 
 class Gan(Method):
@@ -25,13 +38,13 @@ class Gan(Method):
 
     def learn(self, exemplars: Sequence[Image]) -> GanModel:
         need("torch", extra="learn", purpose="method 'gan'")
-        from trabecula.synth.gan.train import trained
+        from trabecula.synth.gan.train import train
 
-        return GanModel(self.config, exemplars, trained(self.config, exemplars[0]))
+        return GanModel(self.config, exemplars, train(self.config, exemplars[0]))
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
         need("torch", extra="learn", purpose="method 'gan'")
-        from trabecula.synth.gan.forecast import training_bytes
+        from trabecula.synth.gan.train import training_bytes
 
         return Plan(
             {"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])}
@@ -45,5 +58,175 @@ class Gan(Method):
         *,
         history: Mapping[str, Any],
     ) -> GanModel:
-        """The model that a file holds (see `Model.state`)."""
-        return opened(self.config, facts, {"generator": arrays, **plain, "training": history})
+        """Build the model that `GanModel.state` described."""
+        return build_model(self.config, facts, {"generator": arrays, **plain, "training": history})
+
+
+class GanModel(WindowModel):
+    """A trained generator.
+
+    Parameters
+    ----------
+    config : GanConfig
+    exemplars : sequence of Image or ExemplarInfo
+    parts : dict
+        "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see
+        `decode` and `train`).
+    """
+
+    capabilities = CAPABILITIES
+    config: GanConfig
+
+    def __init__(
+        self, config: GanConfig, exemplars: Sequence[Image | ExemplarInfo], parts: Mapping[str, Any]
+    ) -> None:
+        # Where the training left its pictures is no part of what it learned.
+        super().__init__(replace(config, run=""), exemplars)
+        weights = {name: _as_array(tensor) for name, tensor in parts["generator"].items()}
+        self.parts = {**parts, "generator": weights}
+        self._network: Any = None
+
+    @property
+    def calibration(self) -> Mapping[str, Any]:
+        """Return the calibration of `decode`."""
+        found: Mapping[str, Any] = self.parts["calibration"]
+        return found
+
+    @property
+    def channels(self) -> int:
+        """Return the number of channels of the generator's output."""
+        count = len(self.calibration.get("present", ()))
+        return count if count > 2 else 1
+
+    @property
+    def specks(self) -> int:
+        """Return the edge of the components that are removed: grey has none."""
+        return self.config.specks if self.calibration["kind"] == "labels" else 0
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Return the type of the values."""
+        return np.dtype(self.calibration.get("dtype", "uint8"))
+
+    @property
+    def network(self) -> Any:
+        """Return the generator on the processor, so that the training device does not matter."""
+        if self._network is None:
+            need("torch", extra="learn", purpose="method 'gan'")
+            from trabecula.synth.gan.networks import load_generator
+
+            self._network = load_generator(self.config, self.channels, self.parts["generator"])
+        return self._network
+
+    def state(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
+        """Return the weights and the calibration."""
+        return self.parts["generator"], {"calibration": self.calibration}
+
+    @property
+    def history(self) -> Mapping[str, Any]:
+        """Return the history of the training."""
+        return dict(self.parts.get("training", {}))
+
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
+        network = self.network
+        from trabecula.synth.gan.window import make_tiles
+
+        cell = self.config.cell
+        periods = tuple(
+            side // cell if wraps else 0
+            for side, wraps in zip(request.shape, request.periodic, strict=True)
+        )
+        to_values = partial(decode, calibration=self.calibration)
+        latent = key(request.seed, "gan/latent")
+        return make_tiles(network, latent, box, periods, to_values, self.dtype, specks=self.specks)
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        cell = self.config.cell
+        for side, wraps, axis in zip(request.shape, request.periodic, "zyx", strict=True):
+            if wraps and side % cell:
+                near = sorted({max(cell, side // cell * cell), -(-side // cell) * cell})
+                raise RequestError(
+                    f"this model repeats after multiples of {cell} voxels, the shape has {side} "
+                    f"along {axis}: ask for {' or '.join(map(str, near))}, or leave {axis} out of "
+                    "periodic"
+                )
+
+    def _report(self) -> Mapping[str, Any]:
+        """Return version and arithmetic: a few voxels near a threshold depend on both."""
+        torch = need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.networks import arithmetic
+
+        return {"torch": str(torch.__version__), "arithmetic": arithmetic(self.config)}
+
+    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.networks import inference_bytes
+        from trabecula.synth.gan.window import margin_cells
+
+        weights = sum(array.nbytes for array in self.parts["generator"].values())
+        cells = CELLS + margin_cells(self.specks)
+        edge = cells * self.config.cell
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": 2 * weights,
+            "network": thread_count() * inference_bytes(self.config, self.channels, cells),
+            "tiles": thread_count() * 3 * edge**3 * self.dtype.itemsize + _LATENT,
+        }
+
+
+def build_model(
+    config: GanConfig, facts: Sequence[ExemplarInfo], parts: Mapping[str, Any]
+) -> GanModel:
+    """Build the model of a file after checking its parts.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError
+        Not a generator's weights and calibration.
+    MissingExtraError
+        PyTorch is not installed.
+    """
+    calibration = parts["calibration"]
+    grey = calibration["kind"] == "grey"
+    if calibration["kind"] != facts[0].kind:
+        raise ValueError(
+            f"it is calibrated for {calibration['kind']!r}, its exemplar is {facts[0].kind}"
+        )
+    if grey:
+        _check_table(calibration)
+    else:
+        _check_labels(calibration, len(facts[0].phases))
+    model = GanModel(config, facts, parts)
+    _ = model.network  # which checks the weights
+    return model
+
+
+def _check_table(calibration: Mapping[str, Any]) -> None:
+    dtype = np.dtype(calibration["dtype"])
+    levels = [np.asarray(calibration[name], np.float64) for name in ("from", "to")]
+    if dtype.kind not in "iuf" or any(level.ndim != 1 or len(level) < 2 for level in levels):
+        raise ValueError("its calibration of grey values is damaged")
+    if len(levels[0]) != len(levels[1]) or not all(np.isfinite(level).all() for level in levels):
+        raise ValueError("its calibration of grey values is damaged")
+
+
+def _check_labels(calibration: Mapping[str, Any], phases: int) -> None:
+    present = [int(label) for label in calibration["present"]]
+    offsets = np.asarray(calibration["offsets"], np.float64)
+    rising = (
+        present == sorted(set(present))
+        and len(present) >= 2
+        and present[0] >= 0
+        and present[-1] < phases
+    )
+    if (
+        not rising
+        or offsets.shape != (len(present) if len(present) > 2 else 1,)
+        or not np.isfinite(offsets).all()
+    ):
+        raise ValueError(f"its calibration of the phases {present} is damaged")
+
+
+def _as_array(tensor: Any) -> np.ndarray:
+    return tensor if isinstance(tensor, np.ndarray) else tensor.detach().cpu().numpy()

@@ -1,16 +1,18 @@
-"""The networks. A module that imports torch: reached through `core.optional` alone.
+"""The networks, new or with stored weights. Imports torch: reached through `core.optional` alone.
 
 A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent
 that it needs beyond each side), `tiles` (of noise that it is calibrated on) and `latent`
 (channels). Its `cells` makes the voxels of the inner cells, whatever lies beyond the halo. A
-discriminator gives verdicts (a list of tensors, one a scale) and keeps the features of its layers
-on request.
+discriminator gives verdicts, a list of tensors, one for each scale.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool3d, leaky_relu
@@ -21,8 +23,8 @@ _SLOPE = 0.2
 _MIDDLE = 40  # voxels
 
 
-def generator_of(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
-    """The generator that a config asks for, with fresh weights.
+def new_generator(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
+    """Build the generator of a config with new weights.
 
     Parameters
     ----------
@@ -39,10 +41,10 @@ def generator_of(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
     )
 
 
-def discriminator_of(config: GanConfig, channels: int) -> Patches | Score:
-    """The discriminator that a config asks for, with fresh weights."""
+def new_discriminator(config: GanConfig, channels: int) -> TwoScales | Score:
+    """Build the discriminator of a config with new weights."""
     if config.discriminator == "scales":
-        return Patches(config.width, channels)
+        return TwoScales(config.width, channels)
     return Score(config.width, channels, config.crop, whole=config.discriminator == "score")
 
 
@@ -82,44 +84,45 @@ class Subpixel(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, z: Tensor) -> Tensor:
-        """(B, C, a + 6, b + 6, c + 6) as (B, K, 8 a, 8 b, 8 c), as the judge sees it."""
-        return self._made(z, self.smoothing)
+        """Map (B, C, a + 6, b + 6, c + 6) to (B, K, 8 a, 8 b, 8 c) for the discriminator."""
+        return self._upsample(z, self.smoothing)
 
     def cells(self, z: Tensor) -> Tensor:
-        """The same as it becomes material."""
-        return self._made(z, self.smoothing + self.polish)
+        """Map the same latent to the field that becomes material."""
+        return self._upsample(z, self.smoothing + self.polish)
 
-    def _made(self, z: Tensor, blurs: int) -> Tensor:
+    def _upsample(self, z: Tensor, blurs: int) -> Tensor:
         x = z
         for place, layer in enumerate(self.layers):
             x = layer(x)
-            x = doubled(x) if place % 2 else x
+            x = depth_to_space(x) if place % 2 else x
             x = leaky_relu(x, _SLOPE) if place < 5 else x
         x = x.float()
         for _ in range(blurs):
-            x = blurred(x)
-        return torch.tanh(trimmed(x, *(8 * (side - 6) for side in z.shape[2:])))
+            x = blur(x)
+        return torch.tanh(crop_centre(x, *(8 * (side - 6) for side in z.shape[2:])))
 
 
-def doubled(x: Tensor) -> Tensor:
-    """(B, 8 K, Z, Y, X) as (B, K, 2 Z, 2 Y, 2 X): every channel a place in the finer cell."""
+def depth_to_space(x: Tensor) -> Tensor:
+    """Rearrange (B, 8 K, Z, Y, X) as (B, K, 2 Z, 2 Y, 2 X): eight channels become a 2^3 cell."""
     b, k, z, y, w = x.shape
     x = x.permute(0, 2, 3, 4, 1).reshape(b, z, y, w, 2, 2, 2, k // 8)
     x = x.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(b, 2 * z, 2 * y, 2 * w, k // 8)
     return x.permute(0, 4, 1, 2, 3)  # channels last in memory, as the convolutions like it
 
 
-def halved(x: Tensor) -> Tensor:
-    """The way back of `doubled`."""
+def space_to_depth(x: Tensor) -> Tensor:
+    """Invert `depth_to_space`."""
     b, k, z, y, w = x.shape
     x = x.permute(0, 2, 3, 4, 1).reshape(b, z // 2, 2, y // 2, 2, w // 2, 2, k)
     x = x.permute(0, 1, 3, 5, 2, 4, 6, 7).reshape(b, z // 2, y // 2, w // 2, 8 * k)
     return x.permute(0, 4, 1, 2, 3)
 
 
-def blurred(x: Tensor) -> Tensor:
-    """A mean with weights 1 2 1 along every axis, which no chequerboard passes; a voxel is lost on
-    each side.
+def blur(x: Tensor) -> Tensor:
+    """Average with weights 1 2 1 along every axis; each side loses a voxel.
+
+    No chequerboard, the known artefact of sub-pixel convolution, passes this filter.
     """
     for axis in (2, 3, 4):
         n = x.shape[axis] - 2
@@ -127,8 +130,8 @@ def blurred(x: Tensor) -> Tensor:
     return x
 
 
-def trimmed(x: Tensor, *sides: int) -> Tensor:
-    """The middle of a volume."""
+def crop_centre(x: Tensor, *sides: int) -> Tensor:
+    """Crop a volume to `sides` around its middle."""
     for axis, side in enumerate(sides, start=2):
         x = x.narrow(axis, (x.shape[axis] - side) // 2, side)
     return x
@@ -164,21 +167,21 @@ class Deconvolution(nn.Module):
         if last:
             layers.append(nn.Conv3d(width, channels, 3, padding=1))
         self.layers = nn.Sequential(*layers, nn.Tanh())
-        self.layers.apply(_as_in_dcgan)
+        self.layers.apply(_init_dcgan)
 
     def forward(self, z: Tensor) -> Tensor:
-        """(B, C, a, b, c) as (B, K, 16 a + 48, 16 b + 48, 16 c + 48)."""
+        """Map (B, C, a, b, c) to (B, K, 16 a + 48, 16 b + 48, 16 c + 48)."""
         return self.layers(torch.erf(z * 0.5**0.5))  # uniform in -1 .. 1, as the paper's
 
     def cells(self, z: Tensor) -> Tensor:
-        """The voxels that padding has not reached: 64 less on one side, 80 on the other."""
+        """Return the voxels out of reach of padding: 64 less on one side, 80 on the other."""
         x = self(z)
         for axis in (2, 3, 4):
             x = x.narrow(axis, 64, (z.shape[axis] - 6) * 16)
         return x
 
 
-class Patches(nn.Module):
+class TwoScales(nn.Module):
     """Verdicts for every place on two scales, 20 voxels wide and 40 on a field of half the
     resolution, without padding.
 
@@ -205,18 +208,18 @@ class Patches(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """(B, K, Z, Y, X), a multiple of 4 and at least 40, as verdicts (B, 1, ...).
+        """Return the verdicts (B, 1, ...) on (B, K, Z, Y, X), multiples of 4 and at least 40.
 
-        The near ones come from the middle: there are many of them, and they are dear.
+        The near ones come from the middle: there are many of them, and they are expensive.
         """
         return [
-            _verdicts(self.near, trimmed(x, *(min(side, _MIDDLE) for side in x.shape[2:]))),
+            _verdicts(self.near, crop_centre(x, *(min(side, _MIDDLE) for side in x.shape[2:]))),
             _verdicts(self.far, avg_pool3d(x, 2)),
         ]
 
 
 def _verdicts(layers: nn.ModuleList, x: Tensor) -> Tensor:
-    x = halved(x)
+    x = space_to_depth(x)
     for layer in layers[:-1]:
         x = leaky_relu(layer(x), _SLOPE)
     return layers[-1](x)
@@ -244,10 +247,10 @@ class Score(nn.Module):
         )
         self.fifth = nn.Conv3d(8 * width, 8 * width, 4, 2, 1)
         self.head = nn.Conv3d(8 * width, 1, crop // 32 if whole else 1)
-        self.apply(_as_in_dcgan)
+        self.apply(_init_dcgan)
 
     def features(self, x: Tensor) -> list[Tensor]:
-        """After each of the first three layers, which the gram and the structural loss compare."""
+        """Return the features after each of the first three layers."""
         found = []
         for block in self.blocks[:3]:
             x = block(x)
@@ -255,19 +258,87 @@ class Score(nn.Module):
         return found
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """(B, K, Z, Y, X) as verdicts (B, 1, ...), before the sigmoid."""
-        return self.judged(self.features(x))
+        """Return the verdicts (B, 1, ...) on (B, K, Z, Y, X), before the sigmoid."""
+        return self.verdicts(self.features(x))
 
-    def judged(self, features: list[Tensor]) -> list[Tensor]:
-        """The verdicts on features that are at hand."""
+    def verdicts(self, features: list[Tensor]) -> list[Tensor]:
+        """Return the verdicts on what `features` returned."""
         return [self.head(leaky_relu(self.fifth(self.blocks[3](features[-1])), _SLOPE))]
 
 
-def _as_in_dcgan(layer: nn.Module) -> None:
-    """Radford, Metz, Chintala (2016): normal weights of standard deviation 0.02."""
+def _init_dcgan(layer: nn.Module) -> None:
+    """Draw normal weights of standard deviation 0.02 (Radford, Metz, Chintala 2016)."""
     if isinstance(layer, (nn.Conv3d, nn.ConvTranspose3d)):
         nn.init.normal_(layer.weight, 0.0, 0.02)
         nn.init.zeros_(layer.bias)
     elif isinstance(layer, nn.BatchNorm3d):
         nn.init.normal_(layer.weight, 1.0, 0.02)
         nn.init.zeros_(layer.bias)
+
+
+def load_generator(config: GanConfig, channels: int, weights: Mapping[str, np.ndarray]) -> Any:
+    """Build a generator with stored weights, for inference on the processor.
+
+    Raises
+    ------
+    ValueError
+        Weights of another network.
+    """
+    with torch.device("meta"):  # shapes without numbers, so that none are drawn
+        network = new_generator(config, channels)
+    wanted = network.state_dict()
+    for name in sorted({*wanted, *weights}):
+        if name not in wanted or name not in weights:
+            raise ValueError(
+                f"the network of its settings has {'no' if name not in wanted else 'a'} weight "
+                f"{name!r}"
+            )
+        if tuple(wanted[name].shape) != weights[name].shape:
+            raise ValueError(
+                f"{name!r} has shape {weights[name].shape}, its settings make "
+                f"{tuple(wanted[name].shape)}"
+            )
+    network.load_state_dict(
+        {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}, assign=True
+    )
+    network.eval().requires_grad_(False)
+    return network.to(dtype_of(arithmetic(config)), memory_format=torch.channels_last_3d)
+
+
+def arithmetic(config: GanConfig) -> str:
+    """Return the arithmetic of inference: "bf16" where the processor multiplies in it, else
+    "float32".
+    """
+    known = [
+        getattr(torch.cpu, f"_is_{name}_supported", lambda: False)()
+        for name in ("avx512_bf16", "amx_tile")
+    ]
+    return "bf16" if any(known) and config.precision != "float32" else "float32"
+
+
+def dtype_of(name: str) -> torch.dtype:
+    """Return the torch type of an arithmetic."""
+    return torch.bfloat16 if name == "bf16" else torch.float32
+
+
+def inference_bytes(config: GanConfig, channels: int, cells: int) -> int:
+    """Forecast the memory of inference on a tile of `cells`^3 cells of the latent.
+
+    The peak is the layer with the largest input and output, and their rearranged copies.
+    """
+    with torch.device("meta"):  # shapes without numbers
+        network = new_generator(config, channels).to(dtype_of(arithmetic(config)))
+        largest = 0
+
+        def see(module: Any, given: Any, result: Tensor) -> None:
+            nonlocal largest
+            largest = max(largest, given[0].nbytes + result.nbytes)
+
+        for layer in network.modules():
+            if not list(layer.children()):
+                layer.register_forward_hook(see)
+        inner = cells + 2 * network.halo
+        field = network.cells(
+            torch.empty(1, network.latent, inner, inner, inner, dtype=dtype_of(arithmetic(config)))
+        )
+        return 4 * largest + 8 * field.nbytes

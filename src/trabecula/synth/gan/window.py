@@ -1,4 +1,4 @@
-"""Any box of what a generator makes: the tiles of one endless grid that touch it, each made alone,
+"""Any box of an unlimited material: the tiles of one endless grid that touch it, each made alone,
 then cropped.
 
 A tile's latent is a function of seed and place, its shape is always the same, and its network runs
@@ -6,8 +6,8 @@ in one thread: so a voxel does not depend on the box, on other tiles or on the n
 (Networks give other last bits for other shapes, which is why a smaller box does not get a smaller
 tile.)
 
-Where specks are taken away, a tile is made with half a cell more on every side: no speck is so wide
-that a face could hide what it is joined to.
+Where specks are removed, a tile is made with half a cell more on every side: no speck is so wide
+that a face could hide its neighbours.
 """
 
 from __future__ import annotations
@@ -24,15 +24,10 @@ from trabecula.core.progress import track
 from trabecula.engine.blocks import Box
 from trabecula.engine.gaussian_random import normal_cells, quantiles
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.synth.gan.specks import without_specks
-
-CELLS = 8
-"""Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes
-that are no multiple.
-"""
+from trabecula.synth.gan.decode import CELLS, remove_specks
 
 
-def made(
+def make_tiles(
     network: Any,
     key: np.uint64,
     box: Box,
@@ -42,11 +37,11 @@ def made(
     *,
     specks: int = 0,
 ) -> np.ndarray:
-    """The values of a box.
+    """Return the values of a box.
 
     Parameters
     ----------
-    network : generator of `networks.generator_of`, ready for use
+    network : generator of `networks.load_generator`
     key : of the seed's latent
     box : three pairs of int, voxels
     periods : three ints
@@ -54,7 +49,7 @@ def made(
     decode : (K, Z, Y, X) float32 field -> (Z, Y, X) values
     dtype : of the values
     specks : int
-        Edge of the pieces that are taken away, voxels; for labels alone.
+        Edge of the components that are removed, voxels; for labels alone.
     """
     values = np.empty([last - first for first, last in box], dtype)
     edge = CELLS * network.cell
@@ -62,17 +57,17 @@ def made(
     # One piece of work an item of `track`, so that there is progress; as many tiles as threads in
     # each.
     width = thread_count()
-    with _one_thread_each():
+    with _single_threaded_networks():
         for first in track(range(0, len(tiles), width), "tiles"):
             together = tiles[first : first + width]
 
             def work(start: int, stop: int, together: list[Any] = together) -> None:
                 for tile in together[start:stop]:
-                    inside, target = _places(box, tile, edge)
-                    field = _tile(network, key, tile, periods, more_cells(specks))
+                    inside, target = _overlap(box, tile, edge)
+                    field = _tile_field(network, key, tile, periods, margin_cells(specks))
                     if specks:
                         beyond = (slice(network.cell // 2, network.cell // 2 + edge),) * 3
-                        values[target] = without_specks(decode(field), specks)[beyond][inside]
+                        values[target] = remove_specks(decode(field), specks)[beyond][inside]
                     else:
                         values[target] = decode(field[(slice(None), *inside)])
 
@@ -80,15 +75,15 @@ def made(
     return values
 
 
-def more_cells(specks: int) -> int:
-    """Cells that a tile has beyond its own."""
+def margin_cells(specks: int) -> int:
+    """Return the cells that a tile has beyond its own."""
     return 1 if specks else 0
 
 
-def _tile(
+def _tile_field(
     network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...], more: int
 ) -> np.ndarray:
-    """The field of a tile of the grid, (K, Z, Y, X) float32, and of `more` cells after it."""
+    """Return the field of a tile and of `more` cells after it, (K, Z, Y, X) float32."""
     halo = network.halo
     latent = np.empty((network.latent, *(CELLS + more + 2 * halo,) * 3), np.float32)
     corner = np.array([CELLS * place - halo for place in tile], np.int64)
@@ -100,10 +95,10 @@ def _tile(
     return field
 
 
-def _places(
+def _overlap(
     box: Box, tile: tuple[int, ...], edge: int
 ) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """What of a tile lies in the box: its place in the tile, and in the box."""
+    """Return the overlap of a tile and a box: its slices in the tile, and in the box."""
     inside, target = [], []
     for (first, last), place in zip(box, tile, strict=True):
         start, stop = max(first, place * edge), min(last, (place + 1) * edge)
@@ -113,10 +108,8 @@ def _places(
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Networks inside the block run in the thread that calls them: tiles are what is spread over
-    threads.
-    """
+def _single_threaded_networks() -> Iterator[None]:
+    """Run networks in the thread that calls them: tiles are spread over threads, not layers."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

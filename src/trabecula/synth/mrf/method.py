@@ -14,7 +14,7 @@ slices through it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,9 +26,9 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
-from trabecula.engine.checkpoint import Checkpoint, resumed
+from trabecula.engine.checkpoint import Checkpoint, resume
+from trabecula.engine.memory import Plan
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.engine.plan import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.config import MrfConfig
@@ -63,23 +63,24 @@ class Mrf(PictureMethod):
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> MrfModel:
         return MrfModel(self.config, exemplars, views)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         config = self.config
         three = len(config.views) in (0, 3)
         turned = (
             _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
         )
         kept, peak = learning_bytes(exemplars, scales_of(exemplars, config), config, turned=turned)
-        return Plan(
-            {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "neighbourhoods": kept,
+            "learning": peak - kept,
+        }
 
 
 class MrfModel(PictureModel):
     """Views of the pictures, and their neighbourhoods at every scale."""
 
     capabilities = CAPABILITIES
-    spills = True
     config: MrfConfig
 
     def __init__(
@@ -272,19 +273,16 @@ class MrfModel(PictureModel):
     def _resumed(self, top: int) -> tuple[int, Checkpoint | None]:
         """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
         for scale in range(top + 1):
-            state = resumed(f"scale {scale}")
+            state = resume(f"scale {scale}")
             if state is not None:
                 return scale, state
         return top, None
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._run(request)
-        memory = {**self._fixed(request), "output": run.output, "scratch": run.scratch}
-        return Plan(
-            memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
-        )
+        return {**self._fixed(request), "output": run.output, "scratch": run.scratch}
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         return {**self._fixed(request), "slab": self._run(request).slab}
 
     def _fixed(self, request: Request) -> dict[str, int]:

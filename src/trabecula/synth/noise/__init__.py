@@ -2,18 +2,17 @@
 README.md in this folder.
 """
 
-from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="noise",
     summary="procedural noise: a Gaussian field with the scan's two-point function (the baseline that others must beat), "
     "Perlin, Worley, Voronoi, white",
     paper="Quiblier (1984), A new three-dimensional modeling technique for studying porous media",
-    exemplar="3d",
+    learns_from=("volume", "picture", "settings"),
+    makes=("volume", "picture"),
     kinds=("labels",),
-    scaling="window",
-    target="trabecula.synth.noise.method:Noise",
+    large="box",
+    method="trabecula.synth.noise.method:Noise",
     honours=frozenset({"periodic", "mask"}),
-    flat=True,
-    alone=True,
 )

@@ -63,19 +63,19 @@ def folded(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | Non
     return plane
 
 
-def transformed(plane_at: Callable[[int], np.ndarray | None], box: tuple[int, ...]) -> np.ndarray:
-    """The Fourier transform, (Z, Y, X // 2 + 1) complex128, of planes that are made one at a time;
-    None is a plane of 0.
+def transform_planes(
+    plane_at: Callable[[int], np.ndarray | None], spectrum: np.ndarray
+) -> np.ndarray:
+    """Write the Fourier transform of planes that are made one at a time (None: a plane of zeros)
+    into `spectrum`, (Z, Y, X // 2 + 1) complex128; return it.
     """
-    spectrum = np.zeros((box[0], box[1], box[2] // 2 + 1), np.complex128)
 
     def planes(start: int, stop: int) -> None:
         for z in range(start, stop):
             plane = plane_at(z)
-            if plane is not None:
-                spectrum[z] = np.fft.fft(np.fft.rfft(plane, axis=1), axis=0)
+            spectrum[z] = 0 if plane is None else np.fft.fft(np.fft.rfft(plane, axis=1), axis=0)
 
-    for_slabs(planes, box[0])
+    for_slabs(planes, len(spectrum))
     _along_z(spectrum, np.fft.fft)
     return spectrum
 

@@ -17,7 +17,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from trabecula.measure.fft import sums_by_offset
+from trabecula.numerics.transforms import sums_by_offset
 
 _ANGLES = 1 << 13
 _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less and less

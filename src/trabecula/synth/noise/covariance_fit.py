@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.covariance import Filter, averaged, counts_by_offset, fitted_filter
 

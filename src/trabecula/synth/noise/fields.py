@@ -13,6 +13,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.blocks import Box
+from trabecula.engine.memory import Stage
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.convolve import Use
@@ -37,8 +38,8 @@ class Field(Protocol):
     def level(self, number: int, share: float) -> float:
         """Above which the endless field has the share."""
 
-    def scratch(self, shape: Sequence[int]) -> int:
-        """Bytes that a box of this shape takes beside its result."""
+    def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
+        """Return the stages of making a box (Z, Y, X), with the arrays beside its result."""
 
 
 @dataclass(frozen=True)

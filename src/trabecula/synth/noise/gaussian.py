@@ -18,9 +18,10 @@ import numpy as np
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
 from trabecula.engine.gaussian_random import quantiles
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import thread_count
-from trabecula.measure.fft import fast_side
-from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transformed, white
+from trabecula.numerics.transforms import fast_side
+from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transform_planes, white
 from trabecula.synth.noise.covariance import Filter
 from trabecula.synth.noise.periodic_domain import Domain
 
@@ -61,16 +62,21 @@ class GaussianField:
         shape = [stop - start for start, stop in box]
         around, reach = self._around(shape), self.reach
         stage = key(domain.seed, f"noise/{number}")
-        response = self._response_of(number, around)
+        work = Workspace(self.stages(shape))
+        response = self._response_of(number, around, work)
+        work.enter("field")
+        if "spectrum" not in work:
+            work.adopt("response", response)
+            work.empty("spectrum")
+        spectrum = work["spectrum"]
         for piece in product(*(_pieces(side) for side in shape)):
             corner = [
                 start + cut.start - far
                 for (start, _), cut, far in zip(box, piece, reach, strict=True)
             ]
-            spectrum = transformed(white(around, corner, domain, stage), around)
+            transform_planes(white(around, corner, domain, stage), spectrum)
             spectrum *= response
             back(spectrum, around, reach, piece, use)
-            del spectrum  # before the next one is made
 
     def level(self, number: int, share: float) -> float:
         """Between the two whole numbers above which the field has the share."""
@@ -80,24 +86,34 @@ class GaussianField:
         )
         return math.floor(NormalDist().inv_cdf(1 - share) * spread) + 0.5
 
-    def scratch(self, shape: Sequence[int]) -> int:
-        """Bytes for a box of this shape."""
+    def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
+        """Return the stages of making a box (Z, Y, X): the response of the filter, the field."""
         z, y, x = self._around(shape)
-        half = z * y * (x // 2 + 1)
-        planes = thread_count() * (96 * y * x + 96 * z * (x // 2 + 1) * ROWS)
-        return 24 * half + planes + 2 * 8 * self.filters[0].values.size
+        half = (z, y, x // 2 + 1)
+        arrays = {"spectrum": Array(half, np.complex128), "response": Array(half, np.float64)}
+        weights = Array(self.filters[0].values.shape, np.float64)
+        # of a thread: planes on their way through the transforms, rows of columns along z
+        planes = thread_count() * (96 * y * x + 96 * z * half[2] * ROWS)
+        return (
+            Stage("response", {**arrays, "weights": weights}, planes + weights.nbytes),
+            Stage("field", arrays, planes),
+        )
 
-    def _response_of(self, number: int, around: tuple[int, ...]) -> np.ndarray:
-        """The transform of a filter, a real one since filters are even; the latest is kept for the
-        next box of its size.
+    def _response_of(self, number: int, around: tuple[int, ...], work: Workspace) -> np.ndarray:
+        """Return the transform of a filter, a real one since filters are even; the latest is kept
+        for the next box of its size.
         """
         # taken out while it is in use: another thread makes its own
         kept, self._kept = self._kept, None
         if kept is None or kept[0] != (number, around):
             kept = None  # freed before the next one is made
-            weights = whole(self.filters[number])
-            made = transformed(lambda z: folded(weights, around, z), around).real.copy()
-            kept = ((number, around), made)
+            work.enter("response")
+            weights = work.adopt("weights", whole(self.filters[number]))
+            spectrum = work.empty("spectrum")
+            transform_planes(lambda z: folded(weights, around, z), spectrum)
+            response = work.empty("response")
+            response[...] = spectrum.real
+            kept = ((number, around), response)
         self._kept = kept
         return kept[1]
 

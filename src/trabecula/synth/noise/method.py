@@ -9,7 +9,6 @@ what was left) is that of a cut Gaussian field.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,15 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
-from trabecula.engine.plan import Plan
-from trabecula.measure.fft import fast_side
+from trabecula.engine.memory import Array, Plan, Stage, forecast
+from trabecula.numerics.transforms import fast_side
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.noise import CAPABILITIES
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.covariance_fit import matched_filters, reach_of
-from trabecula.synth.noise.exact_fractions import ranked
+from trabecula.synth.noise.exact_fractions import ranked, stages_of_ranking
 from trabecula.synth.noise.fields import Field, Phases, chosen, phases_of
 from trabecula.synth.noise.gaussian import PIECE
 from trabecula.synth.noise.periodic_domain import domain_of, lifted
@@ -55,20 +54,23 @@ class Noise(Method):
         return NoiseModel(self.config, [facts])
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """The transforms of an indicator, and of the covariance."""
+        """Forecast the transforms of an indicator, and those of the covariance."""
         values = _volume(exemplars[0].values)
-        present = {"interpreter and kernels": _PROCESS, "exemplar": 3 * values.size + _TABLES}
+        fixed = {"interpreter and kernels": _PROCESS, "exemplar": 3 * values.size + _TABLES}
         if not _follows(self.config):
-            return Plan(present)
+            return Plan(fixed)
         reach = reach_of(values.shape, self.config, flat=exemplars[0].ndim == 2)
         padded = np.prod(
             [fast_side(side + far) for side, far in zip(values.shape, reach, strict=True)],
             dtype=np.int64,
         )
         offsets = int(np.prod([2 * far + 1 for far in reach], dtype=np.int64))
-        transforms = max(21 * int(padded) + 8 * offsets, 72 * offsets)
-        filters = 4 * offsets * (len(np.unique(values)) - 1)
-        return Plan({**present, "transforms": transforms, "filters": filters})
+        filters = {"filters": Array((len(np.unique(values)) - 1, offsets), np.float32)}
+        stages = (
+            Stage("two-point function", filters, 21 * int(padded) + 8 * offsets),
+            Stage("filter", filters, 72 * offsets),
+        )
+        return forecast(stages, fixed)
 
 
 class NoiseModel(WindowModel):
@@ -135,10 +137,11 @@ class NoiseModel(WindowModel):
         return ranked(request, self._field(len(request.shape) == 2), self.phases, outside=void), {}
 
     def _plan(self, request: Request) -> Plan:
-        plan, voxels = super()._plan(request), self._size(request)
-        # The field beside its transforms, or the choice of its highest.
-        ranks = max(4 * voxels, 20 * voxels - plan.memory["field"]) if self.config.exact else 0
-        return replace(plan, memory={**plan.memory, "output": voxels + ranks})
+        if not self.config.exact:
+            return super()._plan(request)
+        field, shape = self._field(len(request.shape) == 2), domain_of(request).shape
+        stages = stages_of_ranking(field, shape)
+        return forecast(stages, self._fixed(), disk=self._size(request))
 
     def _check_windows(self) -> None:
         if self.config.exact:
@@ -147,15 +150,15 @@ class NoiseModel(WindowModel):
             )
 
     def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        held = sum(part.values.nbytes for part in self.filters) + sum(
-            image.values.size for image in self.exemplars
-        )
         field = self._field(len(shape) == 2)
-        return {
-            "interpreter and kernels": _PROCESS,
-            "exemplar": held,
-            "field": field.scratch((1,) * (3 - len(shape)) + tuple(shape)),
-        }
+        stages = field.stages((1,) * (3 - len(shape)) + tuple(shape))
+        return forecast(stages, self._fixed()).memory
+
+    def _fixed(self) -> dict[str, int]:
+        """Return the bytes that do not depend on the request."""
+        filters = sum(part.values.nbytes for part in self.filters)
+        exemplars = sum(image.values.size for image in self.exemplars)
+        return {"interpreter and kernels": _PROCESS, "exemplar": filters + exemplars}
 
 
 def _volume(values: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 
 from trabecula.engine.blocks import Box
+from trabecula.engine.memory import Stage
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.noise.config import WALLED, NoiseConfig
 from trabecula.synth.noise.convolve import Use
@@ -103,17 +104,17 @@ class Lattice:
             return round((1 - share) * self._choices) - 0.5
         return tried_level(self.config, self.step, self.edges, share, flat=self.flat)
 
-    def scratch(self, shape: Sequence[int]) -> int:
-        """Bytes for a box of this shape."""
+    def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
+        """Return the stages of making a box (Z, Y, X): bricks, and the trial that finds a level."""
         sides = [min(pair) for pair in zip(_sides(self.config, self.step), shape, strict=True)]
-        own = thread_count() * _brick_bytes(self.config, sides, self.step)
+        bricks = thread_count() * _brick_bytes(self.config, sides, self.step)
         if self._choices or self.config.thickness is not None:
-            return own
+            return (Stage("bricks", {}, bricks),)
         step = [max(width, APART) for width in self.step]
         trial = _brick_bytes(self.config, _sides(self.config, step), step) + 12 * int(
             np.prod(_TRIAL[self.flat])
         )
-        return max(own, trial)
+        return Stage("trial", {}, trial), Stage("bricks", {}, bricks)
 
 
 @lru_cache(maxsize=64)

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.measure.labelling import meeting
-from trabecula.measure.runs import Runs, merged_pieces, runs_of
+from trabecula.measure.labelling import pairs_across
+from trabecula.measure.runs import Runs, merge_labels, runs_of
 
 _AT_ONCE = 1 << 21
 """Voxels of a slab at most: its runs and labels take some bytes each, whether scratch files are in
@@ -25,7 +25,7 @@ def slabs_of(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
     other.
     """
     plane = int(np.prod(shape[1:], dtype=np.int64))
-    thick = max(1, min(memmap.thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
+    thick = max(1, min(memmap.slab_thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
     for first in range(0, shape[0], thick):
         yield first, min(first + thick, shape[0])
         memmap.release_pages()
@@ -72,7 +72,7 @@ def parts_of(
         count += len(runs.sizes)
     if wraps[0]:
         pairs.append(_meeting(last, first))
-    part, merged = merged_pieces(np.concatenate(sizes), np.concatenate(pairs))
+    part, merged = merge_labels(np.concatenate(sizes), np.concatenate(pairs))
     return np.concatenate([[0], part]), merged
 
 
@@ -86,4 +86,4 @@ def _layer(runs: Runs, axis: int, end: int, before: int) -> np.ndarray:
 
 def _meeting(far: np.ndarray, near: np.ndarray) -> np.ndarray:
     """(n, 2) numbers that are neighbours from a layer to the one behind it."""
-    return meeting(far, near, _FACES, (False, False))
+    return pairs_across(far, near, _FACES, (False, False))

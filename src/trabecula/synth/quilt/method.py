@@ -11,7 +11,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES

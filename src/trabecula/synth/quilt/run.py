@@ -213,7 +213,7 @@ class Run:
         return {} if self.bodies is None else self.bodies.arrays()
 
     def _resumed(self) -> int:
-        state = checkpoint.resumed(_STAGE)
+        state = checkpoint.resume(_STAGE)
         if state is None:
             return 0
         self.canvas, self.placed = state.arrays["canvas"], state.arrays["placed"]

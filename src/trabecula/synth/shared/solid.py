@@ -21,8 +21,8 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import memmap
-from trabecula.engine.checkpoint import resumed
-from trabecula.engine.plan import Plan
+from trabecula.engine.checkpoint import resume
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import FULL, mean_edge, quantise
@@ -152,7 +152,7 @@ class SolidModel(PictureModel):
         coarsest level.
         """
         for index in range(used):
-            left = resumed(_stage(index))
+            left = resume(_stage(index))
             if left is not None:
                 return State.of(left.arrays), index, left.number
         return None, used - 1, 0

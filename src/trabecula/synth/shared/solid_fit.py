@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.synth.shared.matching.levels import grain_of
 from trabecula.synth.shared.neighbourhoods import basis_bytes
 from trabecula.synth.shared.orient import symmetries

@@ -2,17 +2,16 @@
 README.md in this folder.
 """
 
-from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="sliced",
     summary="a volume of labels from one picture or several, laid out by sliced transport, finished by search and vote",
     paper="Rabin, Peyré, Delon, Bernot (2011), Wasserstein barycenter and its application to texture mixing",
-    exemplar="2d",
+    learns_from=("pictures",),
     kinds=("labels",),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
-    several=True,
     presets=("fast", "best"),
-    scaling="whole",
-    target="trabecula.synth.sliced.method:Sliced",
+    large="memmap",
+    method="trabecula.synth.sliced.method:Sliced",
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import key
-from trabecula.engine.checkpoint import offer, resumed
+from trabecula.engine.checkpoint import offer, resume
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import targets_of
 from trabecula.synth.shared.matching.region import Region
@@ -54,7 +54,7 @@ def laid_out(
     correlations = leaning(
         layout.correlations, layout.histograms, targets, softness=layout.correlations.softness
     )
-    state = resumed(STAGE)
+    state = resume(STAGE)
     if state is None:
         begin = 0
         votes = noise((channels, *region.shape), int(key(seed, "sliced/noise")))

@@ -21,8 +21,8 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine.checkpoint import resumed
-from trabecula.engine.plan import Plan
+from trabecula.engine.checkpoint import resume
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.content import Content, content_of
 from trabecula.synth.shared.fields import mean_edge
@@ -152,7 +152,7 @@ class SlicedModel(PictureModel):
         coarsest level.
         """
         for index in range(top + 1):
-            left = resumed(_stage(index))
+            left = resume(_stage(index))
             if left is not None:
                 return State.of(left.arrays), index, left.number
         return None, top, 0

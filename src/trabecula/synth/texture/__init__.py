@@ -1,16 +1,15 @@
 """3-D exemplar optimisation (Zhang, Chen, Wang, Wang 2017). See README.md in this folder."""
 
-from trabecula.synth.api.method import Capabilities
+from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="texture",
     summary="a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest in the exemplar",
     paper="Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials",
-    exemplar="3d",
+    learns_from=("volumes",),
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
-    several=True,
     presets=("fast", "best", "paper"),
-    scaling="sweep",
-    target="trabecula.synth.texture.method:Texture",
+    large="memmap",
+    method="trabecula.synth.texture.method:Texture",
 )

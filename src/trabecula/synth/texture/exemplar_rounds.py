@@ -11,7 +11,7 @@ import numpy as np
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.checkpoint import Checkpoint as Left
-from trabecula.engine.checkpoint import resumed
+from trabecula.engine.checkpoint import resume
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.levels import grain_of, variance_in
 from trabecula.synth.shared.matching.region import Region
@@ -131,7 +131,7 @@ def _name(index: int, number: int) -> str:
 def _resumed(stages: Sequence[tuple[int, int]]) -> tuple[int, Left | None]:
     """The stage in which an interrupted run goes on, and its state; the first, and none."""
     for place in reversed(range(len(stages))):
-        left = resumed(_name(*stages[place]))
+        left = resume(_name(*stages[place]))
         if left is not None:
             return place, left
     return 0, None

@@ -18,7 +18,7 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.content import Content, Labels, content_of

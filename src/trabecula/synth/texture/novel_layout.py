@@ -18,7 +18,7 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine.checkpoint import Checkpoint, offer, resumed
+from trabecula.engine.checkpoint import Checkpoint, offer, resume
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
@@ -221,7 +221,7 @@ def slab_bytes(correlations: Correlations, slices: Slices, request: Request, top
 def _resumed(count: int) -> tuple[int, Checkpoint | None]:
     """The pass in which an interrupted run goes on, and its state; the first, and none."""
     for number in reversed(range(count)):
-        state = resumed(_PASS.format(number))
+        state = resume(_PASS.format(number))
         if state is not None:
             return number, state
     return 0, None
@@ -232,7 +232,7 @@ def _laid_out(aims: Aims, slices: Slices, region: Region, seed: int) -> np.ndarr
     X) int8.
     """
     stage, histograms = key(seed, "novel/sliced"), aims.stack.histograms
-    state = resumed(_LAYOUT)
+    state = resume(_LAYOUT)
     if state is None:
         begin, votes = 0, noise((len(histograms), *region.shape), int(key(seed, "novel/noise")))
         votes = votes_of(rematched(region, votes, histograms))

@@ -9,7 +9,7 @@ from math import prod
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.plan import Plan
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.segment import otsu
 
 LARGEST = 256**3

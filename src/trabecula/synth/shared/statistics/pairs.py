@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.measure.fft import fast_side
+from trabecula.numerics.transforms import fast_side
 
 # What may be written by another process (`anywhere`) lies in a file however small it is: `least` is
 # 0.

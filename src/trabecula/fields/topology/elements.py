@@ -1,0 +1,171 @@
+"""A grid of elements with supports and loads, and the product of its stiffness with displacements.
+
+No matrix is stored: it is one brick's stiffness times every element's density. Forces and
+displacements are (Z + 1, Y + 1, X + 1, 3) at the nodes, densities (Z, Y, X) at the elements; 0 is
+no element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from trabecula.core.errors import InputError
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.parallel import for_slabs
+from trabecula.fields.topology.cases import Case, nodes_of
+from trabecula.measure.mechanics.elements import CORNERS, brick_stiffness, isotropic
+
+_ROUND = 2.0**40
+
+
+@dataclass(frozen=True)
+class ElementGrid:
+    """A grid of elements with its supports and loads."""
+
+    stiffness: np.ndarray
+    """(24, 24): of one element at density 1; corner c is 4 dz + 2 dy + dx, each with z, y, x."""
+    inside: np.ndarray
+    """(Z, Y, X) bool."""
+    free: np.ndarray
+    """(Z + 1, Y + 1, X + 1, 3) bool: may move."""
+    load: np.ndarray
+    """The same shape: force, 0 where it is held."""
+
+    @classmethod
+    def of(
+        cls, case: Case, inside: np.ndarray, *, edges: tuple[float, ...], poisson: float
+    ) -> ElementGrid:
+        """Set a case on a grid whose elements are `inside`; edges are those of an element."""
+        blocks = brick_stiffness(isotropic(1.0, poisson), edges)
+        # Rounded, since the last bit of a matrix product depends on the machine.
+        stiffness = np.rint(blocks.transpose(0, 2, 1, 3).reshape(24, 24) * _ROUND) / _ROUND
+        nodes = tuple(side + 1 for side in inside.shape)
+        present = np.zeros(nodes, bool)
+        for corner in CORNERS:
+            present[_corner_nodes(corner, inside.shape)] |= inside
+        free = np.repeat(present[..., None], 3, axis=-1)
+        load = np.zeros((*nodes, 3))
+        for support in case.supports:
+            held = nodes_of(support.box, inside.shape)
+            for axis in support.axes:
+                free[held, "zyx".index(axis)] = False
+        for push in case.loads:
+            pushed = nodes_of(push.box, inside.shape) & present
+            if not pushed.any():
+                raise InputError(f"the load at {push.box} meets no element: move it onto the part")
+            load[pushed] += np.array(push.force) / np.count_nonzero(pushed)
+        load[~free] = 0
+        if not load.any():
+            raise InputError(
+                f"case {case.name!r} pushes nothing that can move: give a load away from the "
+                "supports"
+            )
+        if free[present].all():
+            raise InputError(
+                f"case {case.name!r} holds no element: give supports that meet the part"
+            )
+        return cls(stiffness, inside, free, load)
+
+    def product(self, density: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the forces of displacements, 0 where a node is held."""
+        force = np.zeros_like(u)
+        # layers of one parity share no nodes: sums have one order for any threads
+        for parity in (0, 1):
+            layers = partial(_apply_layers, self.stiffness, density, u, force, parity)
+            for_slabs(layers, (len(density) + 1) // 2, least=2)
+        force[~self.free] = 0
+        return force
+
+    def diagonal(self, density: np.ndarray) -> np.ndarray:
+        """Return the diagonal of the stiffness; 1 where a node is held."""
+        own = np.diag(self.stiffness).reshape(8, 3)
+        found = np.zeros_like(self.load)
+        for corner, stiff in zip(CORNERS, own, strict=True):
+            found[_corner_nodes(corner, density.shape)] += density[..., None] * stiff
+        return np.where(self.free, found, 1.0)
+
+    def energy(self, u: np.ndarray) -> np.ndarray:
+        """Return u K u of every element at density 1, (Z, Y, X)."""
+        found = np.empty(self.inside.shape)
+        for_slabs(partial(_energies, self.stiffness, self.inside, u, found), len(found), least=2)
+        return found
+
+
+def _corner_nodes(corner: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Return the nodes at one corner of every element of a grid."""
+    return tuple(slice(c, c + side) for c, side in zip(corner, shape, strict=True))
+
+
+@inline
+def _collect(u, z, y, x, local):
+    """Collect the 24 displacements of an element's corners, by corner 4 dz + 2 dy + dx."""
+    for c in range(8):
+        node = u[z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)]
+        for i in range(3):
+            local[3 * c + i] = node[i]
+
+
+@inline
+def _push(stiffness, local, force):
+    """Set force = stiffness @ local, by columns: LLVM reorders no sum, but does rows side by
+    side.
+    """
+    force[:] = 0.0
+    for column in range(24):
+        value = local[column]
+        row = stiffness[column]  # symmetric
+        for k in range(24):
+            force[k] += row[k] * value
+
+
+@kernel
+def _apply_layers(stiffness, density, u, force, parity, start, stop):
+    """Add K u of the layers 2 k + parity with start <= k < stop, which share no nodes
+    with each other.
+    """
+    depth, height, width = density.shape
+    local, pushed = np.empty(24), np.empty(24)
+    for k in range(start, stop):
+        z = 2 * k + parity
+        if z >= depth:
+            continue
+        for y in range(height):
+            for x in range(width):
+                rho = density[z, y, x]
+                if rho == 0.0:
+                    continue
+                _collect(u, z, y, x, local)
+                _push(stiffness, local, pushed)
+                for c in range(8):
+                    node = force[z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)]
+                    for i in range(3):
+                        node[i] += rho * pushed[3 * c + i]
+
+
+@kernel
+def _energies(stiffness, inside, u, energy, start, stop):
+    """Write u K u of every element at density 1."""
+    _, height, width = inside.shape
+    local, pushed = np.empty(24), np.empty(24)
+    for z in range(start, stop):
+        for y in range(height):
+            for x in range(width):
+                total = 0.0
+                if inside[z, y, x]:
+                    _collect(u, z, y, x, local)
+                    _push(stiffness, local, pushed)
+                    for k in range(24):
+                        total += local[k] * pushed[k]
+                energy[z, y, x] = total
+
+
+@kernel
+def dot(a, b):
+    """Return the inner product of two flat arrays, summed in order."""
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total

@@ -1,0 +1,208 @@
+"""Evaluation of a generator while it trains: failures, and the distance to the exemplar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from trabecula.core.image import Image
+from trabecula.core.progress import notify
+from trabecula.core.seeds import key
+from trabecula.engine.parallel import thread_count
+from trabecula.measure import euler_density, largest_fraction, two_point
+from trabecula.synth.gan.adversarial import AdversarialPair
+from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.decode import calibrate, decode
+from trabecula.synth.gan.log import TrainingLog, load_checkpoint
+from trabecula.synth.gan.losses import sliced
+from trabecula.synth.gan.networks import load_generator
+
+SIDE = 96
+"""Voxels along an edge of the volume that is evaluated."""
+
+_LEAST_RATE = 0.02  # of the learning rate, at the end of its decay
+_BETTER = 0.98  # an improvement is a figure below this share of the best
+_REACH = 30
+# of the real crops' standard deviation: less, and far from the middle, is one phase
+_LEAST_SPREAD = 0.2
+_MIDDLE = 0.5  # a slow start is as narrow, but lies around 0
+_DEAD = 0.02  # as the first, wherever it lies
+_MOST_ALIKE = 0.95  # correlation of two generated crops: more is one picture
+
+
+def failure(
+    fake: Tensor, real: Tensor, step_losses: dict[str, float], *, grown: bool = True
+) -> str:
+    """Describe the failure of a batch of generated crops (B, K, Z, Y, X); empty for none.
+
+    A network that has hardly learnt yet (not `grown`) may make one phase, but only finite numbers.
+    """
+    if not (
+        all(np.isfinite(value) for value in step_losses.values())
+        and bool(torch.isfinite(fake).all())
+    ):
+        return "the loss is not a number any more"
+    if not grown:
+        return ""
+    spread = float(fake.std()) / max(float(real.std()), 1e-9)
+    if spread < _DEAD or (spread < _LEAST_SPREAD and abs(float(fake.mean())) > _MIDDLE):
+        return "it makes one phase only"
+    if len(fake) > 1:
+        a, b = (crop.flatten() - crop.mean() for crop in fake[:2])
+        if float(a @ b) > _MOST_ALIKE * float(a.norm() * b.norm()):
+            return "it makes the same again and again"
+    return ""
+
+
+class ExemplarComparison:
+    """The exemplar's own figures, to compare a generator's with.
+
+    Parameters
+    ----------
+    image : Image
+        The exemplar.
+    seed : int
+        Seed of the training: every evaluation has the same latent.
+    """
+
+    def __init__(self, image: Image, seed: int) -> None:
+        self.image, self.seed = image, seed
+        self.reach = min(_REACH, min(image.shape) // 2)
+        self.phases = (
+            [int(label) for label in np.unique(image.values)] if image.kind == "labels" else []
+        )
+        self.curves = {
+            label: two_point(image, r_max=self.reach, phase=label) for label in self.phases[1:]
+        }
+
+    def compare(self, network: Any, fields: Tensor) -> tuple[dict[str, float], np.ndarray]:
+        """Return the figures of a generator, and the middle slice of its volume (values).
+
+        Parameters
+        ----------
+        network : generator
+            Ready for use.
+        fields : (K, Z, Y, X) tensor
+            The exemplar's.
+        """
+        side = SIDE // network.cell + 2 * network.halo
+        weight = next(network.parameters())
+        random = torch.Generator().manual_seed(int(key(self.seed, "gan/looks")) >> 1)
+        with torch.inference_mode():
+            z = torch.randn(1, network.latent, side, side, side, generator=random).to(weight.dtype)
+            field = network.cells(z.to(memory_format=torch.channels_last_3d)).float()
+            common = [
+                slice(min(sides)) for sides in zip(field.shape[2:], fields.shape[1:], strict=True)
+            ]
+            distance = float(
+                sliced(field[(..., *common)], fields[(None, slice(None), *common)], random)
+            )
+        calibration = calibrate(network, self.image, self.seed, tiles=max(1, network.tiles // 64))
+        values = decode(field[0].numpy(), calibration)
+        found = {"distance": distance}
+        if self.curves:
+            found |= self._compare_labels(Image(values, "labels", phases=self.image.phases))
+        return found, values[len(values) // 2]
+
+    def _compare_labels(self, made: Image) -> dict[str, float]:
+        distances = []
+        for label, curve in self.curves.items():
+            other = two_point(made, r_max=self.reach, phase=label)
+            distances.append(float(np.linalg.norm(other - curve) / np.linalg.norm(curve)))
+        last = made.phases[self.phases[-1]]
+        return {
+            "two_point": float(np.mean(distances)),
+            "largest": float(largest_fraction(made, phase=last)),
+            "euler": float(euler_density(made, phase=last)),
+        }
+
+
+@dataclass
+class TrainingState:
+    """The state of a training beside its tensors: plain JSON."""
+
+    iteration: int = 0
+    seconds: float = 0.0
+    pace: float = 1.0
+    restarts: int = 0
+    best: float = float("inf")
+    stale: int = 0
+
+    def progress(self, config: GanConfig) -> float:
+        """Return the share of the training that is over, 0 .. 1: by iterations where they are
+        given, so that it repeats exactly.
+        """
+        late = config.minutes and self.seconds >= 60 * config.minutes
+        if late or (config.patience and self.stale >= config.patience):
+            return 1.0
+        if config.iterations:
+            return min(1.0, self.iteration / config.iterations)
+        return self.seconds / (60 * config.minutes)
+
+    def rate(self, done: float, config: GanConfig) -> float:
+        """Return the learning rate as a share of the config's."""
+        falling = min(1.0, (1 - done) / config.decay) if config.decay else 1.0
+        return self.pace * max(falling, _LEAST_RATE)
+
+    def count_stale(self, figure: float) -> None:
+        """Count the evaluations without improvement."""
+        if figure < _BETTER * self.best:
+            self.best, self.stale = figure, 0
+        else:
+            self.stale += 1
+
+
+class Evaluator:
+    """Evaluations of a training from time to time, and at its end."""
+
+    def __init__(self, config: GanConfig, image: Image, fields: Tensor) -> None:
+        self.config, self.image, self.fields = config, image, fields
+        self.comparison, self.log = ExemplarComparison(image, config.seed), TrainingLog(config.run)
+
+    def resume(self, pair: AdversarialPair) -> TrainingState:
+        """Return the state at the checkpoint of the same run, or at its start."""
+        found = load_checkpoint(self.config, self.image)
+        if found is None:
+            return TrainingState()
+        state = TrainingState(**found.plain["state"])
+        pair.restore(found.tensors)
+        self.log.restore(found.plain["rows"])
+        notify(f"resuming after {state.iteration} iterations")
+        return state
+
+    def evaluate(
+        self, pair: AdversarialPair, state: TrainingState, step_losses: dict[str, float]
+    ) -> float:
+        """Evaluate and log; return the figure that says how near the generator is."""
+        found, middle = self.comparison.compare(self._inference_network(pair), self.fields)
+        clock = {"iteration": state.iteration, "minutes": state.seconds / 60}
+        self.log.add({**clock, **step_losses, **found}, middle)
+        return found.get("two_point", found["distance"])
+
+    def result(self, pair: AdversarialPair, state: TrainingState) -> dict[str, Any]:
+        """Evaluate a last time and return the parts of a model."""
+        self.evaluate(pair, state, {})
+        names = ("distance", "two_point", "largest", "euler")
+        return {
+            "generator": {name: tensor.cpu() for name, tensor in pair.ema.state_dict().items()},
+            "calibration": calibrate(self._inference_network(pair), self.image, self.config.seed),
+            "training": {
+                "iterations": state.iteration,
+                "minutes": round(state.seconds / 60, 2),
+                "threads": thread_count(),
+                "device": pair.device.type,
+                "restarts": state.restarts,
+                "seed": self.config.seed,
+                "torch": str(torch.__version__),
+                "figures": {n: round(v, 5) for n, v in self.log.rows[-1].items() if n in names},
+            },
+        }
+
+    def _inference_network(self, pair: AdversarialPair) -> Any:
+        """Build the averaged generator for inference: on the processor, in that arithmetic."""
+        weights = {name: tensor.cpu().numpy() for name, tensor in pair.ema.state_dict().items()}
+        return load_generator(self.config, pair.channels, weights)

@@ -1,0 +1,143 @@
+"""`lattice`: a periodic function of the cell coordinates, cut at the level of a volume fraction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from trabecula.core.errors import InputError, RequestError
+from trabecula.core.expression import Expression
+from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
+from trabecula.engine.blocks import Box
+from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.synth.api.exemplar_info import ExemplarInfo
+from trabecula.synth.api.method import Method
+from trabecula.synth.api.windows import WindowModel, field_in
+from trabecula.synth.lattice import CAPABILITIES
+from trabecula.synth.lattice.config import NAMES, STRUTS, SURFACES, LatticeConfig
+
+_LEAST, _USUAL = 4, 16  # voxels of a cell's edge
+# From the middles of the voxels, in voxels: a lattice whose mirror planes went through them would
+# put thousands of voxels on one level, and none between.
+_SHIFT = (0.11, 0.23, 0.37)
+_STEPS = 2**20  # values count in whole steps, so that the rounding of sines moves no voxel
+_FRACTIONS = np.linspace(0, 1, 1025)
+
+
+def surface(cell: str, u: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the function whose zeros are a minimal surface, at cell coordinates (z, y, x)."""
+    waves = [[f(2 * np.pi * n * one) for one in u] for n in (1, 2) for f in (np.sin, np.cos)]
+    return np.asarray(sum(SURFACES[cell](*waves, i, i - 2, i - 1) for i in range(3)))
+
+
+@cache
+def struts(cell: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """List the struts of a cell, each once: its middle and half of its vector, in cell edges."""
+    nodes = np.array(STRUTS[cell])
+    ends = (nodes[:, None] + np.array(list(product((-1, 0, 1), repeat=3)))).reshape(-1, 3)
+    found = {}
+    for hub in nodes[:1] if cell == "fcc" else nodes:
+        lengths = np.linalg.norm(ends - hub, axis=1)
+        for end in ends[np.isclose(lengths, lengths[lengths > 0].min())]:
+            found[tuple((hub + end) / 2 % 1)] = (hub + end) / 2, (end - hub) / 2
+    return list(found.values())
+
+
+def distance(cell: str, u: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the distance to the nearest strut's axis, in cell edges."""
+    least = np.full(1, np.inf)
+    for middle, half in struts(cell):
+        away = [(one - m + 0.5) % 1 - 0.5 for one, m in zip(u, middle, strict=True)]
+        along = np.clip(sum(a * h for a, h in zip(away, half, strict=True)) / (half @ half), -1, 1)
+        squares = sum((a - along * h) ** 2 for a, h in zip(away, half, strict=True))
+        least = np.minimum(least, squares)
+    return np.sqrt(least)
+
+
+def steps(cell: str, phase: str, u: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the function that is cut, low in the solid, in whole steps."""
+    field = surface(cell, u) if cell in SURFACES else distance(cell, u)
+    return np.rint((np.abs(field) if phase == "sheet" else field) * _STEPS)
+
+
+@cache
+def levels(cell: str, phase: str) -> np.ndarray:
+    """Return the levels that leave the `_FRACTIONS` of a cell below them."""
+    u = np.ix_(*((np.arange(96) + 0.5 + shift) / 96 for shift in _SHIFT))
+    # of the last one the highest value as well
+    return np.quantile(steps(cell, phase, u), _FRACTIONS) + (_FRACTIONS == 1)
+
+
+class LatticeModel(WindowModel):
+    """Settings, for voxels of a known size."""
+
+    capabilities = CAPABILITIES
+    config: LatticeConfig
+
+    def __init__(self, config: LatticeConfig, exemplars: Sequence[ExemplarInfo]) -> None:
+        super().__init__(config, exemplars)
+        edge, size = self.facts[0].spacing[0], config.cell_size
+        self.sizes = np.ones(3) * (_USUAL * edge if size is None else size)
+        if self.sizes.min() < _LEAST * edge:
+            raise InputError(f"cell_size={size}: give 4 voxels or more, {_LEAST * edge:g}")
+        to = np.array(config.direction) / np.linalg.norm(config.direction)
+        # Half a turn about z, then half a turn about the middle between z and the direction.
+        axis = to + np.eye(3)[0] if to[0] > -1 else np.eye(3)[1]
+        half = 2 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
+        self.turn = half @ np.diag([1, -1, -1])
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        if any(request.periodic) and (self.turn[0, 0] < 1 or self.config.coordinates):
+            raise RequestError("a lattice is periodic without direction and coordinates only")
+
+    def coordinates(self, request: Request, box: Box) -> Sequence[np.ndarray]:
+        """Return the cell coordinates (z, y, x) of a box."""
+        edge, sizes = self.facts[0].spacing[0], self.sizes.copy()
+        sides, axes = np.array(request.shape) * edge, [np.arange(*ends) for ends in box]
+        for i in np.flatnonzero(request.periodic):
+            sizes[i] = sides[i] / max(1, round(sides[i] / sizes[i]))
+            axes[i] %= request.shape[i]
+        place = np.ix_(*((n + 0.5 + by) * edge for n, by in zip(axes, _SHIFT, strict=True)))
+        if self.config.coordinates:
+            values = dict(zip(NAMES, (*place, *sides), strict=True))
+            return [Expression(text, NAMES)(**values) for text in self.config.coordinates]
+        if self.turn[0, 0] < 1:
+            place = tuple(
+                sum(r * p for r, p in zip(row, place, strict=True)) for row in self.turn.T
+            )
+        return [one / size for one, size in zip(place, sizes, strict=True)]
+
+    def make_box(self, request: Request, box: Box) -> np.ndarray:
+        """Cut the function plane by plane."""
+        cell, phase, wanted = self.config.cell, self.config.phase, porosity_of(request.target)
+        wanted = self.config.porosity if wanted is None else wanted
+        values = np.empty([stop - start for start, stop in box], np.uint8)
+        field = field_in(wanted, box) if isinstance(wanted, np.ndarray) else wanted
+        solid = np.broadcast_to(1 - np.asarray(field), values.shape)
+
+        def work(start: int, stop: int) -> None:
+            for n, z in enumerate(range(box[0][0] + start, box[0][0] + stop), start):
+                u = self.coordinates(request, ((z, z + 1), *box[1:]))
+                level = np.interp(solid[n], _FRACTIONS, levels(cell, phase))
+                values[n] = (steps(cell, phase, u) < level)[0]
+
+        for_slabs(work, len(values))
+        return values
+
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        """Forecast the planes that are worked on, of float64."""
+        planes = 6 if self.config.cell in SURFACES and self.turn[0, 0] == 1 else 16
+        return {"planes": thread_count() * planes * 8 * shape[1] * shape[2]}
+
+
+class Lattice(Method):
+    """Periodic cells."""
+
+    capabilities = CAPABILITIES
+    config_type = LatticeConfig
+    model_type = LatticeModel

@@ -1,0 +1,51 @@
+"""Results that must not change: the voxels of small cases, and files that version 0.1 wrote."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import trabecula as tb
+from frozen.cases import CASES, FILES, PRESETS, digest
+
+HASHES = json.loads((Path(__file__).parent / "hashes.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_case_gives_the_frozen_result(name):
+    try:
+        result = CASES[name]()
+    except tb.errors.MissingExtraError as error:
+        pytest.skip(str(error))
+    assert digest(result) == HASHES[name], f"{name} changed (python tests/frozen/freeze.py {name})"
+
+
+def test_every_preset_has_a_case():
+    for name, spec in tb.methods().items():
+        if name != "gan":
+            assert set(spec.presets) == set(PRESETS[name])
+
+
+def test_every_hash_has_its_case():
+    assert set(HASHES) == set(CASES)
+
+
+INPUTS = {"slice", "across", "grey", "colour", "scan", "form", "mask", "known", "fixed", "field"}
+RESULTS = sorted(
+    path.name
+    for path in FILES.iterdir()
+    if path.name != "array"
+    and path.suffix not in (".model", ".json")
+    and path.name.split(".")[0] not in INPUTS
+)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_the_recipe_of_an_old_file_makes_its_voxels(name):
+    again = tb.rerun(FILES / name)
+    assert digest(again) == digest(tb.read(FILES / name))
+
+
+def test_an_array_in_memory_is_given_as_a_file():
+    again = tb.rerun(FILES / "array" / "texture.nrrd", exemplar=FILES / "array" / "exemplar.npy")
+    assert digest(again) == digest(tb.read(FILES / "array" / "texture.nrrd"))
