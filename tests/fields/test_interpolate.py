@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula import fields
 from trabecula.errors import InputError
-from trabecula.fields.geodesic import interior_distance
+from trabecula.fields.interpolate import interior_distance
 
 
 def equation_seven(shape, points, values, power, spacing=1.0):
