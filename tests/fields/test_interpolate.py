@@ -62,7 +62,7 @@ def test_a_filled_field_has_every_known_voxel_as_a_point(power):
 
 
 def shortest(inside, start):
-    """Dijkstra over 26 neighbours: never shorter than the true way, and by at most 14 % longer."""
+    """Return Dijkstra's distance over 26 neighbours: the true one, or up to 14 % longer."""
     time = np.full(inside.shape, np.inf)
     time[start] = 0
     queue = [(0.0, start)]

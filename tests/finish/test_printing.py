@@ -1,4 +1,4 @@
-"""The print check: each fault alone, in a part that has no other, and each limit."""
+"""The print check: each fault alone in a part, and each limit."""
 
 import json
 
@@ -12,7 +12,7 @@ from trabecula.finish.printers import PRINTERS
 
 
 def block(side=24):
-    """A cube of 12 mm on the plate."""
+    """Return a cube of 12 mm on the plate."""
     return np.ones((side, side, side), bool)
 
 
@@ -181,7 +181,7 @@ def test_what_starts_in_the_air():
 
 @pytest.mark.parametrize(("slope", "angle"), [(0.5, 26.6), (0.8, 38.7), (1.25, 51.3), (2, 63.4)])
 def test_a_slope_is_measured_at_its_angle(slope, angle):
-    """A wedge whose lower side leans out by `slope` voxels for every voxel up."""
+    """Measure a wedge whose lower side leans out by `slope` voxels for every voxel up."""
     z, _, x = np.indices((30, 30, 90))
     wedge = x < 15 + slope * z
     for limit in (angle - 6, angle + 6):
@@ -192,7 +192,7 @@ def test_a_slope_is_measured_at_its_angle(slope, angle):
 
 
 def test_a_ball_hangs_over_by_its_cap():
-    """Of the lower half of a ball, the share beyond 45 degrees is 1 - cos 45."""
+    """Measure the lower half of a ball: the share beyond 45 degrees is 1 - cos 45."""
     z, y, x = np.indices((64, 64, 64)) - 31.5
     _, leaning = print_layers.overhang_area(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
     cap = 2 * np.pi * 30**2 * (1 - np.sqrt(0.5))
@@ -262,7 +262,7 @@ def test_refusals(options, says):
 
 
 def rough(seed, shape=(26, 31, 22)):
-    """A part with halls behind narrow necks."""
+    """Return a part with large pores behind narrow necks."""
     from scipy.ndimage import gaussian_filter
 
     noise = gaussian_filter(np.random.default_rng(seed).random(shape), 2.2)
@@ -272,9 +272,7 @@ def rough(seed, shape=(26, 31, 22)):
 @pytest.mark.parametrize("passage", [0.6, 1.5, 3.0, 4.0, 5.5, 6.0, 9.0])
 @pytest.mark.parametrize("spacing", [0.5, (0.5, 0.3, 0.7)])
 def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
-    """The share that is far from every way, with a margin of a whole passage and more around the
-    part.
-    """
+    """Compare the far share with one of a margin of a whole passage and more."""
     from trabecula.finish.printers import Part
     from trabecula.finish.printing import check_passage
     from trabecula.measure import label_components
@@ -298,7 +296,7 @@ def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
 @pytest.mark.parametrize("printer", PRINTERS)
 @pytest.mark.parametrize(("spacing", "unit"), [(1.0, "nm"), (1.0, "um"), (0.5, "mm"), (0.5, "m")])
 def test_memory_is_that_of_the_part_whatever_its_unit(printer, spacing, unit):
-    """A passage of 1.5 mm is a million voxels of a nanometre: 10**18 of them around the part."""
+    """Check a passage of a million voxels of a nanometre: a margin would hold 10**18 of them."""
     import tracemalloc
 
     image = tb.Image(rough(1), "labels", spacing=spacing, unit=unit)

@@ -1,4 +1,4 @@
-"""Floaters and trapped pores: counted, removed, filled."""
+"""Floaters and closed pores: counting, removal and filling."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.finish import OPERATIONS, trapped, fill_trapped, remove_floaters
+from trabecula.finish import OPERATIONS, fill_trapped, remove_floaters, trapped
 from trabecula.measure import components
 
 
@@ -18,7 +18,7 @@ def report(image):
 
 
 def hollow():
-    """A block with a closed pore of 3 x 3 x 3, one of a single voxel, and an open channel."""
+    """Return a block with a closed pore of 3 x 3 x 3, one of a single voxel, and a channel."""
     block = np.ones((12, 12, 12), np.uint8)
     block[2:5, 2:5, 2:5] = 0
     block[9, 9, 9] = 0
@@ -53,13 +53,11 @@ def test_a_way_out_over_an_edge_is_none_unless_it_is_asked_for():
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=8)))
 def test_filling_is_filling_holes(solid):
-    """Where ways lead through faces, as scipy's do."""
+    """Compare with scipy, whose holes have face neighbours too."""
     part = fill_trapped(solid)
     assert np.array_equal(part.values, ndimage.binary_fill_holes(solid))
     assert (
-        report(part)["filled"]
-        == trapped(solid)["voxels"]
-        == np.count_nonzero(part.values != solid)
+        report(part)["filled"] == trapped(solid)["voxels"] == np.count_nonzero(part.values != solid)
     )
 
 

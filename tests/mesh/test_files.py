@@ -1,4 +1,4 @@
-"""Files: what is read back is the mesh, in the unit that the format says."""
+"""Files: a round trip gives the mesh, in the unit of the format."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -25,7 +25,7 @@ def blob():
 
 
 def same_surface(read, mesh, factor=1.0):
-    """Whether a file holds the mesh; STL repeats vertices, so corners are compared."""
+    """Return whether a file holds the mesh; STL repeats vertices, so compare corners."""
     found, wanted = np.asarray(read.triangles), mesh.vertices[mesh.faces].astype(float) * factor
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 

@@ -1,4 +1,4 @@
-"""A surface written slab by slab is the file that the whole gives."""
+"""Writing a surface slab by slab: the same file as of the whole."""
 
 import tracemalloc
 from dataclasses import replace
