@@ -60,7 +60,7 @@ def windowed(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
     spacing : float or one per axis, optional
-        Voxel edges. Default: 1, so that densities are per voxel, whatever the image's own spacing.
+        Voxel edges. Default: 1, so that densities are per voxel; the image's spacing is ignored.
 
     Returns
     -------

@@ -88,15 +88,15 @@ def _target(end: FreeEnd, perimeter: float, parts: Anatomy) -> np.ndarray | None
     low = np.maximum(end.tip - voxels, 0)
     box = tuple(slice(a, b) for a, b in zip(low, end.tip + voxels + 1, strict=True))
     at = np.argwhere(space.inside[box]) + low
-    way = (at - end.tip) * space.edge
-    far = np.linalg.norm(way, axis=1)
-    ahead = (way @ end.direction) / np.maximum(far, 1e-12)
+    offset = (at - end.tip) * space.edge
+    far = np.linalg.norm(offset, axis=1)
+    ahead = (offset @ end.direction) / np.maximum(far, 1e-12)
     at = at[(far <= reach) & (ahead >= _CONE)]
     at = at[~_beside_root(at, end, perimeter / 4, parts)]
     if not len(at):
         return None
-    way = (at - end.tip) * space.edge
-    target = at[np.argmin((way * way).sum(axis=1) / (way @ end.direction))]
+    offset = (at - end.tip) * space.edge
+    target = at[np.argmin((offset * offset).sum(axis=1) / (offset @ end.direction))]
     between = _line(end.tip, target)
     between = between[space.inside[tuple(between.T)] > 0]
     blocked = _beside_root(between, end, perimeter / 4, parts) & (

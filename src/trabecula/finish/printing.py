@@ -332,13 +332,13 @@ def check_passage(part: Part, passage: float) -> Finding:
     margin = [(first + 1,) * 2 for first in away]
     void = np.pad(~part.solid, margin, constant_values=True)
     # Half a voxel less: the wall is the voxel's face, not its centre.
-    depth = distance_transform(void, spacing=part.spacing) - min(part.spacing) / 2
-    wide = depth >= passage / 2 * (1 - 1e-6)
+    half, least = min(part.spacing) / 2, passage / 2 * (1 - 1e-6)
+    wide = distance_transform(void, spacing=part.spacing) - half >= least
     labels, _ = label_components(wide)
-    ways = labels == labels[0, 0, 0]
+    paths = labels == labels[0, 0, 0]
     inner = tuple(slice(a, -a) for a, _ in margin)
     open_pores = label_components(void)[0]
-    far = (distance_transform(~ways, spacing=part.spacing) > _NEAR * passage) & (
+    far = (distance_transform(~paths, spacing=part.spacing) > _NEAR * passage) & (
         open_pores == open_pores[0, 0, 0]
     )
     share = np.count_nonzero(far[inner]) / max(1, np.count_nonzero(~part.solid))

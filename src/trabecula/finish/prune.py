@@ -73,18 +73,18 @@ def prune(
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): free ends are counted per volume of it,
         struts that its surface cuts are not judged, and nothing is grown outside of it. Default:
-        the image is filled as a whole; where its recipe tells of a form, this is said.
+        the whole image, with a notice where its recipe names a form.
 
     Returns
     -------
     image : Image
-        With no more components than before: what is removed opens no loop and leaves no piece
-        behind, and what is grown makes a loop (or joins two components). New voxels take the label
-        at the free end; what is removed becomes void. The recipe's step holds a `report`:
+        With no more components than before: a removal opens no loop and leaves no component
+        behind, and a grown strut makes a loop (or joins two components). New voxels take the label
+        at the free end; removed voxels become void. The recipe's step holds a `report`:
         `ends_before`, `ends_after`, `ends_exemplar`, `ends_allowed` (the exemplar's number per
         volume, times the volume of the image or of the form), `removed`, `grown`, `left` (spurious
-        ones for which nothing could be done: nothing within a cell's diameter ahead, or no loops at
-        all), `removed_voxels`, `added`, `rounds`.
+        ends without a remedy: no target within a cell's diameter, or no loops at all),
+        `removed_voxels`, `added`, `rounds`.
 
     Raises
     ------

@@ -126,7 +126,7 @@ def _paint(places, radius, spacing, painted, start, stop):
     _, height, width = painted.shape
     for n in range(len(places)):
         z, y, x = places[n, 0], places[n, 1], places[n, 2]
-        # A hair more, so that a distance of exactly the radius counts whatever the unit.
+        # A hair more, so that a distance of exactly the radius counts in every unit.
         limit = radius[n] * radius[n] * (1.0 + 1e-6)
         deep = int(np.sqrt(limit) / spacing[0])
         for k in range(max(z - deep, start), min(z + deep + 1, stop)):

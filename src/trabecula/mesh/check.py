@@ -19,7 +19,7 @@ class MeshCheck:
     Parameters
     ----------
     watertight : bool
-        Every edge lies in exactly two faces, which run through it in opposite directions.
+        Every edge is in exactly two faces, which run through it in opposite directions.
     open_edges, crowded_edges, twisted_edges : int
         Edges of one face; of more than two; of two faces in the same direction.
     degenerate_faces : int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -34,7 +33,7 @@ class SurfaceFormat:
     in_slabs: bool = False
     own_unit: bool = False
 
-    def member(self, name: str) -> Callable[..., Any]:
+    def member(self, name: str) -> Any:
         """Return "read", "write" or "Writer" of the format's module."""
         return getattr(importlib.import_module(f"trabecula.mesh.{self.home}"), name)
 

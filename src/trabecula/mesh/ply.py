@@ -142,16 +142,16 @@ class _Binary:
 
     def _row_by_row(self, element: _Element) -> dict:
         counts_of: list[list[int]] = [[] for _ in element.columns]
-        pieces: list[list[np.ndarray]] = [[] for _ in element.columns]
+        chunks: list[list[np.ndarray]] = [[] for _ in element.columns]
         for _ in range(element.rows):
             for k, (_, values, counts) in enumerate(element.columns):
                 length = int(self._take(counts, 1)[0]) if counts else 1
                 counts_of[k].append(length)
-                pieces[k].append(self._take(values, length))
+                chunks[k].append(self._take(values, length))
         return {
-            name: (np.array(counts_of[k], np.int64), np.concatenate(pieces[k]))
+            name: (np.array(counts_of[k], np.int64), np.concatenate(chunks[k]))
             if counts
-            else np.concatenate(pieces[k])
+            else np.concatenate(chunks[k])
             for k, (name, _, counts) in enumerate(element.columns)
         }
 

@@ -1,21 +1,21 @@
 """The case table of marching cubes, generated (Lorensen and Cline 1987, doi:10.1145/37401.37422,
 is the source of the idea).
 
-A cube has the centres of 2x2x2 voxels as corners. Corner `c` lies at x = c & 1, y = c >> 1 & 1, z =
-c >> 2 & 1; bit `c` of a configuration says that this corner is solid. An edge whose ends differ
-carries one vertex.
+A cube has the centres of 2x2x2 voxels as corners. Corner `c` is at x = c & 1, y = c >> 1 & 1, z =
+c >> 2 & 1; bit `c` of a configuration is 1 if this corner is solid. An edge with one solid and one
+void end carries one vertex.
 
-**One rule for every face.** On a face whose solid corners lie on a diagonal, the solid is
-*separated* (each solid corner gets its own segment). So the surface encloses parts that are
-6-connected, the connectivity that components are counted by. The void is joined there. Both cubes
-at a face apply the same rule to the same four corners and so draw the same segments, in opposite
-directions: whatever the volume, no gap can open.
+**One rule for every face.** Where the two solid corners of a face are on a diagonal, the solid is
+*separated* (each solid corner gets its own segment). So the surface encloses components of 6
+neighbours, the connectivity that components are counted by. The void is joined there. Both cubes at
+a face apply the same rule to the same four corners and so draw the same segments, in opposite
+directions: no gap can open, in any volume.
 
-**Why the surface is a manifold.** Every cut edge lies in two faces of its cube and ends one segment
+**Why the surface is a manifold.** Every cut edge is in two faces of its cube and ends one segment
 in each, so the segments close into loops that share no vertex, and around a grid edge the four
-cubes' loops form one ring. A loop's inner diagonals are its own unless both ends lie in one face of
+cubes' loops form one ring. A loop's inner diagonals are its own unless both ends are in one face of
 the cube, where the neighbour could draw the same; `_triangulate` therefore never uses such a
-diagonal (the table test shows that it never has to).
+diagonal (the test of the table shows that it never has to).
 """
 
 from __future__ import annotations
