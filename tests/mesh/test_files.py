@@ -127,8 +127,8 @@ def test_many_rows_are_written_in_pieces(tmp_path, monkeypatch, blob):
     whole = [
         write_mesh(mesh, tmp_path / f"whole{suffix}").read_bytes() for suffix in (".obj", ".stl")
     ]
-    monkeypatch.setattr("trabecula.mesh.text._PIECE", 7)
-    monkeypatch.setattr("trabecula.mesh.stl._PIECE", 7)
+    monkeypatch.setattr("trabecula.mesh.text._ROWS", 7)
+    monkeypatch.setattr("trabecula.mesh.stl._CHUNK", 7)
     assert [
         write_mesh(mesh, tmp_path / f"pieces{suffix}").read_bytes() for suffix in (".obj", ".stl")
     ] == whole

@@ -1,4 +1,4 @@
-"""Checks of a print layer by layer, from z = 0 upwards: cups, islands, overunsupported and bridges.
+"""Checks of a print layer by layer, from z = 0 upwards: cups, islands, overhangs and bridges.
 
 Each check returns a `Finding`; the figures behind it are functions of a solid (Z, Y, X), bool, in
 which z is the direction of the layers.
@@ -53,15 +53,15 @@ def check_islands(part: Part, printer: Printer) -> Finding:
     return Finding("islands", "refuse" if printer.process == "fdm" else "warn", figures, says)
 
 
-def check_overunsupported(part: Part, angle: float) -> Finding:
+def check_overhangs(part: Part, angle: float) -> Finding:
     """Check that little of the surface leans more than `angle` degrees from the vertical."""
     down, leaning = overhang_area(part.solid, part.spacing, angle)
     share = leaning / down if down else 0.0
     figures = {"share": round(share, 6), "area": leaning, "overhang": angle}
     says = f"{share:.1%} of the surface facing down leans more than {angle:g} degrees"
     if share <= _LEANING:
-        return Finding("overunsupported", "pass", figures, says)
-    return Finding("overunsupported", "warn", figures, f"{says}: it needs supports, or sags")
+        return Finding("overhangs", "pass", figures, says)
+    return Finding("overhangs", "warn", figures, f"{says}: it needs supports, or sags")
 
 
 def check_bridges(part: Part, limit: float) -> Finding:
