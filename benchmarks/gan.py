@@ -12,7 +12,7 @@ import numpy as np
 import trabecula as tb
 from common import SCANS, busy, pictures, table, tell
 from descriptors import GREY, LABELS
-from trabecula.models import shipped
+from trabecula.models import shipped_models
 from trabecula.view.slices import montage
 
 SAMPLES = 10
@@ -40,7 +40,7 @@ def models() -> None:
     """Shipped models (or TRABECULA_BENCH_MODELS), 10 samples of 120^3 each: figures and band,
     diversity, permeability.
     """
-    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped():
+    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped_models():
         scan = exemplar(name)
         if scan is None:
             continue
@@ -73,7 +73,7 @@ def models() -> None:
 
 def speed() -> None:
     """Seconds of the processor that a shipped model takes for 120^3, 200^3 and 420^3, one thread."""
-    for name in shipped():
+    for name in shipped_models():
         model = tb.load_model(name)
         model.generate(64, seed=0)
         for side in (SIDE, 200, 420):

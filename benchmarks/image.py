@@ -25,7 +25,7 @@ from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.correlation.axis_preference import preference, two_point_diagonal
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler
 from trabecula.measure.orientation import orientation
-from trabecula.report.planes import Face, faces_of, slices_of
+from trabecula.report.planes import SlicePlane, slice_planes, take_slices
 from trabecula.synth.api.registry import methods
 
 LAGS = 32
@@ -159,7 +159,7 @@ def shown(picture: tb.Image) -> tb.Image:
     return tb.Image(picture.values * np.uint8(step), "grey")
 
 
-def likeness(face: Face, slices: Sequence[tb.Image]) -> Likeness:
+def likeness(face: SlicePlane, slices: Sequence[tb.Image]) -> Likeness:
     """Of slices, or of other pictures, to the picture of a face."""
     own, others = shown(face.picture), [shown(each) for each in slices]
     reach = min(LAGS, *(min(each.shape) - 1 for each in others))
@@ -205,8 +205,8 @@ def _covariance_error(picture: tb.Image, slices: Sequence[tb.Image]) -> float:
 def likeness_of_volume(images: Sequence[tb.Image], volume: tb.Image) -> Likeness:
     """Mean over the pictures, each with the slices of its planes."""
     found = [
-        likeness(face, [each for plane in face.planes for each in slices_of(volume, plane)])
-        for face in faces_of(images)
+        likeness(face, [each for plane in face.planes for each in take_slices(volume, plane)])
+        for face in slice_planes(images)
     ]
     return _mean(found)
 
@@ -224,7 +224,7 @@ def own_spread(images: Sequence[tb.Image]) -> Likeness:
                 )
             ]
             found += [
-                likeness(Face(here, (), ""), [there]) for here, there in (halves, halves[::-1])
+                likeness(SlicePlane(here, (), ""), [there]) for here, there in (halves, halves[::-1])
             ]
     return _mean(found)
 
@@ -266,7 +266,7 @@ def draw(name: str, images: Sequence[tb.Image], volumes: dict[str, tb.Image]) ->
 
     rows = [[_pixels(image) for image in images]]
     for volume in volumes.values():
-        planes = [slices_of(volume, plane, 1)[0] for plane in ("yx", "zx", "zy")]
+        planes = [take_slices(volume, plane, 1)[0] for plane in ("yx", "zx", "zy")]
         rows.append([_pixels(plane) for plane in (*planes, oblique(volume))])
     gap = 6
     width = max(sum(pixels.shape[1] + gap for pixels in row) for row in rows)

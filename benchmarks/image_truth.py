@@ -17,7 +17,7 @@ from trabecula.core.checks import check_name
 from trabecula.exemplar.views import PLANES
 from trabecula.measure.correlation import axis_preference, covariance_form, two_point
 from trabecula.measure.correlation.axis_preference import two_point_diagonal
-from trabecula.report.planes import slices_of
+from trabecula.report.planes import take_slices
 
 SCANS = ("Berea", "bone a", "NMC", "cement, Otsu", "cathode, coarse")
 SEVERAL = ("bone a",)
@@ -94,7 +94,7 @@ def image_truth() -> None:
     for name, scan in _chosen().items():
         plain = tb.Image(scan.values, "labels", phases=scan.phases)
         truth = Truth.of(plain, side)
-        middle = [slices_of(plain, plane, 1)[0] for plane in PLANES]
+        middle = [take_slices(plain, plane, 1)[0] for plane in PLANES]
         _tell_floor(name, truth, middle[0])
         _real_rows(row, name, truth, side)
         volumes = {"the scan": tb.crop(plain, min(side, *plain.shape))}

@@ -24,13 +24,13 @@ from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.texture.config import TextureConfig
 
 STAGES = {
-    "sliced": ("sliced_round",),
-    "two-point": ("corrected", "misfit"),
+    "sliced": ("transport_neighbourhoods",),
+    "two-point": ("two_point_step", "misfit"),
     "project": ("features_of",),
-    "search": ("searched", "nearest_matches"),
-    "vote": ("voted", "balanced"),
-    "histogram": ("rematched", "match_histogram"),
-    "choice": ("brightest",),
+    "search": ("search_sweep", "exact_search"),
+    "vote": ("cast_votes", "energy_vote"),
+    "histogram": ("match_votes", "match_histogram"),
+    "choice": ("brightest_voxels",),
 }
 """Stage -> functions of `texture` and `shared` by their names. What one spends inside another
 counts for the inner.

@@ -16,9 +16,9 @@ import trabecula as tb
 from common import pictures, table
 from descriptors import scans
 from trabecula.core.seeds import generator
-from trabecula.report.descriptors import LabelStick
-from trabecula.report.evenness import shared_windows
-from trabecula.report.metric import Metric
+from trabecula.report.descriptors import LabelDescriptors
+from trabecula.report.evenness import choose_windows
+from trabecula.report.verdict import Metric
 from trabecula.report.reference import Reference
 from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
@@ -72,9 +72,9 @@ def has_setting(name: str) -> bool:
 def reference_of(exemplar: tb.Image) -> Reference:
     """What `tb.verify` holds an image against, measured once for all images of a table."""
     reach = min(50, min(exemplar.shape) // 2 - 1)
-    windows = shared_windows(exemplar, [exemplar])
+    windows = choose_windows(exemplar, [exemplar])
     return Reference(
-        exemplar, LabelStick(r_max=reach, level="default", windows=windows), copying=True
+        exemplar, LabelDescriptors(r_max=reach, level="default", windows=windows), copying=True
     )
 
 

@@ -30,7 +30,7 @@ OBJECTS = BLOCKS + 2
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The volume that these runs make, on disk."""
+    """Make the volume of these runs on disk."""
     path = tmp_path_factory.mktemp("whole") / "foam.zarr"
     trabecula("generate", *ASKED, "--out", path, "--chunks", 32)
     return path
@@ -38,7 +38,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def interrupted(bucket, monkeypatch):
-    """The address of the same run, stopped by Ctrl-C after two blocks."""
+    """Return the address of the same run, stopped by Ctrl-C after two blocks."""
     foam = f"{bucket}/foam.zarr"
     with monkeypatch.context() as patch:
         real, count = blocks.do_task, []
@@ -58,14 +58,14 @@ def interrupted(bucket, monkeypatch):
 
 @pytest.fixture
 def finished(bucket, whole):
-    """The address of that volume, copied there."""
+    """Return the address of that volume, copied there."""
     fsspec.filesystem("s3").put(str(whole), f"{bucket}/foam.zarr", recursive=True)
     return f"{bucket}/foam.zarr"
 
 
 @pytest.fixture
 def tasks(monkeypatch):
-    """The tasks that are done."""
+    """List the tasks that are done."""
     real, done = blocks.do_task, []
 
     def told(task, *words, **more):
@@ -160,7 +160,7 @@ def test_every_verb_reads_it(finished, whole):
 
 
 def test_a_volume_that_is_made_as_a_whole(bucket, monkeypatch):
-    """In scratch files of this machine, and then block by block into the store."""
+    """Make it in scratch files of this machine, and then block by block into the store."""
     tb.write(tb.crop(tb.sample("bone"), 24), "scan.npy")
     asked = ("generate", "scan.npy", "--method", "quilt", "--shape", 40, "--seed", 1)
     here = trabecula(*asked, "--out", "rock.npy")
@@ -362,7 +362,7 @@ def test_no_such_bucket(bucket):
 
 
 def test_no_right_to_write(bucket, monkeypatch):
-    """The emulation asks for the rights of a key from now on; ours is nobody's."""
+    """Let the emulation check the rights of a key, of which ours has none."""
     from moto import settings
     from moto.core.responses import ActionAuthenticatorMixin
 

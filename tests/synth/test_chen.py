@@ -6,9 +6,9 @@ import pytest
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.synth.chen.config import ChenConfig
-from trabecula.synth.chen.method import excess_of
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.planes import Frame
+from trabecula.synth.chen.pixels import position_excess
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 
@@ -90,16 +90,16 @@ def test_the_excess_is_counted_in_multiples_of_even_use():
     field[0, 0, :6] = 50
     candidates = Candidates.of(Stack.of([field]), width=8, step=2, variance=0.9, most=8, flat=True)
     views = [(0, candidates), (1, candidates)]
-    frame = Frame.over(Region((12, 12, 12)), views, (Histogram.of(field),))
+    frame = RegionViews.over(Region((12, 12, 12)), views, (Histogram.of(field),))
     sources = np.repeat(np.arange(288), 6).reshape(12, 12, 12)
-    assert all((over == 1).all() for over in excess_of(sources, frame, 2.0))
+    assert all((over == 1).all() for over in position_excess(sources, frame, 2.0))
     # the second view's eighth pixel: used twice as often
     sources = np.where(sources == 150, 151, sources)
-    first, second = excess_of(sources, frame, 2.0)
+    first, second = position_excess(sources, frame, 2.0)
     assert (first == 1).all()
     assert second.ravel()[7] == pytest.approx(3)
     assert np.count_nonzero(second != 1) == 1
-    assert all((over == 1).all() for over in excess_of(None, frame, 2.0))
+    assert all((over == 1).all() for over in position_excess(None, frame, 2.0))
 
 
 @pytest.mark.parametrize(

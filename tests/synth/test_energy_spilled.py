@@ -12,19 +12,30 @@ import pytest
 import trabecula as tb
 from trabecula import fields
 from trabecula.engine import memmap
-from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.parallel import threads
-from trabecula.synth.shared.box_sums import sums
-from trabecula.synth.shared.matching.grid import Grid, nearest_matches
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.synth.shared.box_sums import window_sums
+from trabecula.synth.shared.matching.grid import Grid, exact_search
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbour_search import (
+    index_histogram,
+    k_nearest,
+    rerank,
+    usage_factors,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
 from trabecula.synth.texture.energy import energy, mismatch, total
-from trabecula.synth.texture.graded import leaning_grid, settled
-from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
+from trabecula.synth.texture.graded import (
+    average_target,
+    fractions_by_level,
+    guide_grid,
+    settle_fractions,
+    target_fractions,
+)
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.method import Texture
 from trabecula.synth.texture.poisson import solve_votes
-from trabecula.synth.texture.volume_fraction import evened, shares_by_level, shares_of
 
 CORNERS, WIDTH, STEP = (5, 6, 7), 4, 2
 
@@ -68,7 +79,7 @@ def one_round(match, weight, wraps, mu):
         STEP * n if w else c
         for n, w, c in zip(match.shape, wraps, covered(match.shape), strict=True)
     )
-    votes = no_votes(covered(match.shape), channels=2)
+    votes = empty_votes(covered(match.shape), channels=2)
     add_votes(votes, example, match, weight, wraps=wraps, **PLACE)
     votes = fold_votes(votes, shape)
     solved = solve_votes(votes, mu=mu, unit=64)
@@ -97,7 +108,7 @@ def test_a_round_of_energies_is_the_same(spilled, wraps, mu):
 
 def test_a_guess_is_taken_where_there_are_votes(spilled):
     match, weight = sites(3, (9, 4, 4))
-    votes = no_votes(covered(match.shape), channels=2)
+    votes = empty_votes(covered(match.shape), channels=2)
     add_votes(votes, exemplar(1), match, weight, **PLACE)
     guess = exemplar(4, covered(match.shape)).astype(np.float32)
     whole = solve_votes(votes, mu=3.0, unit=64, start=guess, tolerance=1e-5)
@@ -113,7 +124,7 @@ def test_a_guess_is_taken_where_there_are_votes(spilled):
 @pytest.mark.parametrize("shape", [(5, 4, 6), (5, 9, 6), (2, 9, 13), (5, 9, 13)])
 def test_folding_adds_what_lies_beyond_to_where_it_repeats(spilled, shape):
     rng = np.random.default_rng(5)
-    votes = Votes(
+    votes = GradientVotes(
         rng.integers(-9, 9, (2, 5, 9, 13)).astype(np.int32),
         rng.integers(0, 9, (5, 9, 13)).astype(np.int32),
         rng.integers(-9, 9, (2, 5, 9, 13)).astype(np.int32),
@@ -178,13 +189,15 @@ def test_exact_matches_are_those_of_the_whole_table(spilled, mask):
     noise = rng.integers(-300, 300, (*grid.shape, grid.candidates.features.shape[1]))
     features = (grid.candidates.features[old] + noise).astype(np.int16)
     count = len(grid.candidates.numbers)
-    index, distance = k_nearest(features[grid.active], grid.candidates.prepared)
+    index, distance = k_nearest(features[grid.active], grid.candidates.index)
     shares = index_histogram(old[grid.active], len(grid.candidates.features))
-    chosen, apart = reranked(index, distance, shares, weight=0.5 * count, theta=1 / count)
+    chosen, apart = rerank(
+        index, distance, usage_factors(shares, weight=0.5 * count, theta=1 / count)
+    )
     assert (chosen != index[:, 0]).any()
     with spilled(), threads(2):
         match, found = (
-            np.array(part) for part in nearest_matches(grid, old, features, index_penalty=0.5)
+            np.array(part) for part in exact_search(grid, old, features, index_penalty=0.5)
         )
     assert np.array_equal(match[grid.active], chosen)
     assert np.array_equal(found[grid.active], apart)
@@ -199,7 +212,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().dumps(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in (*bounds, *bounds):
             pickle.loads(packed)(start, stop)
 
@@ -209,9 +222,9 @@ def test_the_exact_search_can_be_done_by_others(tmp_path):
     grid = searched_grid(True)
     old = np.full(grid.shape, grid.candidates.numbers[3], np.int32)
     features = grid.candidates.features[np.arange(old.size).reshape(old.shape)]
-    whole = nearest_matches(grid, old, features, index_penalty=0.1)
-    with memmap.map_large_arrays(tmp_path, memory=1 << 14, thickest=3, workers=Others()):
-        made = nearest_matches(grid, old, features, index_penalty=0.1)
+    whole = exact_search(grid, old, features, index_penalty=0.1)
+    with memmap.map_large_arrays(tmp_path, memory=1 << 14, thickest=3, hands=Others()):
+        made = exact_search(grid, old, features, index_penalty=0.1)
         assert all(np.array_equal(a, b) for a, b in zip(whole, made, strict=True))
     assert (whole[0] != old).any()
 
@@ -220,7 +233,7 @@ def test_a_search_in_high_dimensions_is_prepared_in_pieces():
     """More candidates than are looked at together, the last leaf not full."""
     points = np.random.default_rng(13).normal(size=(9001, 5)) * [3000, 2000, 900, 400, 100]
     points = points.astype(np.int16)
-    index, distance = k_nearest(points[::100] + np.int16(7), candidates(points, k=2))
+    index, distance = k_nearest(points[::100] + np.int16(7), build_index(points, k=2))
     apart = ((points[::100].astype(np.int64) + 7)[:, None] - points) ** 2
     order = np.argsort(apart.sum(2), axis=1, kind="stable")[:, :2]
     assert np.array_equal(index, order)
@@ -231,9 +244,9 @@ def test_a_search_in_high_dimensions_is_prepared_in_pieces():
 @pytest.mark.parametrize("width", [5, 40])
 def test_windows_are_the_same(spilled, width, wraps):
     values = np.random.default_rng(14).integers(-4096, 4096, (17, 12, 9))
-    whole = sums(values, width, wraps)
+    whole = window_sums(values, width, wraps)
     with spilled(), threads(2):
-        assert np.array_equal(sums(values, width, wraps), whole)
+        assert np.array_equal(window_sums(values, width, wraps), whole)
 
 
 def graded(mask, wraps):
@@ -246,11 +259,14 @@ def graded(mask, wraps):
     shape = (21, 10, 12)
     free = rng.random(shape) < 0.7 if mask else None
     grid = Grid.over(Region(shape, wraps, free), among)
-    grid, leaning = leaning_grid(
+    grid, leaning = guide_grid(
         grid, np.linspace(0.2, 0.6, 21 * 120, dtype=np.float32).reshape(shape), 0
     )
     votes = rng.integers(-9000, 9000, (1, *grid.region.shape)).astype(np.int16)
-    leaned, last = leaning.leaned((votes >> 8).astype(np.int8)), settled(votes, leaning)
+    leaned, last = (
+        leaning.shift_field((votes >> 8).astype(np.int8)),
+        settle_fractions(votes, leaning),
+    )
     parts = leaning.wanted, leaning.counted, grid.guide, leaned, last, grid.candidates.features
     return [np.array(part) for part in parts], (leaning.mean, leaning.width)
 
@@ -278,22 +294,22 @@ def test_shares_and_their_mean_are_the_same(spilled, name, mask):
     porosity = asked if name == "porosity" else 1 - asked
     with spilled(), threads(2):
         for present, empty, wanted in (((0, 1), 0, 1 - porosity), ((0, 1), 1, porosity)):
-            assert np.array_equal(shares_of(request, present, empty), wanted)
-        mean = evened(request).target["porosity"]
+            assert np.array_equal(target_fractions(request, present, empty), wanted)
+        mean = average_target(request).target["porosity"]
     assert mean == pytest.approx(
         porosity[inside].mean(dtype=np.float64) if mask else porosity.mean(dtype=np.float64)
     )
-    assert evened(request).target == {"porosity": mean}
+    assert average_target(request).target == {"porosity": mean}
 
 
 def test_shares_of_levels_are_the_same(spilled):
     fine = np.random.default_rng(18).integers(-127, 60, (1, 12, 12, 12)).astype(np.int8)
     stacks = [Stack.of([fine]), Stack.of([fine[:, ::2, ::2, ::2] // 2 - 20])]
     shares = np.random.default_rng(19).random((19, 8, 7), np.float32)
-    whole = shares_by_level(shares, stacks)
+    whole = fractions_by_level(shares, stacks)
     assert [level.shape for level in whole] == [(19, 8, 7), (10, 4, 4)]
     with spilled():
-        for level, wanted in zip(shares_by_level(shares, stacks), whole, strict=True):
+        for level, wanted in zip(fractions_by_level(shares, stacks), whole, strict=True):
             assert np.array_equal(level, wanted)
         del level
 

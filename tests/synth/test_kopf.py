@@ -7,9 +7,9 @@ import trabecula as tb
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.synth.kopf.config import KopfConfig
-from trabecula.synth.kopf.method import excess_of, factors_of
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.planes import Frame
+from trabecula.synth.kopf.method import factors_of, histogram_excess
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 
@@ -128,8 +128,8 @@ def test_too_frequent_values_weigh_less():
         Stack.of([picture]), width=8, step=2, variance=0.9, most=8, flat=True
     )
     field = np.repeat(np.array([-100, -40, 40, 40], np.int8), 16**3 // 4).reshape(1, 16, 16, 16)
-    frame = Frame.over(Region((16, 16, 16)), [(0, candidates)], (Histogram.of(picture),))
-    excess = excess_of(field.astype(np.int16) * 256, frame, 1.0)
+    frame = RegionViews.over(Region((16, 16, 16)), [(0, candidates)], (Histogram.of(picture),))
+    excess = histogram_excess(field.astype(np.int16) * 256, frame, 1.0)
     assert excess.sum() == pytest.approx(0.25)
     factors = factors_of(picture, excess, 200)[0]
     assert np.unique(factors[picture[0, 0] == 40]).tolist() == [160]

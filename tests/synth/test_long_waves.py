@@ -11,11 +11,10 @@ import pytest
 import trabecula as tb
 from trabecula.engine import memmap
 from trabecula.measure.evenness import evenness
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.content.fields import FULL, votes_of
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import rematched
-from trabecula.synth.shared.statistics.correlate import corrected, correlations_of
+from trabecula.synth.shared.matching.rounds import match_votes
 from trabecula.synth.shared.statistics.long_waves import (
     LongWaves,
     adjust_long_waves,
@@ -23,7 +22,8 @@ from trabecula.synth.shared.statistics.long_waves import (
     long_waves_of,
 )
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.votes import votes_of
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import two_point_step
 
 AROUND = (True, True, True)
 SOFTNESS = 50.0
@@ -55,7 +55,7 @@ def deviation(field, width=17):
 def match(field):
     """What makes a field of votes, with the histogram of `field`."""
     histograms, region = (Histogram.of(field),), Region(field.shape[1:], AROUND)
-    return lambda votes: rematched(region, votes, histograms)
+    return lambda votes: match_votes(region, votes, histograms)
 
 
 EVEN = smooth((SIDE,) * 3, 1)
@@ -86,7 +86,7 @@ def test_the_spread_of_noise_is_known():
     waves = long_waves_of([noise], 0, softness=1.0)
     assert waves.widths == (11, 21)
     assert waves.variances[0, 0] == pytest.approx(0.21 / 11**3, rel=0.25)
-    wider = waves.extended(200)
+    wider = waves.extend(200)
     assert wider.widths == (11, 21, 43, 87)
     assert np.all(wider.variances[0, 1:] <= wider.variances[0, :-1] / 4)
     assert np.allclose(wider.bands.sum(), wider.variances[0, 0], rtol=0.3), (
@@ -165,8 +165,8 @@ def test_a_convolution_without_long_waves(period):
     pairs = Pairs((SIDE,) * 3, 2, AROUND)
     spectrum, weights = pairs.forward(wave.astype(np.float32)), np.array([1.0] + [0.0] * 8)
     left = (
-        pairs.convolved(spectrum, weights, shorter_than=17).std()
-        / pairs.convolved(spectrum, weights).std()
+        pairs.convolve(spectrum, weights, shorter_than=17).std()
+        / pairs.convolve(spectrum, weights).std()
     )
     box = np.sin(np.pi * 17 / period) / (17 * np.sin(np.pi / period))
     assert left == pytest.approx(1 - box**2, abs=1e-4)
@@ -181,13 +181,13 @@ def test_a_step_with_long_waves_of_its_own_raises_them_less():
     lifted = np.where(r >= 8, 2e-3, 0.0)
     found = {}
     spread = spread_of(EVEN)
-    for name, waves in (("without", None), ("with", spread.extended(2 * spread.widths[0]))):
+    for name, waves in (("without", None), ("with", spread.extend(2 * spread.widths[0]))):
         aim = type(target)(
             target.curves + lifted, target.softness, target.edges, target.held, waves
         )
         field = EVEN
         for _ in range(2):
-            field = match(EVEN)(corrected(field, aim, periodic=AROUND))
+            field = match(EVEN)(two_point_step(field, aim, periodic=AROUND))
         found[name] = deviation(field)
     even = deviation(EVEN)
     assert found["with"] - even < 0.75 * (found["without"] - even)

@@ -11,25 +11,27 @@ import trabecula as tb
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
-from trabecula.synth.mrf import relax
-from trabecula.synth.mrf.colouring import Classes
-from trabecula.synth.mrf.content import content_of
-from trabecula.synth.mrf.feedback import Joint, joint_of, local_change
-from trabecula.synth.mrf.lattice import Lattice, any_of_eight, grown, halved, known_halved
-from trabecula.synth.mrf.limits import STEPS
-from trabecula.synth.mrf.palette import palette_of
-from trabecula.synth.mrf.patches import patches_of
-from trabecula.synth.mrf.planes import across, union_of
-from trabecula.synth.mrf.porosity_reweighting import tilted
-from trabecula.synth.mrf.relax import Relaxation
-from trabecula.synth.mrf.scales import lattices_of, started
-from trabecula.synth.mrf.slice_planes import Face
+from trabecula.synth.mrf.candidates import extract_neighbourhoods, reweight_by_porosity
+from trabecula.synth.mrf.density import STEPS
+from trabecula.synth.mrf.lattice import (
+    SiteClasses,
+    SiteLattice,
+    build_lattices,
+    coarsen_any,
+    coarsen_known,
+    dilate_box,
+    half_shape,
+)
+from trabecula.synth.mrf.picture_levels import median_cut_palette, number_levels
+from trabecula.synth.mrf.relaxation import Relaxation, start_relaxation
+from trabecula.synth.mrf.slice_planes import SliceView, plane_across, union_offsets
+from trabecula.synth.mrf.statistics_feedback import JointHistogram, bias_change, joint_histogram
 
 NONE = {"feedback": 0.0, "coupling": 0.0, "shares": False, "oblique": False, "final_heat": (1.0,)}
 
 
 def stripes(side=40, period=8):
-    """Blobs of two phases with a length of their own."""
+    """Return blobs of two phases with a length of their own."""
     rng = np.random.default_rng(1)
     noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) * _band(side, period)).real
     return tb.Image((noise > np.quantile(noise, 0.6)).astype(np.uint8), "labels")
@@ -46,10 +48,10 @@ def picture():
 
 
 def neighbours_of(site, axes, width, shape):
-    """All places that are in the neighbourhood of a site in any plane of a torus, in a set."""
+    """Return all places in the neighbourhood of a site in any plane of a torus, as a set."""
     return {
         tuple(int(p) for p in (np.array(site) + offset) % shape)
-        for offset in union_of([across(axis) for axis in axes], width)
+        for offset in union_offsets([plane_across(axis) for axis in axes], width)
     }
 
 
@@ -59,7 +61,7 @@ def neighbours_of(site, axes, width, shape):
     width=st.sampled_from([3, 5]),
 )
 def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, width):
-    classes = Classes(Lattice(np.zeros(shape, np.uint8)), width)
+    classes = SiteClasses(SiteLattice(np.zeros(shape, np.uint8)), width)
     seen = []
     for name in classes.names:
         sites = classes.sites(name, 0, shape[0])
@@ -68,30 +70,35 @@ def test_sites_of_a_class_do_not_see_each_other_and_classes_hold_all(shape, widt
         ]
         assert np.array_equal(np.concatenate(parts), sites)
         seen.append(sites)
-        members = {
+        site_class = {
             tuple(int(c) for c in place) for place in np.array(np.unravel_index(sites, shape)).T
         }
-        for site in list(members)[:4]:
-            assert not members & neighbours_of(site, (0, 1, 2), width, shape)
+        for site in list(site_class)[:4]:
+            assert not site_class & neighbours_of(site, (0, 1, 2), width, shape)
     assert np.array_equal(np.sort(np.concatenate(seen)), np.arange(np.prod(shape)))
 
 
 def test_a_sweep_of_width_7_needs_16_classes():
-    assert len(Classes(Lattice(np.zeros((16, 16, 16), np.uint8)), 7).names) == 16
+    assert len(SiteClasses(SiteLattice(np.zeros((16, 16, 16), np.uint8)), 7).names) == 16
 
 
 def test_offsets_follow_the_pictures_rows_and_columns():
-    assert across(0).offsets(3).tolist()[:4] == [[0, -1, -1], [0, -1, 0], [0, -1, 1], [0, 0, -1]]
-    assert across(1).offsets(3).tolist()[:2] == [[-1, 0, -1], [-1, 0, 0]]
-    assert across(2).offsets(3).tolist()[:2] == [[-1, -1, 0], [-1, 0, 0]]
+    assert plane_across(0).offsets(3).tolist()[:4] == [
+        [0, -1, -1],
+        [0, -1, 0],
+        [0, -1, 1],
+        [0, 0, -1],
+    ]
+    assert plane_across(1).offsets(3).tolist()[:2] == [[-1, 0, -1], [-1, 0, 0]]
+    assert plane_across(2).offsets(3).tolist()[:2] == [[-1, -1, 0], [-1, 0, 0]]
     assert (
-        len(union_of([across(axis) for axis in range(3)], 7)) == 3 * 36 + 18
+        len(union_offsets([plane_across(axis) for axis in range(3)], 7)) == 3 * 36 + 18
     )  # three planes without their lines, and three lines
 
 
 def test_only_free_sites_are_asked():
     free = np.random.default_rng(1).random((9, 10, 11)) < 0.4
-    classes = Classes(Lattice(np.zeros(free.shape, np.uint8), free=free), 5)
+    classes = SiteClasses(SiteLattice(np.zeros(free.shape, np.uint8), free=free), 5)
     found = np.concatenate([classes.sites(name, 0, 9) for name in classes.names])
     assert np.array_equal(np.sort(found), np.flatnonzero(free))
 
@@ -111,7 +118,7 @@ def test_a_form_grows_by_a_box_around_every_voxel(shape, seed, reach):
                 ]
             )
         ] = 1
-    assert np.array_equal(grown(form, shape, reach), literal)
+    assert np.array_equal(dilate_box(form, shape, reach), literal)
 
 
 @pytest.mark.parametrize("shaped", [False, True])
@@ -121,76 +128,78 @@ def test_what_is_asked_and_known_is_counted(shaped):
     asked = np.zeros(levels.shape, bool)
     form = rng.random((6, 8, 5)) < 0.5 if shaped else None
     asked[:6, :, :5] = True if form is None else form
-    lattice = Lattice(levels, free=free, box=(6, 8, 5), form=form)
-    assert np.array_equal(lattice.asks_for(np.arange(levels.size)), asked.ravel())
-    assert np.array_equal(lattice.asked(4, 9), asked[4:])
-    left, held = lattice.known(3)
+    lattice = SiteLattice(levels, free=free, box=(6, 8, 5), form=form)
+    assert np.array_equal(lattice.in_result(np.arange(levels.size)), asked.ravel())
+    assert np.array_equal(lattice.result_mask(4, 9), asked[4:])
+    left, held = lattice.count_known(3)
     assert left == np.count_nonzero(asked & free)
     assert held.tolist() == np.bincount(levels[asked & ~free], minlength=3).tolist()
     lattice.free = None
-    assert lattice.known(3)[0] == asked.sum() and not lattice.known(3)[1].any()
+    assert lattice.count_known(3)[0] == asked.sum() and not lattice.count_known(3)[1].any()
 
 
 @pytest.mark.parametrize("shape", [(4, 6, 8), (5, 7, 3)])
 def test_a_cell_is_marked_where_any_of_its_eight_is(shape):
     marks = np.random.default_rng(3).random(shape) < 0.1
-    found = any_of_eight(marks)
-    assert found.shape == halved(shape)
+    found = coarsen_any(marks)
+    assert found.shape == half_shape(shape)
     for z, y, x in np.ndindex(found.shape):
         assert (
             found[z, y, x] == marks[2 * z : 2 * z + 2, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2].any()
         )
 
 
-def begun(model, lattice, coarse, faces, seed=1):
-    """The finest scale at its start, without couplings."""
-    return started(
+def start_finest(model, lattice, coarse, slice_views, seed=1):
+    """Start the finest scale, without couplings."""
+    return start_relaxation(
         lattice,
         coarse,
-        [faces],
+        [slice_views],
         model.content,
         model.config,
         seed=seed,
         scale=0,
-        wanted=model._shares(None),
+        wanted=model._target_shares(None),
         couplings=None,
     )
 
 
 def relaxation_of(image, shape, config, *, seed=1):
-    """One scale of three views at its start, and what its density is made of."""
+    """Return one scale of three views at its start, and its model."""
     model = tb.method("mrf", **config).fit(image)
     request = tb.Request(shape, seed=seed, periodic=True)
-    lattice = lattices_of(request, model.content, 1, model.config.neighbourhood)[0]
-    faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
-    return model, begun(model, lattice, None, faces, seed)
+    lattice = build_lattices(request, model.content, 1, model.config.neighbourhood)[0]
+    slice_views = [
+        SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
+    ]
+    return model, start_finest(model, lattice, None, slice_views, seed)
 
 
 def literal_density(model, levels, site, weights, views=(0, 1, 2)):
-    """Equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64 of the
-    neighbours.
+    """Compute equations 3 to 9 at one site: the views' shares (V, L). `weights` (Z, Y, X) float64
+    of the neighbours.
     """
     config, content = model.config, model.content
-    patches = patches_of(
+    neighbourhoods = extract_neighbourhoods(
         content.pictures[0], scale=0, width=config.neighbourhood, every=config.every
     )
     features = content.features.astype(float)
-    h = model.sources[0][0].bandwidth
+    h = model.candidate_sets[0][0].bandwidth
     shares = []
     for axis in views:
-        apart = np.zeros(len(patches.centres))
-        for k, offset in enumerate(across(axis).offsets(config.neighbourhood)):
+        apart = np.zeros(len(neighbourhoods.centres))
+        for k, offset in enumerate(plane_across(axis).offsets(config.neighbourhood)):
             place = tuple((np.array(site) + offset) % levels.shape)
-            difference = features[levels[place]] - features[patches.around[:, k]]
+            difference = features[levels[place]] - features[neighbourhoods.around[:, k]]
             apart += weights[place] * (difference**2).sum(1)
-        centre = ((features[:, None] - features[patches.centres][None]) ** 2).sum(2)
+        centre = ((features[:, None] - features[neighbourhoods.centres][None]) ** 2).sum(2)
         share = np.exp(-(apart[None] - apart.min() + centre) / (2 * h * h)).sum(1)
         shares.append(share / share.sum())
     return np.array(shares)
 
 
 def test_gibbs_draws_from_the_exact_conditional():
-    """Sites far apart in a known surrounding, all alike: their levels are draws from one
+    """Check sites far apart in a known surrounding, all alike: their levels are draws from one
     conditional.
     """
     image = tb.Image((np.random.default_rng(2).random((30, 30)) < 0.4).astype(np.uint8), "labels")
@@ -218,8 +227,8 @@ def test_gibbs_draws_from_the_exact_conditional():
 
 @pytest.mark.parametrize("kind", ["labels", "grey"])
 def test_icm_is_the_literal_loop(kind):
-    """The paper's figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small
-    lattice, site by site.
+    """Check figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice,
+    site by site.
     """
     rng = np.random.default_rng(5)
     values = (
@@ -230,11 +239,11 @@ def test_icm_is_the_literal_loop(kind):
     shape = (6, 5, 7)
     settings = {"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0}
     model, relaxation = relaxation_of(tb.Image(values, kind), shape, settings)
-    relaxation.lattice.there = np.ones(shape, bool)
-    relaxation.lattice.there[2, 1, 3] = relaxation.lattice.there[4, 4, 0] = False
-    relaxation.lattice.free = relaxation.lattice.there.copy()
-    levels, there = relaxation.lattice.levels.copy(), relaxation.lattice.there
-    classes = Classes(relaxation.lattice, 3)
+    relaxation.lattice.domain = np.ones(shape, bool)
+    relaxation.lattice.domain[2, 1, 3] = relaxation.lattice.domain[4, 4, 0] = False
+    relaxation.lattice.free = relaxation.lattice.domain.copy()
+    levels, domain = relaxation.lattice.levels.copy(), relaxation.lattice.domain
+    classes = SiteClasses(relaxation.lattice, 3)
     temperature = np.ones(shape, np.float32)
     moves = []
     for step in relaxation._steps()[:6]:
@@ -248,7 +257,7 @@ def test_icm_is_the_literal_loop(kind):
             sites = [site for site in sites if temperature[site] > 0]
             for site in sites:
                 weights = (
-                    there * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
+                    domain * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
                 )
                 product = literal_density(model, levels, site, weights).prod(0)
                 best = np.sort(product)[::-1]
@@ -258,14 +267,16 @@ def test_icm_is_the_literal_loop(kind):
                     levels[site] = relaxation.lattice.levels[site]
             cooled = {}
             for site in sites:
-                near = [place for place in neighbours_of(site, (0, 1, 2), 3, shape) if there[place]]
+                near = [
+                    place for place in neighbours_of(site, (0, 1, 2), 3, shape) if domain[place]
+                ]
                 cooled[site] = max(
                     0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near)
                 )
             for site, value in cooled.items():
                 temperature[site] = value
         assert np.array_equal(levels, relaxation.lattice.levels)
-        assert np.allclose(temperature[there], relaxation.temperature[there], atol=1e-6)
+        assert np.allclose(temperature[domain], relaxation.temperature[domain], atol=1e-6)
         assert changed == np.count_nonzero(before != levels)
         moves.append(changed)
     assert moves[0] > 0 < sum(moves[1:]), "the later sweeps say nothing"
@@ -286,14 +297,16 @@ def test_inherited_voxels_are_questioned_or_fixed(picture):
     kept = []
     for resynthesis in (True, False):
         model = tb.method("mrf", **config, resynthesis=resynthesis).fit(picture)
-        lattice = lattices_of(
+        lattice = build_lattices(
             tb.Request((12, 12, 12), seed=1, periodic=True),
             model.content,
             1,
             model.config.neighbourhood,
         )[0]
-        faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
-        relaxation = begun(model, lattice, coarse, faces)
+        slice_views = [
+            SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
+        ]
+        relaxation = start_finest(model, lattice, coarse, slice_views)
         assert np.array_equal(relaxation.lattice.levels[::2, ::2, ::2], coarse)
         relaxation.run()
         assert not relaxation.temperature[::2, ::2, ::2].any()
@@ -305,14 +318,16 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
     coarse = np.random.default_rng(4).integers(0, 2, (6, 5, 4)).astype(np.uint8)
     for way in ("one", "all"):
         model = tb.method("mrf", upsampling=way).fit(picture)
-        lattice = lattices_of(
+        lattice = build_lattices(
             tb.Request((11, 10, 8), seed=1, periodic=True),
             model.content,
             1,
             model.config.neighbourhood,
         )[0]
-        faces = [Face(across(axis), model.sources[0][0], 0) for axis in range(3)]
-        levels = begun(model, lattice, coarse, faces).lattice.levels
+        slice_views = [
+            SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
+        ]
+        levels = start_finest(model, lattice, coarse, slice_views).lattice.levels
         assert np.array_equal(levels[::2, ::2, ::2], coarse)
         agree = np.mean(levels == coarse.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:11])
         assert agree == 1 if way == "all" else agree < 0.75
@@ -327,48 +342,50 @@ def test_the_feedback_holds_shares_and_target(picture):
 
 
 def test_without_the_feedback_it_is_the_papers(picture):
-    """Nothing but the views' densities: the bias stays 0."""
+    """Check that the bias stays 0: nothing but the views' densities."""
     _, relaxation = relaxation_of(picture, (12, 12, 12), {"scales": 1, "sweeps": (2,), **NONE})
     relaxation.run()
-    assert not relaxation.shifts.of_groups.any() and not relaxation.shifts.fine.any()
-    assert not any(part.any() for part in relaxation.steering.by_cell)
+    assert not relaxation.shifts.by_group.any() and not relaxation.shifts.by_level.any()
+    assert not any(part.any() for part in relaxation.bias_feedback.by_cell)
 
 
 def test_the_local_bias_rests_where_the_statistics_agree():
-    content = content_of([stripes()], full=40, levels=2, colours=2)
-    patches = patches_of(content.pictures[0], scale=0, width=5, every=True)
-    joint = joint_of(patches, content, 6)
+    content = number_levels([stripes()], full=40, levels=2, colours=2)
+    neighbourhoods = extract_neighbourhoods(content.pictures[0], scale=0, width=5, every=True)
+    joint = joint_histogram(neighbourhoods, content, 6)
     assert joint.share[0].sum() == pytest.approx(1)
     count = np.rint(joint.share * 1e6).astype(np.int64)
-    assert np.abs(local_change(joint, count)).max() < 1e-3
+    assert np.abs(bias_change(joint, count)).max() < 1e-3
     # Too much of group 1 in cell 2: less of it there, with nothing done to the groups as a whole.
     count[0, 2, 1] *= 4
-    change = local_change(joint, count)
+    change = bias_change(joint, count)
     assert change[0, 2, 1] < -0.3 < 0.3 < change[0, 2, 0]
     assert np.abs((joint.share.sum(2, keepdims=True) * change).sum(1)).max() < 1e-9
 
 
 def test_known_joint_of_a_checkerboard():
-    content = content_of(
+    content = number_levels(
         [tb.Image(np.indices((9, 9)).sum(0) % 2, "labels")], full=40, levels=2, colours=2
     )
-    joint = joint_of(patches_of(content.pictures[0], scale=0, width=3, every=True), content, 2)
+    joint = joint_histogram(
+        extract_neighbourhoods(content.pictures[0], scale=0, width=3, every=True), content, 2
+    )
     # Around a 1 there are four 1s, around a 0 four as well: one cell, both groups about half.
-    assert isinstance(joint, Joint)
+    assert isinstance(joint, JointHistogram)
     assert joint.share[0].max(0) == pytest.approx([25 / 49, 24 / 49])
 
 
 def test_tilted_patches_have_the_porosity(picture):
-    patches = patches_of(picture.values, scale=0, width=7, every=True)
+    neighbourhoods = extract_neighbourhoods(picture.values, scale=0, width=7, every=True)
     for wanted in (0.35, 0.6, 0.8):
-        found = tilted(patches, 0, wanted)
-        assert len(found.centres) == len(patches.centres)
+        found = reweight_by_porosity(neighbourhoods, 0, wanted)
+        assert len(found.centres) == len(neighbourhoods.centres)
         assert np.mean(found.centres == 0) == pytest.approx(wanted, abs=0.01)
 
 
 def test_fixed_voxels_stay_and_the_material_goes_on(picture):
-    """The picture itself as the middle slice: unchanged, and the next slices agree with it far more
-    than by chance.
+    """Check the picture itself as the middle slice: unchanged, and the next slices agree with it
+    far more than by chance.
     """
     shape = (25, 40, 40)
     known = np.zeros(shape, bool)
@@ -409,7 +426,7 @@ def test_a_periodic_result_has_no_seam(picture):
 
 
 def test_two_pictures_rule_their_own_planes():
-    """Layers across z, seen across y and x; what is seen across z is left to them."""
+    """Check layers across z, seen across y and x; slices across z are left to them."""
     rng = np.random.default_rng(8)
     side = tb.Image(
         np.repeat((np.arange(36) % 6 < 3).astype(np.uint8)[:, None], 36, axis=1), "labels"
@@ -451,20 +468,20 @@ def test_grey_and_colour_take_real_values(kind):
 
 def test_few_grey_values_are_levels_as_they_are_and_many_become_quantiles():
     image = tb.Image(np.arange(64, dtype=np.uint16).reshape(8, 8) ** 2, "grey")
-    content = content_of([image], full=100, levels=64, colours=2)
+    content = number_levels([image], full=100, levels=64, colours=2)
     assert np.array_equal(content.values[content.pictures[0]], image.values)
     assert content.features[[0, -1], 0].tolist() == [-100, 100]
-    coarse = content_of([image], full=100, levels=16, colours=2)
+    coarse = number_levels([image], full=100, levels=16, colours=2)
     assert np.array_equal(np.bincount(coarse.pictures[0].ravel()), np.full(16, 4))
     assert np.isin(coarse.values, image.values).all()
-    assert np.array_equal(content.levels_of(image.values), content.pictures[0])
+    assert np.array_equal(content.nearest_levels(image.values), content.pictures[0])
 
 
 @given(st.integers(0, 50), st.integers(1, 12))
 @settings(max_examples=20)
 def test_a_palette_holds_colours_of_the_picture(seed, most):
     pixels = np.random.default_rng(seed).integers(0, 256, (60, 3)).astype(np.uint8)
-    colours, which = palette_of(pixels, most)
+    colours, which = median_cut_palette(pixels, most)
     assert len(colours) == most
     assert {tuple(c) for c in colours} <= {tuple(p) for p in pixels}
     assert np.bincount(which, minlength=most).min() >= 1
@@ -475,7 +492,7 @@ def test_a_palette_holds_colours_of_the_picture(seed, most):
 
 def test_a_palette_of_few_colours_is_exact():
     pixels = np.array([[1, 2, 3], [200, 0, 0], [1, 2, 3], [0, 90, 7]], np.uint8)
-    colours, which = palette_of(pixels, 200)
+    colours, which = median_cut_palette(pixels, 200)
     assert np.array_equal(colours[which], pixels)
 
 
@@ -483,7 +500,7 @@ def test_known_voxels_are_halved_to_the_first_of_eight():
     known = np.zeros((3, 4, 4), bool)
     values = np.arange(48, dtype=np.uint8).reshape(3, 4, 4)
     known[1, 1, 2] = known[1, 0, 3] = known[2, 3, 1] = True
-    half, found = known_halved(values, known)
+    half, found = coarsen_known(values, known)
     assert np.argwhere(found).tolist() == [[0, 0, 1], [1, 1, 0]]
     assert half[0, 0, 1] == values[1, 0, 3]
     assert half[1, 1, 0] == values[2, 3, 1]
@@ -503,7 +520,7 @@ def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, m
             raise KeyboardInterrupt
         return sweep(self, step)
 
-    monkeypatch.setattr(relax.Relaxation, "sweep", broken)
+    monkeypatch.setattr(Relaxation, "sweep", broken)
     with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
         model.generate((14, 16, 18), seed=3)
     assert (tmp_path / "a.part").exists()

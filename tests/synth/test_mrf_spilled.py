@@ -11,8 +11,8 @@ import pytest
 import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
-from trabecula.engine.cluster import ReferencedFiles
-from trabecula.synth.mrf import site_class
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.synth.mrf import site_update
 
 SHAPE = (11, 14, 13)
 
@@ -41,7 +41,7 @@ class Others:
     worked = 0
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().dumps(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -49,13 +49,13 @@ class Others:
 
 
 def as_if_large(monkeypatch):
-    """A class of few sites is done as one of many is."""
+    """Treat a class of few sites as one of many."""
     for name, value in (("_FEW", 1), ("_MANY", 0), ("_SMALL", 0)):
-        monkeypatch.setattr(site_class, name, value)
+        monkeypatch.setattr(site_update, name, value)
 
 
-def parts_of(picture, names):
-    """The parts of a request."""
+def split_request(picture, names):
+    """Return the parts of a request."""
     form = np.hypot.outer(np.hypot.outer(np.arange(-5, 6), np.arange(-7, 7)), np.arange(-6, 7)) < 7
     known = np.zeros(SHAPE, bool)
     known[4, 2:10] = known[8:, 3, 5] = True
@@ -105,7 +105,7 @@ def test_in_scratch_files_the_voxels_are_the_same(
     kind, settings, parts, pictures, tmp_path, monkeypatch
 ):
     model = tb.method("mrf", **{"oblique": False, **settings}).fit(pictures[kind])
-    request = Request(SHAPE, seed=5, **parts_of(pictures[kind], parts))
+    request = Request(SHAPE, seed=5, **split_request(pictures[kind], parts))
     whole, told = model.make(request)
     monkeypatch.setattr(memmap, "SMALLEST", 1)
     as_if_large(monkeypatch)
@@ -129,23 +129,23 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
     model = tb.method("mrf", sweeps=(1,), scales=2, heuristic=heuristic, **settings).fit(
         pictures["labels"]
     )
-    request = Request(SHAPE, seed=5, **parts_of(pictures["labels"], ("mask",)))
+    request = Request(SHAPE, seed=5, **split_request(pictures["labels"], ("mask",)))
     whole = model.make(request)[0]
     as_if_large(monkeypatch)
     others = Others()
-    with memmap.map_large_arrays(tmp_path, memory=1 << 30, thickest=9, workers=others):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 30, thickest=9, hands=others):
         assert np.array_equal(model.make(request)[0], whole)
     assert others.worked
 
 
 @pytest.mark.parametrize(("kind", "parts"), [("labels", ("mask",)), ("grey", ())])
 def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_path):
-    """Traced are NumPy's own arrays: four times as many planes take no more of them."""
+    """Trace NumPy's own arrays: four times as many planes take no more of them."""
     model = tb.method("mrf", sweeps=(1,), scales=2, candidates=128, reach=5, polish=0).fit(
         pictures[kind]
     )
     # so that loading kernels is not counted
-    model.make(Request(SHAPE, seed=1, **parts_of(pictures[kind], parts)))
+    model.make(Request(SHAPE, seed=1, **split_request(pictures[kind], parts)))
     peaks = []
     for depth in (22, 88):
         form = {"mask": np.ones((depth, 30, 34), bool)} if parts else {}
@@ -156,7 +156,7 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         with tb.threads(1):
-            plan = model.resident_memory(request)
+            plan = model._plan_spilled(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "slab"}
         assert peaks[-1] <= plan["slab"], "a slab takes more than was forecast"
     assert peaks[1] <= 1.1 * peaks[0], peaks

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
-from trabecula.synth.shared.nearest import candidates, index_histogram, k_nearest, reranked
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbour_search import (
+    index_histogram,
+    k_nearest,
+    rerank,
+    usage_factors,
+)
 
 
 def everything(points, queries, k, allowed=None):
@@ -38,7 +44,7 @@ def test_it_finds_what_a_search_of_everything_finds(seed, count, depth, k, size)
     allowed = rng.random(count) < 0.7
     allowed[rng.integers(count)] = True
     for chosen in (None, allowed):
-        index, distance = k_nearest(queries, candidates(points, k=k, allowed=chosen))
+        index, distance = k_nearest(queries, build_index(points, k=k, allowed=chosen))
         wanted, apart = everything(points, queries, k, chosen)
         assert np.array_equal(index, wanted)
         assert np.array_equal(distance, apart)
@@ -52,7 +58,7 @@ def test_thousands_of_equals_and_near_ties():
     points = np.full((4000, 40), -10_000, np.int16)
     points[1::2, 0] += rng.integers(0, 3, 2000).astype(np.int16)
     queries = np.full((3, 40), 10_000, np.int16)
-    index, distance = k_nearest(queries, candidates(points))
+    index, distance = k_nearest(queries, build_index(points))
     wanted, apart = everything(points, queries, 10)
     assert apart.max() > 2**32
     assert np.array_equal(index, wanted)
@@ -63,7 +69,7 @@ def test_threads_and_batches_do_not_matter():
     rng = np.random.default_rng(2)
     points = (rng.normal(size=(1500, 9)) * 2000 / np.arange(1, 10)).astype(np.int16)
     queries = points[::8] + np.int16(3)
-    among = candidates(points, k=5)
+    among = build_index(points, k=5)
     alone = k_nearest(queries, among)
     with threads(3):
         shared = k_nearest(queries, among)
@@ -84,7 +90,7 @@ def test_features_of_a_volume():
     ).astype(np.int8)
     windows = np.lib.stride_tricks.sliding_window_view(field[0], (3, 3, 3))
     features = windows.reshape(-1, 27).astype(np.int16)
-    index, distance = k_nearest(features[::25], candidates(features, k=3))
+    index, distance = k_nearest(features[::25], build_index(features, k=3))
     assert np.array_equal(index[:, 0], np.arange(0, len(features), 25))
     assert not distance[:, 0].any()
     wanted, apart = everything(features, features[::50], 3)
@@ -96,7 +102,7 @@ def test_the_callers_arrays_stay():
     points = np.arange(600, dtype=np.int16).reshape(60, 10)
     queries = points[:5].copy()
     before = points.copy()
-    k_nearest(queries, candidates(points))
+    k_nearest(queries, build_index(points))
     assert np.array_equal(points, before)
     assert np.array_equal(queries, before[:5])
 
@@ -113,18 +119,18 @@ def test_reranking_follows_the_paper():
     distance = np.array([[100, 120, 130], [100, 170, 180], [0, 1, 2]], np.int64)
     histogram = np.array([0.75, 0.25, 0.0, 0.0])
     # index 0 costs 1.5 times as much
-    match, apart = reranked(index, distance, histogram, weight=1.0)
+    match, apart = rerank(index, distance, usage_factors(histogram, weight=1.0))
     assert match.tolist() == [1, 0, 3]
     assert apart.tolist() == [120, 100, 0]
-    match, _ = reranked(index, distance, histogram, weight=2.0)
+    match, _ = rerank(index, distance, usage_factors(histogram, weight=2.0))
     assert match.tolist() == [1, 1, 3]
-    match, _ = reranked(index, distance, histogram, weight=0.0)
+    match, _ = rerank(index, distance, usage_factors(histogram, weight=0.0))
     assert match.tolist() == [0, 0, 3]
 
 
 def test_reranking_keeps_the_nearer_of_equals():
     index, distance = np.array([[5, 4, 1]], np.int32), np.array([[8, 8, 8]], np.int64)
-    assert reranked(index, distance, np.zeros(6))[0].tolist() == [5]
+    assert rerank(index, distance, usage_factors(np.zeros(6)))[0].tolist() == [5]
 
 
 @given(seed=st.integers(0, 1000), weight=st.floats(0, 100))
@@ -133,7 +139,7 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
     index = rng.integers(0, 20, (9, 6)).astype(np.int32)
     distance = np.sort(rng.integers(0, 500, (9, 6)), axis=1)
     histogram = index_histogram(rng.integers(0, 20, 40), 20)
-    match, apart = reranked(index, distance, histogram, weight=weight)
+    match, apart = rerank(index, distance, usage_factors(histogram, weight=weight))
     modified = distance * (1 + weight * np.maximum(histogram[index] - 0.05, 0))
     assert np.allclose(
         apart * (1 + weight * np.maximum(histogram[match] - 0.05, 0)), modified.min(1), rtol=1e-12
@@ -143,14 +149,17 @@ def test_no_other_candidate_has_a_smaller_modified_distance(seed, weight):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: candidates(np.zeros((4, 3))), "int16"),
-        (lambda: candidates(np.zeros((4, 0), np.int16)), "table"),
-        (lambda: candidates(np.zeros((0, 3), np.int16)), "no candidate"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)), "no candidate"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
-        (lambda: candidates(np.zeros((4, 3), np.int16), k=0), "k=0"),
+        (lambda: build_index(np.zeros((4, 3))), "int16"),
+        (lambda: build_index(np.zeros((4, 0), np.int16)), "table"),
+        (lambda: build_index(np.zeros((0, 3), np.int16)), "no candidate"),
         (
-            lambda: k_nearest(np.zeros((1, 2), np.int16), candidates(np.zeros((4, 3), np.int16))),
+            lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.zeros(4, bool)),
+            "no candidate",
+        ),
+        (lambda: build_index(np.zeros((4, 3), np.int16), allowed=np.ones(5, bool)), "4 candidates"),
+        (lambda: build_index(np.zeros((4, 3), np.int16), k=0), "k=0"),
+        (
+            lambda: k_nearest(np.zeros((1, 2), np.int16), build_index(np.zeros((4, 3), np.int16))),
             "one basis",
         ),
     ],

@@ -14,12 +14,13 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.parallel import threads
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import random_matches
-from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.turned import put_back, turned
+from trabecula.synth.shared.slabs import put_axis_first, restore_axis_order
 
 SHAPE = (24, 22, 23)
 QUICK = {
@@ -147,13 +148,13 @@ def test_an_interrupted_run_goes_on_to_the_same_voxels(
 @settings(max_examples=15, deadline=None)
 def test_turned_arrays_come_back(axis, values, thick, tmp_path_factory):
     with memmap.map_large_arrays(tmp_path_factory.mktemp("turned"), memory=1 << 20, thickest=thick):
-        seen = turned(values, axis)
+        seen = put_axis_first(values, axis)
         assert np.array_equal(seen, np.moveaxis(values, 1 + axis, 1))
         assert seen.flags.c_contiguous
         twice = values.copy()
-        put_back(seen, axis, twice, add=True)
+        restore_axis_order(seen, axis, twice, add=True)
         assert np.array_equal(twice, values * 2)
-        put_back(seen, axis, twice)
+        restore_axis_order(seen, axis, twice)
         assert np.array_equal(twice, values)
 
 
@@ -168,17 +169,17 @@ def test_what_planes_say_does_not_depend_on_slabs(wraps, thick, tmp_path):
         for axis, p in enumerate(pictures)
     ]
     histograms = tuple(Histogram.of(channel) for channel in pictures[0])
-    frame = Frame.over(Region((9, 14, 12), wraps), views, histograms)
-    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
+    frame = RegionViews.over(Region((9, 14, 12), wraps), views, histograms)
+    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.grids]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
     dear = [
         rng.integers(1, 9, plane.grid.candidates.stack.field.shape[1:]).astype(np.int32)
-        for plane in frame.planes
+        for plane in frame.grids
     ]
 
     def said():
-        votes = voted_planes(frame, matches, weights, trim=1)
-        return votes, *chosen_planes(frame, matches, weights, votes, dear=dear, trim=1)
+        votes = cast_plane_votes(frame, matches, weights, trim=1)
+        return votes, *choose_pixels(frame, matches, weights, votes, costs=dear, trim=1)
 
     whole = said()
     with threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=thick):
@@ -191,14 +192,16 @@ def test_a_field_itself_is_what_pixels_come_near_to():
     candidates = Candidates.of(
         Stack.of([picture]), width=6, step=2, variance=0.9, most=8, flat=True
     )
-    frame = Frame.over(
+    frame = RegionViews.over(
         Region((8, 10, 12)), [(0, candidates), (2, candidates)], (Histogram.of(picture),)
     )
-    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(1, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
     dear = [np.ones(picture.shape[1:], np.int32)] * 2
     field = np.random.default_rng(2).integers(-90, 91, (1, *frame.region.shape)).astype(np.int8)
-    near, of_field = chosen_planes(frame, matches, weights, field, dear=dear)
-    same, of_votes = chosen_planes(frame, matches, weights, field.astype(np.int16) * 256, dear=dear)
+    near, of_field = choose_pixels(frame, matches, weights, field, costs=dear)
+    same, of_votes = choose_pixels(
+        frame, matches, weights, field.astype(np.int16) * 256, costs=dear
+    )
     assert np.array_equal(near, same)
     assert np.array_equal(of_field, of_votes)

@@ -200,7 +200,7 @@ def test_shipped_models_are_found_by_name(noise, tmp_path, monkeypatch):
     (tmp_path / "marrow.md").write_text("# marrow\n\nBone of a test.\n\nMore.\n")
     monkeypatch.setattr(models, "_HERE", tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert list(models.shipped()) == ["marrow"] and models.summary("marrow") == "Bone of a test."
+    assert list(models.shipped_models()) == ["marrow"] and models.summary("marrow") == "Bone of a test."
     model = tb.load_model("marrow")
     assert model.name == "marrow" and np.array_equal(
         model.generate(8, seed=1).values, noise.generate(8, seed=1).values
@@ -212,7 +212,7 @@ def test_shipped_models_are_found_by_name(noise, tmp_path, monkeypatch):
 
 
 def test_every_shipped_model_has_a_card_and_can_be_read():
-    for name, path in models.shipped().items():
+    for name, path in models.shipped_models().items():
         assert models.summary(name), f"{name} has no card"
         card = models.card(name)
         assert all(

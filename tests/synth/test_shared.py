@@ -6,16 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trabecula as tb
-from trabecula.synth.shared.brightest import brightest
-from trabecula.synth.shared.fields import FULL, labels_of, phase_fields, quantise
-from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.neighbourhoods import (
-    SCALE,
-    covered_shape,
-    grid_shape,
-    principal_basis,
-    project,
-)
+from trabecula.synth.shared.content.fields import FULL, phase_fields, quantise
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram
+from trabecula.synth.shared.content.phase_fractions import brightest_voxels, labels_of
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, grid_reach, grid_shape, project
+from trabecula.synth.shared.matching.principal_components import principal_basis
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
 
@@ -74,7 +69,7 @@ def test_more_phases_come_out_in_their_fractions():
 @given(seed=st.integers(0, 99), count=st.integers(0, 4 * 5 * 6))
 def test_the_brightest_are_no_darker_than_the_rest(seed, count):
     field = noise((4, 5, 6), seed, np.int16) * 200
-    chosen = brightest(field, count)
+    chosen = brightest_voxels(field, count)
     assert np.count_nonzero(chosen) == count
     if 0 < count < field.size:
         mixed = mixed_values(field)
@@ -128,7 +123,7 @@ def test_fit_to_keeps_the_near_corner(have, want):
 def test_a_grid_covers_its_shape_with_less_than_a_step_to_spare(side, width, step):
     cube = {"box": (width,) * 3, "steps": (step,) * 3}
     grid = grid_shape((side,) * 3, **cube)
-    covered = covered_shape(grid, **cube)[0]
+    covered = grid_reach(grid, **cube)[0]
     assert covered >= side
     assert covered - max(side, width) < step
 

@@ -8,12 +8,12 @@ from trabecula import measure
 from trabecula.core.request import Request
 from trabecula.errors import InputError, RequestError
 from trabecula.exemplar.views import views_of
-from trabecula.synth.shared.content import content_of
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.statistics.correlate import correlations_of
-from trabecula.synth.sliced.aims import Pictures, alike, leaning, thinned
-from trabecula.synth.sliced.domain import around_known, torus
-from trabecula.synth.sliced.specks import without_specks
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import content_of
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.sliced.aims import Pictures, make_isotropic, reweight_target, subsample
+from trabecula.synth.sliced.domain import regions_around_known, torus_regions
+from trabecula.synth.sliced.specks import remove_specks
 
 
 def blobs(shape, seed=0, width=2.0, fraction=0.4):
@@ -134,7 +134,7 @@ def test_a_small_picture_is_refused():
 
 def test_thinned_parts_hold_every_pixel_once():
     field = np.arange(35, dtype=np.float32).reshape(1, 1, 5, 7)
-    parts = thinned(field, 1, clip=127.0)
+    parts = subsample(field, 1, clip=127.0)
     assert sorted(int(v) for part in parts for v in part.ravel()) == list(range(35))
     assert parts[1].shape == (1, 1, 3, 3)
 
@@ -143,7 +143,7 @@ def test_alike_pools_the_directions_by_their_pairs():
     rng = np.random.default_rng(3)
     part = np.where(rng.random((1, 1, 12, 12)) < 0.5, 127, -127).astype(np.int8)
     along = correlations_of([part], softness=1.0, r_max=4)
-    pooled = alike(along, [part.shape[1:]])
+    pooled = make_isotropic(along, [part.shape[1:]])
     curves = pooled.curves.reshape(3, -1)
     assert np.array_equal(curves[0], curves[1])
     assert np.array_equal(curves[0], curves[2])
@@ -163,7 +163,7 @@ def test_leaning_keeps_the_covariance_form():
     target = correlations_of([hard[None, None]], softness=1.0, r_max=5)
     own = Histogram.of(hard)
     asked = Histogram.of(np.array([-127] * 7 + [127] * 3, np.int8))
-    curve, phi = leaning(target, [own], [asked], softness=1.0).curves[0, 6:12], 0.3
+    curve, phi = reweight_target(target, [own], [asked], softness=1.0).curves[0, 6:12], 0.3
     old, share = target.curves[0, 6:12], np.mean(hard > 0)
     # Bins of one direction: the picture lies across z, so those nearest to y are the second third.
     assert np.allclose(
@@ -177,14 +177,14 @@ def test_specks_go_and_pieces_stay():
     values[9, 9, 9] = 1  # a speck
     values[4, 4, 4] = 0  # a hole
     votes = np.where(values > 0, 500, -500).astype(np.int16)[None]
-    cleaned = without_specks(votes, values, (0, 1), 12)[0] > 0
+    cleaned = remove_specks(votes, values, (0, 1), 12)[0] > 0
     assert cleaned[2:6, 2:6, 2:6].all()
     assert cleaned.sum() == 64
     assert votes[0, 9, 9, 9] == 500  # the caller's array is as it was
 
 
 def test_a_torus_holds_whole_coarse_voxels():
-    regions = torus(Request((21, 30, 5), periodic=(False, True, False)), 2, 8)
+    regions = torus_regions(Request((21, 30, 5), periodic=(False, True, False)), 2, 8)
     assert [region.shape for region in regions] == [(32, 30, 32), (16, 15, 16), (8, 8, 8)]
 
 
@@ -193,7 +193,7 @@ def test_a_known_slice_is_known_on_every_level(picture):
     values, known = np.zeros((16, 64, 64), np.uint8), np.zeros((16, 64, 64), bool)
     values[6], known[6] = picture.values, True
     request = Request((16, 64, 64), fixed=tb.Image(values, "labels"), known=known)
-    regions = around_known(
+    regions = regions_around_known(
         request, content.bounds(request), 2, lambda index: 3.0 * 2**index, exact=True
     )
     assert [np.unique(np.nonzero(~region.free)[0]).tolist() for region in regions] == [

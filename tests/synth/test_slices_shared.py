@@ -9,17 +9,20 @@ import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
-from trabecula.synth.shared.content import content_of
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, random_matches, swept
-from trabecula.synth.shared.matching.planes import Frame, chosen_planes, voted_planes
+from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import content_of
+from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, project
+from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
+from trabecula.synth.shared.matching.principal_components import principal_basis
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
-from trabecula.synth.shared.neighbourhoods import SCALE, principal_basis, project
-from trabecula.synth.shared.statistics.correlate import correlations_of, misfit
-from trabecula.synth.shared.statistics.sliced import sliced_round, sliced_views
-from trabecula.synth.shared.statistics.slices import slices_of
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
+from trabecula.synth.shared.statistics.slices import slice_target
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import misfit
 
 WIDTH = 6
 
@@ -75,7 +78,7 @@ def test_the_search_finds_a_picture_in_a_stack_of_its_own_planes():
     volume = np.repeat(field, 5, axis=1)
     grid = Grid.over(Region(volume.shape[1:]), candidates(field))
     match = random_matches(grid, key(0, "s"))
-    match, distance = swept(
+    match, distance = coherent_search(
         grid, match, volume, stage=key(0, "s"), first=1, count=12, tries=8, index_penalty=0.0
     )
     assert not distance.any()
@@ -90,7 +93,7 @@ def test_matches_move_to_the_next_level_with_their_plane():
     old, new = candidates(coarse), candidates(fine)
     rng = np.random.default_rng(0)
     match = rng.choice(old.numbers, (4, 3, 4)).astype(np.int32)
-    moved = carried(match, old, new, (8, 9, 10), factor=2)
+    moved = carry_matches(match, old, new, (8, 9, 10), factor=2)
     assert np.array_equal(moved[0], moved[1])
     for before, after in zip(
         np.ravel(match), np.ravel(moved[::2, ::2, ::2][:, :3, :4]), strict=True
@@ -102,10 +105,10 @@ def test_matches_move_to_the_next_level_with_their_plane():
 def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
     views = tuple((axis, candidates(field, step)) for axis, field in pictures)
     histograms = tuple(
-        Histogram.pooled(channel)
+        Histogram.pool(channel)
         for channel in zip(*(c.stack.histograms for _, c in views), strict=True)
     )
-    return Frame.over(Region(shape, wraps, free), views, histograms)
+    return RegionViews.over(Region(shape, wraps, free), views, histograms)
 
 
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
@@ -113,16 +116,16 @@ def frame_of(pictures, shape, wraps=(False,) * 3, free=None, step=2):
 def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, trim):
     rng = np.random.default_rng(4)
     frame = frame_of([(axis, picture(axis, channels=2)) for axis in range(3)], (11, 14, 12), wraps)
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [rng.integers(0, 1000, match.shape).astype(np.int32) for match in matches]
     factors = [
         rng.integers(1, frame.full + 1, p.grid.candidates.stack.field.shape[1:])
-        for p in frame.planes
+        for p in frame.grids
     ]
-    votes = voted_planes(frame, matches, weights, factors=factors, trim=trim)
+    votes = cast_plane_votes(frame, matches, weights, factors=factors, trim=trim)
     shape = frame.region.shape
     above, below = np.zeros((2, *shape)), np.zeros(shape)
-    for plane, match, weight, factor in zip(frame.planes, matches, weights, factors, strict=True):
+    for plane, match, weight, factor in zip(frame.grids, matches, weights, factors, strict=True):
         exemplar = plane.grid.candidates.stack.field[:, 0].astype(float)
         up, down = np.moveaxis(above, 1 + plane.axis, 1), np.moveaxis(below, plane.axis, 0)
         seen, around = plane.grid.region.shape, plane.grid.region.wraps
@@ -149,16 +152,16 @@ def test_the_vote_of_several_views_is_the_weighted_mean_of_all_squares(wraps, tr
 
 def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
     frame = frame_of([(0, picture(1)), (2, picture(2))], (9, 10, 12))
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
-    mean = voted_planes(frame, matches, weights)
-    even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    field, sources = chosen_planes(frame, matches, weights, mean, dear=even)
-    pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.planes])
+    mean = cast_plane_votes(frame, matches, weights)
+    even = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.grids]
+    field, sources = choose_pixels(frame, matches, weights, mean, costs=even)
+    pixels = np.concatenate([plane.grid.candidates.stack.field.ravel() for plane in frame.grids])
     assert np.array_equal(pixels[sources], field[0])
     lying = [set() for _ in range(field[0].size)]
     first = 0
-    for plane, match in zip(frame.planes, matches, strict=True):
+    for plane, match in zip(frame.grids, matches, strict=True):
         numbers = np.moveaxis(np.arange(field[0].size).reshape(field[0].shape), plane.axis, 0)
         width = plane.grid.candidates.stack.field.shape[3]
         _, ys, xs = corners(plane.grid.candidates, match)
@@ -175,14 +178,14 @@ def test_the_chosen_pixel_is_the_nearest_of_all_that_lie_on_a_voxel():
 
 def test_a_source_that_is_dear_is_avoided():
     frame = frame_of([(0, picture(1)), (1, picture(2))], (9, 10, 12))
-    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.planes]
+    matches = [random_matches(plane.grid, key(5, str(plane.axis))) for plane in frame.grids]
     weights = [np.ones(match.shape, np.int32) for match in matches]
-    mean = voted_planes(frame, matches, weights)
-    dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.planes]
-    before = chosen_planes(frame, matches, weights, mean, dear=dear)[1]
-    half = frame.planes[0].grid.candidates.stack.field[0].size
+    mean = cast_plane_votes(frame, matches, weights)
+    dear = [np.ones(p.grid.candidates.stack.field.shape[1:], np.int32) for p in frame.grids]
+    before = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
+    half = frame.grids[0].grid.candidates.stack.field[0].size
     dear[0][:] = 10_000
-    after = chosen_planes(frame, matches, weights, mean, dear=dear)[1]
+    after = choose_pixels(frame, matches, weights, mean, costs=dear)[1]
     assert np.mean(before < half) > 0.3
     assert np.mean(after < half) < 0.5 * np.mean(before < half)
 
@@ -190,7 +193,7 @@ def test_a_source_that_is_dear_is_avoided():
 def test_a_region_is_seen_with_its_axis_first():
     rng = np.random.default_rng(0)
     free, low = rng.random((3, 4, 5)) < 0.5, rng.integers(-9, 9, (2, 3, 4, 5)).astype(np.int8)
-    seen = Region((3, 4, 5), (True, False, True), free, low, low).seen(2)
+    seen = Region((3, 4, 5), (True, False, True), free, low, low).view_along(2)
     assert seen.shape == (5, 3, 4)
     assert seen.wraps == (True, True, False)
     assert np.array_equal(seen.free[4, 1, 2], free[1, 2, 4])
@@ -201,7 +204,7 @@ def test_only_squares_that_hold_a_free_voxel_are_active():
     free = np.zeros((8, 12, 12), bool)
     free[3, 5, 6] = True
     frame = frame_of([(axis, picture(0)) for axis in range(3)], free.shape, free=free)
-    for plane in frame.planes:
+    for plane in frame.grids:
         across = np.flatnonzero(plane.grid.active.any(axis=(1, 2)))
         assert across.tolist() == [(3, 5, 6)[plane.axis]]
 
@@ -211,23 +214,23 @@ def test_sliced_rounds_of_one_view_are_those_of_its_planes():
     turned with its axis.
     """
     exemplar = picture(7)
-    slices = slices_of([exemplar], width=4, flat=True)
+    slices = slice_target([exemplar], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 10, 12, 14)) * UNIT).astype(np.int16)
     for axis in range(3):
         turned = np.ascontiguousarray(np.moveaxis(field, 1 + axis, 1))
-        alone = sliced_round(turned, slices, key=key(0, "s"), number=3)
-        together = sliced_views(field, [(axis, slices)], key=key(0, "s"), number=3)
+        alone = transport_neighbourhoods(turned, slices, key=key(0, "s"), number=3)
+        together = transport_planes(field, [(axis, slices)], key=key(0, "s"), number=3)
         assert np.array_equal(np.moveaxis(together, 1 + axis, 1), alone)
 
 
 def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
     exemplar = picture(7, (40, 40))
-    slices = slices_of([exemplar], width=4, flat=True)
+    slices = slice_target([exemplar], width=4, flat=True)
     field = np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 22)).astype(np.int16) * np.int16(
         UNIT
     )
     for number in range(16):
-        field = sliced_views(
+        field = transport_planes(
             field,
             [(axis, slices) for axis in range(3)],
             key=key(0, "s"),
@@ -244,13 +247,13 @@ def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
 
 
 def test_threads_do_not_matter_on_planes():
-    exemplar = slices_of([picture(7)], width=4, flat=True)
+    exemplar = slice_target([picture(7)], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 16, 12, 14)) * UNIT).astype(np.int16)
     made = []
     for count in (1, 3):
         with threads(count):
             made.append(
-                sliced_views(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
+                transport_planes(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
             )
     assert np.array_equal(made[0], made[1])
 
@@ -275,19 +278,19 @@ def test_a_target_porosity_makes_fields_lean_and_is_met_to_the_voxel():
     content = content_of([image] * 3)
     request = tb.Request(12, target={"porosity": 0.3})
     field = np.clip(content.fields(image) * 30, -127, 127).astype(np.int8)
-    (leaning,) = content.aims([Histogram.of(field)], request)
+    (leaning,) = content.target_histograms([Histogram.of(field)], request)
     counts = np.diff(leaning.up_to, prepend=0)
     assert counts[leaning.values < 0].sum() / counts.sum() == pytest.approx(0.3, abs=0.01)
     votes = rng.integers(-9000, 9000, (1, 12, 12, 12)).astype(np.int16)
-    made = content.delivered(votes, request)
+    made = content.to_values(votes, request)
     assert np.count_nonzero(made == 0) == round(0.3 * made.size)
     with pytest.raises(RequestError, match="field"):
-        content.delivered(votes, tb.Request(12, target={"porosity": np.full((12, 12, 12), 0.3)}))
+        content.to_values(votes, tb.Request(12, target={"porosity": np.full((12, 12, 12), 0.3)}))
 
 
 def test_pooled_histograms_count_alike():
     few, many = Histogram.of(np.array([1, 1, 2])), Histogram.of(np.repeat([2, 5], 3000))
-    pooled = Histogram.pooled([few, many])
+    pooled = Histogram.pool([few, many])
     shares = np.diff(pooled.up_to, prepend=0) / pooled.up_to[-1]
     assert pooled.values.tolist() == [1, 2, 5]
     assert np.allclose(shares, [1 / 3, 1 / 6 + 1 / 4, 1 / 4], atol=1e-5)

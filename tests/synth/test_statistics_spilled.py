@@ -10,27 +10,28 @@ import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
-from trabecula.engine.cluster import ReferencedFiles
-from trabecula.synth.shared.content import Labels
-from trabecula.synth.shared.fields import FULL
+from trabecula.engine.pickling import ReferencedFiles
+from trabecula.synth.shared.content.fields import FULL, noise, votes_of
+from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import (
-    corrected,
-    correlations_of,
+from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.sliced import (
+    round_bytes,
+    transport_neighbourhoods,
+    transport_planes,
+)
+from trabecula.synth.shared.statistics.slices import Transport, slice_target
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import (
     misfit,
     step_bytes,
     step_slab_bytes,
+    two_point_step,
 )
-from trabecula.synth.shared.statistics.moved import round_bytes
-from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import sliced_round, sliced_views
-from trabecula.synth.shared.statistics.slices import slices_of
-from trabecula.synth.shared.statistics.transport import Transport
-from trabecula.synth.shared.votes import noise, votes_of
-from trabecula.synth.sliced import layout
-from trabecula.synth.sliced.domain import around_known
-from trabecula.synth.sliced.specks import without_specks
-from trabecula.synth.sliced.steps import slab_bytes, slope, stepped
+from trabecula.synth.sliced import run
+from trabecula.synth.sliced.domain import regions_around_known
+from trabecula.synth.sliced.specks import remove_specks
+from trabecula.synth.sliced.steps import distance_step, slab_bytes, slope
 from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
@@ -50,7 +51,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().dumps(work)
+        packed = ReferencedFiles().packed(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -60,7 +61,10 @@ FIELD, EXEMPLAR = smooth((19, 22, 25), 1, channels=2), smooth((18, 20, 16), 2, c
 FREE = np.ones(FIELD.shape[1:], bool)
 FREE[4:9, 5:, 3:20] = False
 TARGET = correlations_of([EXEMPLAR], softness=50, r_max=6)
-CUBES, SQUARES = slices_of([EXEMPLAR], width=4), slices_of([EXEMPLAR[:, :1]], width=4, flat=True)
+CUBES, SQUARES = (
+    slice_target([EXEMPLAR], width=4),
+    slice_target([EXEMPLAR[:, :1]], width=4, flat=True),
+)
 STAGE = key(5, "s")
 
 
@@ -73,31 +77,36 @@ def known(wraps):
         known=~FREE,
     )
     bounds = FIELD.astype(np.float32) / 9, FIELD.astype(np.float32) / 8 + 1
-    regions = around_known(request, bounds, 2, lambda index: 4.0 * 2**index, exact=True)
+    regions = regions_around_known(request, bounds, 2, lambda index: 4.0 * 2**index, exact=True)
     return [part for region in regions for part in (region.free, region.low, region.high)]
 
 
 @pytest.mark.parametrize(
     "run",
     [
-        pytest.param(lambda: corrected(FIELD, TARGET, debt=0.01 * TARGET.curves), id="step"),
-        pytest.param(lambda: corrected(FIELD, TARGET, periodic=AROUND), id="step around"),
+        pytest.param(lambda: two_point_step(FIELD, TARGET, debt=0.01 * TARGET.curves), id="step"),
+        pytest.param(lambda: two_point_step(FIELD, TARGET, periodic=AROUND), id="step around"),
         pytest.param(
-            lambda: corrected(FIELD, TARGET, periodic=MIXED, free=FREE), id="step of what is free"
+            lambda: two_point_step(FIELD, TARGET, periodic=MIXED, free=FREE),
+            id="step of what is free",
         ),
         pytest.param(lambda: misfit(FIELD, TARGET, periodic=MIXED, free=FREE), id="misfit"),
         pytest.param(
-            lambda: stepped(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)), id="step of distances"
+            lambda: distance_step(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)),
+            id="step of distances",
         ),
-        pytest.param(lambda: sliced_round(votes_of(FIELD), CUBES, key=STAGE, number=2), id="round"),
         pytest.param(
-            lambda: sliced_round(
+            lambda: transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2),
+            id="round",
+        ),
+        pytest.param(
+            lambda: transport_neighbourhoods(
                 votes_of(FIELD), CUBES, key=STAGE, number=3, periodic=MIXED, free=FREE
             ),
             id="round of what is free",
         ),
         pytest.param(
-            lambda: sliced_views(
+            lambda: transport_planes(
                 votes_of(FIELD),
                 [(a, SQUARES) for a in range(3)],
                 key=STAGE,
@@ -108,7 +117,7 @@ def known(wraps):
             id="views",
         ),
         pytest.param(
-            lambda: sliced_views(
+            lambda: transport_planes(
                 votes_of(FIELD), [(2, SQUARES), (1, SQUARES)], key=STAGE, number=1, free=FREE
             ),
             id="views of what is free",
@@ -116,9 +125,7 @@ def known(wraps):
         pytest.param(lambda: noise((2, 7, 5, 9), 11), id="noise"),
         pytest.param(lambda: known(MIXED), id="around what is known"),
         pytest.param(
-            lambda: without_specks(
-                votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9
-            ),
+            lambda: remove_specks(votes_of(FIELD[:1]), (FIELD[0] > 40).astype(np.uint8), (0, 1), 9),
             id="specks",
         ),
     ],
@@ -131,7 +138,7 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
     here = run()
     if hands is None:
         monkeypatch.setattr(memmap, "SMALLEST", 64)
-    with memmap.map_large_arrays(tmp_path / "scratch", memory=1 << 16, thickest=5, workers=hands):
+    with memmap.map_large_arrays(tmp_path / "scratch", memory=1 << 16, thickest=5, hands=hands):
         there = run()
         for a, b in zip(here, there, strict=True):
             assert np.array_equal(a, b)
@@ -139,10 +146,14 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
 
 def test_rounds_are_put_back_batch_by_batch(monkeypatch):
     """However few neighbourhoods at a time: planes of sites, some of their rows, one row."""
-    wanted = sliced_round(votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE)
+    wanted = transport_neighbourhoods(
+        votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+    )
     for batch in (1 << 16, 1 << 12, 1):
         monkeypatch.setattr("trabecula.synth.shared.statistics.sites.BATCH", batch)
-        found = sliced_round(votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE)
+        found = transport_neighbourhoods(
+            votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+        )
         assert np.array_equal(found, wanted)
 
 
@@ -199,10 +210,10 @@ def test_a_slope_is_that_of_central_differences_averaged(wraps):
 def test_the_forecast_of_a_step_holds(periodic):
     field = smooth((64, 60, 72), 4)
     target = correlations_of([smooth((32, 32, 32), 5)], softness=60, r_max=10)
-    corrected(field, target, periodic=periodic)
+    two_point_step(field, target, periodic=periodic)
     tracemalloc.start()
     with tb.threads(1):
-        corrected(field, target, periodic=periodic)
+        two_point_step(field, target, periodic=periodic)
     peak = tracemalloc.get_traced_memory()[1] - 2 * field.size
     tracemalloc.stop()
     forecast = step_bytes(field.shape[1:], target, periodic)
@@ -211,23 +222,26 @@ def test_the_forecast_of_a_step_holds(periodic):
 
 ALONE = smooth((64, 60, 72), 7)
 ITS = correlations_of([EXEMPLAR[:1]], softness=50, r_max=6)
-CUBE, SQUARE = slices_of([EXEMPLAR[:1]], width=4), slices_of([EXEMPLAR[:1, :1]], width=4, flat=True)
+CUBE, SQUARE = (
+    slice_target([EXEMPLAR[:1]], width=4),
+    slice_target([EXEMPLAR[:1, :1]], width=4, flat=True),
+)
 
 
 @pytest.mark.parametrize(
     ("run", "forecast"),
     [
-        (lambda: corrected(ALONE, ITS), lambda: step_slab_bytes(ALONE.shape[1:], ITS)),
+        (lambda: two_point_step(ALONE, ITS), lambda: step_slab_bytes(ALONE.shape[1:], ITS)),
         (
-            lambda: stepped(ALONE, ITS, Region(ALONE.shape[1:])),
+            lambda: distance_step(ALONE, ITS, Region(ALONE.shape[1:])),
             lambda: slab_bytes(ALONE.shape[1:], ITS, OPEN),
         ),
         (
-            lambda: sliced_round(votes_of(ALONE), CUBE, key=STAGE, number=1),
+            lambda: transport_neighbourhoods(votes_of(ALONE), CUBE, key=STAGE, number=1),
             lambda: round_bytes(CUBE),
         ),
         (
-            lambda: sliced_views(
+            lambda: transport_planes(
                 votes_of(ALONE), [(a, SQUARE) for a in range(3)], key=STAGE, number=1, step=1
             ),
             lambda: round_bytes(SQUARE),
@@ -271,10 +285,10 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "sliced_round", 13, 18),
-        (novel_layout, "swept", 6, 2),
-        (novel_layout, "swept", 7, 1),
-        (Labels, "delivered", 1, 1),
+        (novel_layout, "transport_neighbourhoods", 13, 18),
+        (novel_layout, "coherent_search", 6, 2),
+        (novel_layout, "coherent_search", 7, 1),
+        (Labels, "to_values", 1, 1),
     ],
     ids=["in the layout", "in a pass", "after a pass", "after the last"],
 )
@@ -307,8 +321,7 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     picture = tb.Image((smooth((1, 40, 40), 8)[0, 0] > 15).astype(np.uint8), "labels")
     model = tb.method("sliced", preset="fast", layout_rounds=5).fit(picture)
-    aims, request = model.layouts[0], Request((16, 16, 16), seed=1)
-    own, done = layout.sliced_views, []
+    own, done = run.transport_planes, []
 
     def broken(*parts, **settings):
         done.append(settings["number"])
@@ -317,13 +330,11 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
         return own(*parts, **settings)
 
     def made():
-        with checkpoint.kept_at(tmp_path / "a.part"), checkpoint.running("sliced", {}, request, ()):
-            return layout.laid_out(
-                aims, Region(request.shape, AROUND), aims.histograms, 1, model.config
-            )
+        with checkpoint.kept_at(tmp_path / "a.part"):
+            return model.generate((16, 16, 16), seed=1).values
 
     whole = made()
-    monkeypatch.setattr(layout, "sliced_views", broken)
+    monkeypatch.setattr(run, "transport_planes", broken)
     with pytest.raises(KeyboardInterrupt):
         made()
     assert np.array_equal(made(), whole)

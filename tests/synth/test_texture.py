@@ -6,7 +6,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.errors import InputError
-from trabecula.synth.shared.matching.kernels import search, start_matches, vote
+from trabecula.synth.shared.matching.kernels import CubeLayout, Sweep, search, start_matches, vote
 from trabecula.synth.texture.config import TextureConfig
 
 
@@ -33,12 +33,7 @@ def test_the_search_finds_what_numpy_finds():
         old,
         match,
         distance,
-        shape,
-        (ratio,) * 3,
-        wraps,
-        key(0, "test"),
-        1,
-        0,
+        Sweep(shape, (ratio,) * 3, wraps, key(0, "test"), 1, 0),
         0,
         grid[0],
     )
@@ -87,12 +82,7 @@ def test_random_candidates_reach_the_best_in_the_end():
             old,
             match,
             distance,
-            shape,
-            (1,) * 3,
-            wraps,
-            key(3, "s"),
-            sweep,
-            8,
+            Sweep(shape, (1,) * 3, wraps, key(3, "s"), sweep, 8),
             0,
             2,
         )
@@ -115,7 +105,7 @@ def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
     plane = np.empty((channels + 1, *reach[1:]), np.int32)
     result = np.empty((channels, *domain), np.int16)
     cubes = ((side,) * 3 for side in (stride, step, width, trim))
-    vote(field, match, weight, shape, *cubes, wraps, plane, result, 0, domain[0])
+    vote(field, match, weight, CubeLayout(shape, *cubes, wraps), plane, result, 0, domain[0])
 
     above, below = np.zeros((channels, *domain), np.int64), np.zeros(domain, np.int64)
     for site in np.ndindex(grid):

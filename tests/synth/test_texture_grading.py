@@ -10,11 +10,10 @@ from trabecula import fields
 from trabecula.core.recipe import digest
 from trabecula.engine import parallel
 from trabecula.errors import RequestError
-from trabecula.synth.shared.box_sums import sums
+from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.texture.graded import Leaning, settled
+from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
-from trabecula.synth.texture.volume_fraction import carried_over
 
 SHAPE = (72, 36, 36)
 
@@ -38,7 +37,7 @@ def graded(model, ramp):
 @pytest.mark.parametrize("width", [4, 5, 30])
 def test_sums_over_windows(width, wraps):
     values = np.random.default_rng(0).integers(0, 9, (11, 12, 13))
-    found = sums(values, width, wraps)
+    found = window_sums(values, width, wraps)
     for at in [(0, 0, 0), (5, 6, 7), (10, 11, 12), (1, 11, 0)]:
         near = [np.arange(k - width // 2, k - width // 2 + width) for k in at]
         kept = [
@@ -50,7 +49,7 @@ def test_sums_over_windows(width, wraps):
 
 def test_shares_on_a_coarser_level():
     shares = np.array([0.0, 0.1, 0.2, 0.6, 1.0], np.float32)
-    assert np.allclose(carried_over(shares, 0.2, 0.1), [0, 0.05, 0.1, 0.55, 1])
+    assert np.allclose(carry_over(shares, 0.2, 0.1), [0, 0.05, 0.1, 0.55, 1])
 
 
 def test_a_smooth_field_is_shifted_until_its_shares_are_those_asked_for():
@@ -61,10 +60,10 @@ def test_a_smooth_field_is_shifted_until_its_shares_are_those_asked_for():
     wanted = np.broadcast_to(
         np.linspace(0.3, 0.6, 80, dtype=np.float32)[:, None, None], votes.shape[1:]
     )
-    leaning = Leaning.of(Region(votes.shape[1:]), np.ascontiguousarray(wanted), 20)
+    leaning = FractionTarget.of(Region(votes.shape[1:]), np.ascontiguousarray(wanted), 20)
     errors = []
-    for field in (votes, settled(votes, leaning)):
-        have = sums(field[0] > 0, 20, (False,) * 3) / sums(
+    for field in (votes, settle_fractions(votes, leaning)):
+        have = window_sums(field[0] > 0, 20, (False,) * 3) / window_sums(
             np.ones(wanted.shape, bool), 20, (False,) * 3
         )
         errors.append(np.abs(have - leaning.wanted / 4096 / leaning.counted).mean())

@@ -9,15 +9,12 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.seeds import key
-from trabecula.synth.shared.fields import FULL, phase_fields, quantise
-from trabecula.synth.shared.statistics.bands import least_squares
-from trabecula.synth.shared.statistics.correlate import corrected, correlations_of, misfit
-from trabecula.synth.shared.statistics.moved import rotation
+from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.sliced import sliced_round
-from trabecula.synth.shared.statistics.slices import slices_of
-from trabecula.synth.shared.statistics.transport import Transport
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbourhoods
+from trabecula.synth.shared.statistics.slices import Transport, slice_target
+from trabecula.synth.shared.statistics.two_point import correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import least_squares, misfit, two_point_step
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
@@ -65,8 +62,10 @@ def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
     """
     field = smooth((13, 12, 15), 0)
     votes = field.astype(np.int16) * UNIT
-    slices = slices_of([field], width=4, variance=1.0, most=64)
-    after = sliced_round(votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic)
+    slices = slice_target([field], width=4, variance=1.0, most=64)
+    after = transport_neighbourhoods(
+        votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic
+    )
     assert np.abs(after.astype(int) - votes).max() <= 2 * UNIT
 
 
@@ -78,10 +77,10 @@ def test_rounds_take_on_the_exemplars_neighbourhoods():
         smooth((24, 24, 24), 1),
         np.random.default_rng(2).integers(-90, 91, (1, 20, 24, 28)) * UNIT,
     )
-    slices = slices_of([exemplar], width=4)
+    slices = slice_target([exemplar], width=4)
     field = field.astype(np.int16)
     for number in range(15):
-        field = sliced_round(field, slices, key=key(0, "s"), number=number)
+        field = transport_neighbourhoods(field, slices, key=key(0, "s"), number=number)
     target = correlations_of([exemplar], softness=40, r_max=6)
     found = misfit(np.rint(field / UNIT).astype(np.int8), target)
     assert abs(field.std() / UNIT / exemplar.std() - 1) < 0.1
@@ -94,11 +93,13 @@ def test_only_what_is_free_changes():
     free = np.zeros((16, 16, 16), bool)
     free[3:9, 4:12, :] = True
     votes = field.astype(np.int16) * UNIT
-    after = sliced_round(votes, slices_of([other], width=4), key=key(0, "s"), number=0, free=free)
+    after = transport_neighbourhoods(
+        votes, slice_target([other], width=4), key=key(0, "s"), number=0, free=free
+    )
     assert np.array_equal(after[:, ~free], votes[:, ~free])
     assert np.mean(after[:, free] != votes[:, free]) > 0.9
     target = correlations_of([other], softness=60, r_max=5)
-    after = corrected(field, target, free=free)
+    after = two_point_step(field, target, free=free)
     assert np.array_equal(after[:, ~free], votes[:, ~free])
     assert np.any(after[:, free] != votes[:, free])
 
@@ -107,16 +108,16 @@ def test_only_what_is_free_changes():
 def test_threads_change_nothing(periodic):
     field, exemplar = smooth((20, 22, 26), 5), smooth((20, 20, 20), 6)
     slices, target = (
-        slices_of([exemplar], width=4),
+        slice_target([exemplar], width=4),
         correlations_of([exemplar], softness=50, r_max=6),
     )
     made = []
     for count in (1, 2, 3):
         with tb.threads(count):
-            votes = sliced_round(
+            votes = transport_neighbourhoods(
                 field.astype(np.int16) * UNIT, slices, key=key(0, "s"), number=0, periodic=periodic
             )
-            made.append((votes, corrected(field, target, periodic=periodic)))
+            made.append((votes, two_point_step(field, target, periodic=periodic)))
     for votes, steps in made[1:]:
         assert np.array_equal(votes, made[0][0])
         assert np.array_equal(steps, made[0][1])
@@ -124,7 +125,7 @@ def test_threads_change_nothing(periodic):
 
 def test_two_exemplars_count_as_one_of_both():
     a, b = smooth((16, 16, 16), 7), smooth((16, 16, 16), 8, radius=1)
-    pairs = slices_of([a, b], width=3)
+    pairs = slice_target([a, b], width=3)
     assert len(pairs.features) == 2 * 14**3
     both = correlations_of([a, b], softness=40, r_max=5).curves
     apart = [correlations_of([x], softness=40, r_max=5).curves for x in (a, b)]
@@ -203,7 +204,7 @@ def test_a_convolution_is_the_weighted_sum_around():
         if length <= 2:
             nearest = int(np.argmax(shift**2))  # the first of equals
             wanted += weights[nearest, length] * np.roll(values, tuple(shift), (0, 1, 2))
-    assert np.allclose(pairs.convolved(pairs.forward(values), weights.ravel()), wanted, atol=1e-5)
+    assert np.allclose(pairs.convolve(pairs.forward(values), weights.ravel()), wanted, atol=1e-5)
 
 
 def test_steps_bring_the_two_point_function_to_the_exemplars():
@@ -211,7 +212,7 @@ def test_steps_bring_the_two_point_function_to_the_exemplars():
     target = correlations_of([exemplar], softness=120, r_max=8)
     size = [np.linalg.norm(misfit(field, target))]
     for _ in range(4):
-        field = np.clip(np.rint(corrected(field, target) / UNIT), -FULL, FULL).astype(np.int8)
+        field = np.clip(np.rint(two_point_step(field, target) / UNIT), -FULL, FULL).astype(np.int8)
         size.append(np.linalg.norm(misfit(field, target)))
     assert size[1] < 0.65 * size[0]
     assert size[-1] < 0.35 * size[0]
@@ -221,12 +222,13 @@ def test_a_field_at_its_target_stays_and_debt_moves_the_target():
     field = smooth((20, 20, 20), 14)
     target = correlations_of([field], softness=60, r_max=6)
     assert (
-        np.abs(corrected(field, target).astype(int) - field.astype(int) * UNIT).max() <= UNIT // 8
+        np.abs(two_point_step(field, target).astype(int) - field.astype(int) * UNIT).max()
+        <= UNIT // 8
     )
     debt = np.zeros((1, 3, 7))
     debt[0, :, 1:4] = 2e-3
     debt = debt.reshape(1, -1)
-    moved = np.rint(corrected(field, target, debt=debt) / UNIT).astype(np.int8)
+    moved = np.rint(two_point_step(field, target, debt=debt) / UNIT).astype(np.int8)
     assert np.all(misfit(moved, target).reshape(3, 7)[:, 1:4] < -5e-4), (
         "below the target by about the debt"
     )
@@ -236,8 +238,8 @@ def test_no_place_is_special_where_axes_wrap():
     field, exemplar = smooth((18, 20, 24), 15), smooth((20, 20, 20), 16, radius=1)
     target = correlations_of([exemplar], softness=60, r_max=6)
     shift = (5, 11, 17)
-    there = corrected(np.roll(field, shift, (1, 2, 3)), target, periodic=AROUND)
-    here = np.roll(corrected(field, target, periodic=AROUND), shift, (1, 2, 3))
+    there = two_point_step(np.roll(field, shift, (1, 2, 3)), target, periodic=AROUND)
+    here = np.roll(two_point_step(field, target, periodic=AROUND), shift, (1, 2, 3))
     assert np.abs(there.astype(int) - here).max() <= 2
 
 
@@ -256,7 +258,7 @@ def test_open_faces_gather_no_phase():
     pull = size = 0.0
     for shift in np.random.default_rng(0).integers(0, 32, (24, 3)):
         here = np.roll(field, tuple(shift), (1, 2, 3))
-        change = corrected(here, target)[0].astype(float) - here[0] * float(UNIT)
+        change = two_point_step(here, target)[0].astype(float) - here[0] * float(UNIT)
         pull += change[shell].mean() - change[~shell].mean()
         size += np.abs(change).mean()
     assert abs(pull) < 0.2 * size, "cut off it is 0.74"
@@ -265,16 +267,16 @@ def test_open_faces_gather_no_phase():
 def test_channels_are_corrected_one_by_one():
     exemplar, field = smooth((18, 18, 18), 17, channels=2), smooth((18, 20, 22), 18, channels=2)
     target = correlations_of([exemplar], softness=60, r_max=5)
-    both = corrected(field, target)
+    both = two_point_step(field, target)
     for c in range(2):
         alone = correlations_of([exemplar[c : c + 1]], softness=60, r_max=5)
-        assert np.array_equal(corrected(field[c : c + 1], alone)[0], both[c])
+        assert np.array_equal(two_point_step(field[c : c + 1], alone)[0], both[c])
 
 
 def test_nothing_moves_where_there_is_no_interface():
     target = correlations_of([smooth((16, 16, 16), 19)], softness=40, r_max=5)
     full = np.full((1, 12, 12, 12), FULL, np.int8)
-    assert np.array_equal(corrected(full, target), full.astype(np.int16) * UNIT)
+    assert np.array_equal(two_point_step(full, target), full.astype(np.int16) * UNIT)
 
 
 def test_least_squares_are_numpys():

@@ -10,10 +10,10 @@ from scipy.ndimage import map_coordinates
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError, UnknownNameError
-from trabecula.synth.shared.matching.kernels import vote
-from trabecula.synth.shared.orient import SETS, oriented, symmetries
+from trabecula.synth.shared.matching.kernels import CubeLayout, vote
+from trabecula.synth.shared.orient import SETS, apply_symmetry, symmetries
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch
-from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
 WIDTH = 4
@@ -37,7 +37,7 @@ def covered(grid, step):
 
 
 def cast(field, match, weight, *, step, **rim):
-    votes = no_votes(covered(match.shape, step), channels=len(field))
+    votes = empty_votes(covered(match.shape, step), channels=len(field))
     add_votes(votes, field, match, weight, shape=SHAPE, stride=1, step=step, width=WIDTH, **rim)
     return votes
 
@@ -118,7 +118,7 @@ def test_without_gradients_it_is_the_plain_vote(trim, wraps):
     plane = np.empty((3, *covered(match.shape, 2)[1:]), np.int32)
     plain = np.empty((2, *shape), np.int16)
     cubes = ((side,) * 3 for side in (1, 2, WIDTH, trim))
-    vote(field, match, weight, SHAPE, *cubes, wraps, plane, plain, 0, shape[0])
+    vote(field, match, weight, CubeLayout(SHAPE, *cubes, wraps), plane, plain, 0, shape[0])
     made = solve_votes(
         fold_votes(cast(field, match, weight, step=2, trim=trim, wraps=wraps), shape), mu=0
     )
@@ -134,7 +134,7 @@ def test_consistent_neighbourhoods_come_back_exactly(mu):
     field = exemplar(7, shape=(8, 8, 10))
     grid, shape = (3, 3, 4), (5, 5, 7)
     match = np.ravel_multi_index(np.ix_(*(2 * np.arange(n) for n in grid)), shape).astype(np.int32)
-    votes = no_votes(covered(grid, 2), channels=2)
+    votes = empty_votes(covered(grid, 2), channels=2)
     weight = sites(8, grid)[1]
     add_votes(votes, field, match, weight, shape=shape, stride=1, step=2, width=WIDTH)
     assert np.array_equal(solve_votes(votes, mu=mu, unit=256), field.astype(np.int16) * 256)
@@ -149,7 +149,7 @@ def test_steep_gradients_win_with_a_large_mu():
     field = np.zeros((1, 4, 4, 16), np.int8)
     field[..., :8] = 5 * np.arange(8)
     field[..., 8:] = 60 + 5 * np.arange(8)
-    votes = no_votes((4, 4, 6))
+    votes = empty_votes((4, 4, 6))
     match, weight = np.array([[[0, 8]]], np.int32), np.array([[[1, 1]]], np.int32)
     add_votes(votes, field, match, weight, shape=(1, 1, 13), stride=1, step=2, width=4)
     made = solve_votes(votes, mu=1000, tolerance=1e-3)[0] / 256
@@ -165,7 +165,7 @@ def test_counts_are_those_of_the_pairs():
     match, weight = sites(9, (3, 4, 2), holes=True)
     field = exemplar(10)
     votes = cast(field, match, weight, step=1, trim=1)
-    wanted = no_votes(covered(match.shape, 1), channels=2)
+    wanted = empty_votes(covered(match.shape, 1), channels=2)
     for _, w, here, e in cubes(field, match, weight, step=1, trim=1):
         wanted.weights[here] += int(w)
         wanted.values[(slice(None), *here)] += (w * e).astype(np.int32)
@@ -190,7 +190,7 @@ def test_votes_of_several_exemplars_add_up():
     ]
     whole = cast(field, match, weight, step=2)
     for order in (parts, parts[::-1]):
-        votes = no_votes(whole.weights.shape, channels=2)
+        votes = empty_votes(whole.weights.shape, channels=2)
         for part in order:
             add_votes(votes, field, part, weight, shape=SHAPE, stride=1, step=2, width=WIDTH)
         assert all(
@@ -240,7 +240,7 @@ def test_folded_votes_repeat_without_a_seam(periodic):
 
 
 def test_an_empty_vote_is_nothing():
-    votes = no_votes((5, 4, 3))
+    votes = empty_votes((5, 4, 3))
     assert not solve_votes(votes, mu=1).any()
 
 
@@ -248,7 +248,7 @@ def test_votes_of_another_volume_are_refused():
     match, weight = sites(19, (2, 2, 2))
     with pytest.raises(InputError, match="no_votes"):
         add_votes(
-            no_votes((9, 9, 9)),
+            empty_votes((9, 9, 9)),
             exemplar(0),
             match,
             weight,
@@ -258,9 +258,9 @@ def test_votes_of_another_volume_are_refused():
             width=WIDTH,
         )
     with pytest.raises(InputError, match="mu"):
-        solve_votes(no_votes((4, 4, 4)), mu=-1)
+        solve_votes(empty_votes((4, 4, 4)), mu=-1)
     with pytest.raises(InputError, match="period"):
-        fold_votes(no_votes((4, 4, 4)), (4, 5, 4))
+        fold_votes(empty_votes((4, 4, 4)), (4, 5, 4))
 
 
 def mismatched(field, state, match, weight, step):
@@ -394,12 +394,12 @@ def test_lambda_keeps_its_limits():
 
 def test_it_stops_when_settled_or_out_of_rounds():
     state = Feedback(tolerance=0.01, most=4)
-    assert not state.done
+    assert not state.is_over
     for value, done in ((100.0, False), (50.0, False), (49.6, True), (30.0, True)):
         state = state.after(at(value))
-        assert state.done is done
-    assert not Feedback(trace=(at(5.0),)).done
-    assert Feedback(trace=(at(0.0), at(0.0))).done
+        assert state.is_over is done
+    assert not Feedback(trace=(at(5.0),)).is_over
+    assert Feedback(trace=(at(0.0), at(0.0))).is_over
 
 
 @pytest.mark.parametrize(("ndim", "counts"), [(3, (1, 8, 16, 48)), (2, (1, 4, 4, 8))])
@@ -407,10 +407,12 @@ def test_symmetries_are_a_group_of_the_right_size(ndim, counts):
     probe = np.random.default_rng(28).random((1, *(3,) * ndim))
     for which, count in zip(SETS, counts, strict=True):
         group = symmetries(which, ndim=ndim)
-        images = {oriented(probe, each).tobytes() for each in group}
+        images = {apply_symmetry(probe, each).tobytes() for each in group}
         assert len(group) == len(images) == count
-        assert oriented(probe, group[0]).tobytes() == probe.tobytes()
-        again = {oriented(oriented(probe, a), b).tobytes() for a in group for b in group}
+        assert apply_symmetry(probe, group[0]).tobytes() == probe.tobytes()
+        again = {
+            apply_symmetry(apply_symmetry(probe, a), b).tobytes() for a in group for b in group
+        }
         assert again == images
         assert sum(each.mirrors for each in group) == (0 if count == 1 else count // 2)
 
@@ -427,7 +429,7 @@ def test_mirrors_are_the_symmetries_of_negative_determinant():
             map_coordinates(c, matrix @ places + offset[:, None], order=1).reshape(4, 4, 4)
             for c in field
         ]
-        assert np.allclose(oriented(field, each), pulled)
+        assert np.allclose(apply_symmetry(field, each), pulled)
         assert each.mirrors == (np.linalg.det(matrix) < 0)
 
 
@@ -444,7 +446,7 @@ def test_unequal_edges_leave_fewer_symmetries():
 def test_an_oriented_field_is_its_own():
     field = exemplar(30)
     for each in symmetries("upright"):
-        turned = oriented(field, each)
+        turned = apply_symmetry(field, each)
         assert turned.flags.c_contiguous
         assert turned.dtype == field.dtype
         assert not np.shares_memory(turned, field)
@@ -454,7 +456,7 @@ def test_an_oriented_field_is_its_own():
 
 
 def test_votes_are_frozen_but_not_copied():
-    votes = no_votes((4, 4, 4))
-    assert isinstance(votes, Votes)
+    votes = empty_votes((4, 4, 4))
+    assert isinstance(votes, GradientVotes)
     with pytest.raises(AttributeError):
         votes.weights = None

@@ -7,7 +7,7 @@ import trabecula as tb
 from trabecula.errors import InputError, RequestError
 from trabecula.synth.shared.matching import sources
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack, carried
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 
 QUICK = {"novelty": 0, "rounds": (2, 3), "first_rounds": 8, "sweeps": 1, "tries": 2}
 
@@ -151,7 +151,7 @@ def test_several_exemplars_are_one_list_of_neighbourhoods(monkeypatch):
     sparse = Candidates.of(stacks[1], width=4, step=2, variance=0.9, most=8)
     assert sparse.stride == 2
     for factor, there in ((2, new), (1, narrow), (2, sparse)):
-        moved = carried(match, old, there, (7, 8, 9), factor=factor)
+        moved = carry_matches(match, old, there, (7, 8, 9), factor=factor)
         assert there.allowed[moved].all()
         assert np.array_equal(moved, carried_over(match, old, there, (7, 8, 9), factor))
 
@@ -248,7 +248,7 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
     region = Region(free.shape, wraps, free)
     cubes = {"box": (6,) * 3, "steps": (2,) * 3}
     grid = region.grid(**cubes)
-    covered = region.covered(**cubes)
+    covered = region.cover(**cubes)
     active = covered.active(grid, **cubes)
     for site in np.ndindex(grid):
         cells = [

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
-from trabecula.synth.shared.auction import shared_out
-from trabecula.synth.shared.brightest import brightest
-from trabecula.synth.shared.histogram import Histogram, match_histogram, mixed_with_neighbours
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram, mix_with_neighbours
+from trabecula.synth.shared.content.phase_fractions import assign_phases, brightest_voxels
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.pyramid import double, fit_to, halve
 
@@ -146,7 +145,7 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
             stop = 1  # the first time after a round, then after two
     assert np.array_equal(made, values)
     assert told == report, "the energies are those of one run"
-    assert any(line.startswith("resuming from x.part") for line in went_on)
+    assert any(line.startswith("going on from x.part") for line in went_on)
     assert len(went_on) >= 2
     assert not list(tmp_path.iterdir())
 
@@ -165,17 +164,19 @@ def test_the_brightest_are_those_of_a_sorted_list(seed, share, levels, masked):
     padded = np.pad(field.astype(int), 1, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3)).sum((3, 4, 5))
     order = np.lexsort(
-        (np.arange(field.size), -around.ravel(), -mixed_with_neighbours(field).ravel().astype(int))
+        (np.arange(field.size), -around.ravel(), -mix_with_neighbours(field).ravel().astype(int))
     )
     expected = np.zeros(field.size, bool)
     expected[[place for place in order if inside.ravel()[place]][:count]] = True
-    assert np.array_equal(brightest(field, count, inside if masked else None).ravel(), expected)
+    assert np.array_equal(
+        brightest_voxels(field, count, inside if masked else None).ravel(), expected
+    )
 
 
 def test_ties_are_settled_in_raster_order_across_slabs(tmp_path):
     field = np.zeros((11, 4, 5), np.int16)
     with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=2):
-        chosen = np.array(brightest(field, 87))
+        chosen = np.array(brightest_voxels(field, 87))
     assert np.array_equal(chosen.ravel(), np.arange(field.size) < 87)
 
 
@@ -185,10 +186,10 @@ def test_an_auction_gives_every_phase_its_share():
     fields[0] += 4000  # would win nearly everything
     inside = rng.random(fields.shape[1:]) < 0.6
     counts = np.rint(np.count_nonzero(inside) * np.array([0.2, 0.5, 0.3])).astype(np.int64)
-    winners = shared_out(fields, counts, inside)
+    winners = assign_phases(fields, counts, inside)
     assert np.abs(np.bincount(winners[inside], minlength=3) - counts).max() <= 3
     # Within the share of two phases the larger difference decides.
-    ranks = np.stack([mixed_with_neighbours(field) for field in fields]).astype(int)
+    ranks = np.stack([mix_with_neighbours(field) for field in fields]).astype(int)
     lead = ranks[1] - ranks[2]
     assert lead[inside & (winners == 1)].min() >= lead[inside & (winners == 2)].max()
 
@@ -232,9 +233,9 @@ def test_slabs_change_no_field(tmp_path):
     grid = region.grid(box=(4, 4, 4), steps=(2, 2, 2))
 
     def everything():
-        covered = region.covered(box=(4, 4, 4), steps=(2, 2, 2))
+        covered = region.cover(box=(4, 4, 4), steps=(2, 2, 2))
         active = covered.active(grid, box=(4, 4, 4), steps=(2, 2, 2))
-        seen = covered.seen(1)
+        seen = covered.view_along(1)
         known = {"fixed": tb.Image(np.zeros(free.shape, np.uint8), "labels"), "known": ~free}
         request = tb.Request(free.shape, seed=1, **known)
         halves = regions_of(

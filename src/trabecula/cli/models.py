@@ -8,7 +8,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """A name, and the form of the output."""
+    """Add a name, and the form of the output."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="print the card of this model")
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
@@ -16,9 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """List the shipped models, or print the card of one."""
     from trabecula.core.checks import check_name
-    from trabecula.models import card, shipped, summary
+    from trabecula.models import card, shipped_models, summary
 
-    found = shipped()
+    found = shipped_models()
     if options.name is not None:
         check_name(options.name, found, name="model")
         print(card(options.name).rstrip() or f"{options.name} has no card")

@@ -1,6 +1,4 @@
-"""`trabecula plan ...`: as generate, but only the forecast: memory, disk, and time from a second's
-trial.
-"""
+"""`trabecula plan ...`: the forecast of a generate: memory, disk, and time by a short trial."""
 
 from __future__ import annotations
 
@@ -8,11 +6,11 @@ import argparse
 from typing import Any
 
 from trabecula.cli import terminal
-from trabecula.cli.generate import Job, add_request, prepare
+from trabecula.cli.generate import GenerateTask, add_request, prepare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The request of `generate`."""
+    """Add the request of `generate`."""
     add_request(parser)
     parser.add_argument(
         "--out",
@@ -51,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _time(seconds: float | None) -> str:
-    """Seconds as a person reads them."""
+    """Format seconds for a person."""
     if seconds is None:
         return "not forecast: no small part of it can be tried"
     if seconds < 90:
@@ -59,12 +57,12 @@ def _time(seconds: float | None) -> str:
     return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
 
 
-def _making(job: Job, options: argparse.Namespace) -> Any:
+def _making(job: GenerateTask, options: argparse.Namespace) -> Any:
     from trabecula.engine.parallel import thread_count, threads
-    from trabecula.pipeline.demo import plan_to
+    from trabecula.pipeline.plan import plan_to
 
     with threads(options.threads if options.threads is not None else thread_count()):
-        model = job.fitted(memory=options.memory)
+        model = job.fit(memory=options.memory)
         return plan_to(
             model,
             job.request,

@@ -7,11 +7,11 @@ from math import prod
 from typing import Any
 
 from trabecula.cli import options as shared
-from trabecula.cli import shown
+from trabecula.cli import view_input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, the picture, the look."""
+    """Add the file, the picture and the look."""
     parser.add_argument("file", metavar="FILE", help="volume, or sample:NAME")
     parser.add_argument(
         "--out",
@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["corner"],
         metavar="WORD",
-        help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, share); several together",
+        help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, "
+        "share); several together",
     )
     parser.add_argument(
         "--camera",
@@ -44,13 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--turntable", metavar="N", help="a moving picture of N stills all round (.gif)"
     )
-    shown.add_memory(parser)
+    view_input.add_memory(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
-    from trabecula.pipeline.demo import check_folder, check_target
+    from trabecula.pipeline.outputs import check_folder, check_target
     from trabecula.view.scene import forecast
     from trabecula.view.still import render, turntable
 
@@ -64,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     size = shared.integers(options.size, name="--size")
     azimuth, elevation = shared.numbers(options.camera, name="--camera")
     picture = (size[0], size[1])
-    image = shown.load_shown(
+    image = view_input.load_for_view(
         options.file,
         options,
         need=lambda shape, itemsize: forecast(shape, picture).peak + itemsize * prod(shape),

@@ -10,14 +10,14 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io import sidecar
-from trabecula.io.guard import check_claim, damaged
+from trabecula.io.guard import check_claim, report_damage
 from trabecula.io.metadata import Content, encode
 
 
 def write(image: Image, path: Path) -> Path:
     """Write .npy and .npy.json (see `trabecula.io.files.write`)."""
     with (
-        sidecar.beside(path, image.values, encode(image)),
+        sidecar.write_sidecar(path, image.values, encode(image)),
         replacing(path) as temporary,
         temporary.open("wb") as file,
     ):
@@ -27,10 +27,10 @@ def write(image: Image, path: Path) -> Path:
 
 def read(path: Path) -> Content:
     """Read .npy, alone or with its sidecar (see `trabecula.io.files.read`)."""
-    with damaged(path, "NumPy", also=(TokenError,)):
+    with report_damage(path, "NumPy", also=(TokenError,)):
         # The map allocates nothing, so that the header's claim can be weighed first; it fails where
         # the file is short.
         mapped = np.lib.format.open_memmap(path, mode="r")
         check_claim(path, mapped.shape, mapped.dtype)
         values = np.array(mapped, order="C")
-    return Content(values, fields=sidecar.found(path, values))
+    return Content(values, fields=sidecar.read_sidecar(path, values))

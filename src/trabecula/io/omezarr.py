@@ -10,8 +10,8 @@ from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
 from trabecula.engine.storage.location import Remote
-from trabecula.io.guard import check_claim, damaged
-from trabecula.io.metadata import Content, checked
+from trabecula.io.guard import check_claim, report_damage
+from trabecula.io.metadata import Content, check_fields
 from trabecula.io.units import long_name
 
 
@@ -30,11 +30,13 @@ def write(image: Image, path: Path | Remote) -> Path | Remote:
 
 def read(path: Path | Remote, level: int = 0) -> Content:
     """Read a level of a Zarr store (see `trabecula.io.files.read`)."""
-    with damaged(path, "Zarr"):
+    with report_damage(path, "Zarr"):
         opened = store.open_finished(path, level)
         check_claim(path, opened.array.shape, opened.array.dtype)
         fields = (
-            {**checked(opened.fields), "spacing": list(opened.scale)} if opened.fields else None
+            {**check_fields(opened.fields), "spacing": list(opened.scale)}
+            if opened.fields
+            else None
         )
         values = opened.load()
         if fields is None:
@@ -49,10 +51,11 @@ def read(path: Path | Remote, level: int = 0) -> Content:
 
 
 def _spatial(path: Path | Remote, values: np.ndarray, axes: int) -> np.ndarray:
-    """The voxels without OME's leading axes of time and channel, which must be of length one."""
+    """Remove OME's leading axes of time and channel, which must be of length one."""
     extra = values.ndim - axes if axes else max(0, values.ndim - 3)
     if any(side != 1 for side in values.shape[:extra]):
         raise FileError(
-            f"cannot read {path} as Zarr: {values.shape} has times or channels; write one of them to a store of its own"
+            f"cannot read {path} as Zarr: {values.shape} has times or channels; write one of them "
+            "to a store of its own"
         )
     return values.reshape(values.shape[extra:])

@@ -13,8 +13,8 @@ from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io import sidecar
 from trabecula.io.formats import format_of
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, damaged
-from trabecula.io.metadata import KEY, Content, decode, encode, gathered, spread
+from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
+from trabecula.io.metadata import KEY, Content, decode, encode, greys_of_labels, labels_of_greys
 from trabecula.io.pixels import from_palette, without_alpha
 from trabecula.io.resolution import Calibration, from_resolution
 
@@ -43,7 +43,7 @@ def write(image: Image, path: Path) -> Path:
             "write .tif or .zarr, or a folder of slices (a path ending in '/')"
         )
     check_dtype(image.values.dtype, ("uint8", "uint16") if form == "PNG" else ("uint8",), form=form)
-    values, levels = spread(image)
+    values, levels = greys_of_labels(image)
     text = encode(image, **({} if levels is None else {"levels": levels}))
     if form == "PNG":
         with replacing(path) as temporary:
@@ -51,7 +51,7 @@ def write(image: Image, path: Path) -> Path:
     elif form == "JPEG":
         _write_jpeg(image, values, path, text)
     else:
-        with sidecar.beside(path, values, text), replacing(path) as temporary:
+        with sidecar.write_sidecar(path, values, text), replacing(path) as temporary:
             _picture(values).save(temporary, format="BMP")
     return path
 
@@ -84,8 +84,8 @@ def _picture(values: np.ndarray) -> Any:
 def read(path: Path) -> Content:
     """Read a picture (see `trabecula.io.files.read`)."""
     form = format_of(path).name
-    with damaged(path, form):
-        with opened(path, _PILLOW[form]) as picture:
+    with report_damage(path, form):
+        with open_picture(path, _PILLOW[form]) as picture:
             if picture.mode not in _MODES:
                 raise InputError(
                     f"{path} has pixels of type {picture.mode}: save it as grey or RGB"
@@ -104,9 +104,9 @@ def read(path: Path) -> Content:
             values, colour = _pixels(picture)
             text = picture.info.get(KEY) if form == "PNG" else picture.info.get("comment")
             size = _calibration(picture, form)
-        fields = sidecar.found(path, values) if form == "BMP" else decode(text)
+        fields = sidecar.read_sidecar(path, values) if form == "BMP" else decode(text)
         return Content(
-            gathered(values, fields),
+            labels_of_greys(values, fields),
             colour=colour,
             fields=fields,
             lossy=form == "JPEG",
@@ -115,7 +115,9 @@ def read(path: Path) -> Content:
 
 
 def _calibration(picture: Any, form: str) -> Calibration:
-    """What a PNG's pHYs chunk or a JPEG's density says, where it may be a voxel size."""
+    """Return the calibration of a PNG's pHYs chunk or a JPEG's density, where it may be a voxel
+    size.
+    """
     x, y = picture.info.get("dpi", (0, 0)) if form in ("PNG", "JPEG") else (0, 0)
     if not (x > 0 and y > 0):
         return Calibration()
@@ -127,8 +129,8 @@ def _calibration(picture: Any, form: str) -> Calibration:
     return from_resolution(float(y), float(x), "inch", what="the JPEG's density")
 
 
-def opened(path: Path, forms: tuple[str, ...]) -> Any:
-    """A picture whose header is read and whose pixels are not.
+def open_picture(path: Path, forms: tuple[str, ...]) -> Any:
+    """Open a picture: its header is read, its pixels are not.
 
     Pillow refuses pictures of more than 179 million pixels, whatever memory there is; here
     `check_claim` weighs them.
@@ -144,7 +146,7 @@ def opened(path: Path, forms: tuple[str, ...]) -> Any:
 
 
 def _pixels(picture: Any) -> tuple[np.ndarray, bool]:
-    """Grey (Y, X) or colour (Y, X, 3), and which of both."""
+    """Return grey (Y, X) or colour (Y, X, 3), and whether it is colour."""
     if picture.mode == "P" and "transparency" not in picture.info:
         palette = np.array(picture.getpalette("RGB"), np.uint8).reshape(-1, 3)
         return from_palette(np.array(picture), palette)

@@ -10,7 +10,7 @@ from pathlib import Path
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.engine.files import replacing
-from trabecula.io.guard import check_there, damaged
+from trabecula.io.guard import check_there, report_damage
 from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.formats import surface_format
@@ -89,7 +89,7 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     check_there(path)
     if unit is not None:
         check_unit(unit)
-    with damaged(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
+    with report_damage(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
         mesh = form.member("read")(path)
     if not len(mesh.faces):
         raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")

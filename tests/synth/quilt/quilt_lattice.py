@@ -4,7 +4,7 @@ import numpy as np
 
 
 def lattice(fraction, period=8):
-    """Solid where cos + cos + cos lies below what gives the fraction; (Z, Y, X) uint8."""
+    """Return solid where cos + cos + cos is below the level of a fraction; (Z, Y, X) uint8."""
     z, y, x = np.indices(fraction.shape) + 0.5
     values = sum(np.cos(2 * np.pi * at / period) for at in (z, y, x))
     at = (np.arange(24) + 0.5) / 24 * 2 * np.pi
@@ -13,7 +13,7 @@ def lattice(fraction, period=8):
 
 
 def reference(side=40, low=0.3, high=0.8):
-    """A cube of it whose fraction goes up and down in several directions."""
+    """Return a cube of the lattice whose fraction varies in several directions."""
     z, y, x = np.indices((side,) * 3) / (side - 1)
     wave = (
         np.cos(np.pi * (x + 0.5 * y))

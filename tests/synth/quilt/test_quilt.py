@@ -12,7 +12,7 @@ from trabecula.core.progress import listen
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt.patch_library import cleaned
+from trabecula.synth.quilt.patch_library import remove_unconnected
 
 CELL = dict(patch=11, overlap=3, orientations="all")
 
@@ -29,7 +29,7 @@ def model(cells):
 
 @pytest.fixture(scope="module")
 def section():
-    """A picture of three phases: layers of a binder around grains."""
+    """Return a picture of three phases: layers of a binder around grains."""
     rng = np.random.default_rng(3)
     field = ndimage.gaussian_filter(rng.random((90, 90)), 3)
     low, high = np.quantile(field, [0.45, 0.6])
@@ -85,8 +85,8 @@ def test_porosity_asks_for_the_same_as_volume_fraction(model):
 
 
 def test_all_neighbourhoods_with_their_own_fields_give_the_section_again(section):
-    """Figure 5: with the fields of the exemplar itself the pieces find their own places; without,
-    they do not.
+    """Check figure 5: with the fields of the exemplar itself the patches find their own places;
+    without, they do not.
     """
     from trabecula.fields.local import windowed
 
@@ -169,7 +169,7 @@ def test_what_is_to_hang_together_does(connected):
 
 
 def bars():
-    """Bars side by side: no two of them can become one body."""
+    """Return bars side by side: no two of them can be connected."""
     values = np.zeros((36, 36, 36), np.uint8)
     for z, y in ((4, 5), (6, 20), (16, 12), (18, 29), (28, 4), (30, 22)):
         values[z : z + 5, y : y + 5] = 1
@@ -181,9 +181,9 @@ BARS = dict(patch=14, overlap=4, period="none", tries=3)
 
 def test_where_no_piece_fits_struts_make_one_body():
     made = tb.method("quilt", **BARS).fit(bars()).generate(40, seed=1)
-    told = report(made)
-    assert told["gave_way"] == 0 and told["struts"] > 0
-    assert 0 < told["strut_voxels"] < 0.1 * made.values.sum()
+    summary = report(made)
+    assert summary["gave_way"] == 0 and summary["struts"] > 0
+    assert 0 < summary["strut_voxels"] < 0.1 * made.values.sum()
     assert ndimage.label(made.values)[1] == 1
 
 
@@ -199,23 +199,23 @@ def test_sparse_bone_is_one_piece(seed):
     assert ndimage.label(made.values)[1] == 1
 
 
-def test_where_there_is_no_way_it_says_so():
-    """A wall of void that is given: what lies on either side of it can never be one body."""
+def test_where_there_is_no_path_it_says_so():
+    """Check a wall of given void: its two sides can never be connected."""
     wall = np.zeros((30, 30, 44), bool)
     wall[:, :, 20:24] = True
-    told = []
-    with listen(lambda line, done: told.append(line)):
+    summary = []
+    with listen(lambda line, done: summary.append(line)):
         request = dict(fixed=tb.Image(np.zeros(wall.shape, np.uint8), "labels"), known=wall, seed=1)
         made = tb.method("quilt", **BARS).fit(bars()).generate(wall.shape, **request)
     assert not made.values[wall].any()
     assert made.values[:, :, :20].any() and made.values[:, :, 24:].any()
     assert report(made)["gave_way"] > 0
     assert report(made)["gave_way_at"][0]["in"] == "connectivity"
-    assert any("gave way in connectivity" in line for line in told)
+    assert any("gave way in connectivity" in line for line in summary)
 
 
 def thin(made):
-    """Voxels that lie in no 2-cube of solid; what lies beyond the volume may be solid."""
+    """Count voxels in no 2-cube of solid; beyond the volume may be solid."""
     beyond = np.pad(made == 1, 1, constant_values=True)
     opened = np.zeros(beyond.shape, bool)
     for at in np.ndindex(tuple(side - 1 for side in beyond.shape)):
@@ -226,8 +226,8 @@ def thin(made):
 
 
 def test_seams_leave_nothing_thin():
-    """Blocks of two voxels: pieces that meet at odd distances leave slivers unless they are
-    forbidden.
+    """Check blocks of two voxels: patches that meet at odd distances leave slivers unless they are
+    rejected.
     """
     blocks = reference(20).repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     made = {}
@@ -265,24 +265,24 @@ def test_floating_solid_is_not_quilted():
     values = np.zeros((20, 20, 20), np.uint8)
     values[8:12] = 1
     values[3, 3, 3] = values[0, 0, 0] = 1
-    found = cleaned(tb.Image(values, "labels"), "solid")
+    found = remove_unconnected(tb.Image(values, "labels"), "solid")
     assert found[3, 3, 3] == 0 and found[0, 0, 0] == 1 and found[8:12].all()
 
 
 def test_a_forecast_tells_what_is_out_of_reach(model):
     field = ramp((40, 24, 24), 0.5, 0.95)
-    told = model.forecast(tb.Request(field.shape, target={"volume_fraction": field}))
-    low, high = told.held["volume_fraction"]
+    summary = model.forecast(tb.Request(field.shape, target={"volume_fraction": field}))
+    low, high = summary.held["volume_fraction"]
     assert 0.25 < low < 0.45 and 0.65 < high < 0.85
-    assert told.asked["volume_fraction"] == (pytest.approx(0.5), pytest.approx(0.95))
-    assert 0.2 < told.outside < 0.7 and "volume_fraction asks for 0.5 .. 0.95" in told.advice
+    assert summary.asked["volume_fraction"] == (pytest.approx(0.5), pytest.approx(0.95))
+    assert 0.2 < summary.outside < 0.7 and "volume_fraction asks for 0.5 .. 0.95" in summary.advice
     # Along the ramp the difference is none as far as the exemplar reaches, then what is missing
     # over its range.
-    along = told.difference[:, 0, 0]
+    along = summary.difference[:, 0, 0]
     assert along[0] < 0.01 and along[-1] == pytest.approx(
         (field[-5:].mean() - high) / (high - low), abs=0.1
     )
-    assert told.to_json()["descriptors"]["max"] == pytest.approx(np.nanmax(told.difference))
+    assert summary.to_json()["descriptors"]["max"] == pytest.approx(np.nanmax(summary.difference))
     assert model.forecast(tb.Request(24, target={"volume_fraction": 0.5})).advice == ""
 
 
@@ -334,7 +334,7 @@ def test_settings_that_do_not_fit(cells, settings, words):
         ({"periodic": True, "shape": 12}, "at least"),
         (
             {"mask": np.arange(20)[:, None, None] % 10 + np.zeros((20, 20, 20)) < 5},
-            "2 separate pieces",
+            "2 connected components",
         ),
         ({"shape": (20, 20)}, "give 3 numbers"),
     ],

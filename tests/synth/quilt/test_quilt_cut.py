@@ -6,15 +6,15 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
-from trabecula.synth.quilt.cut import ALL, LEAST, MOST, seamed
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
+from trabecula.synth.quilt.seams import ALL, LEAST, MOST, cut_in
 
 MARGIN = 1
 HUGE = 10**6
 
 
 def scene(seed, shape, *, labels=2, held=0.0):
-    """A window whose lower corner region is made, and a piece for its box."""
+    """Return a window whose lower corner region is made, and a patch for its box."""
     rng = np.random.default_rng(seed)
     margin = tuple(0 if side == 1 else MARGIN for side in shape)
     window = np.full(
@@ -35,13 +35,13 @@ def scene(seed, shape, *, labels=2, held=0.0):
     return window, margin, rng.integers(0, labels, shape).astype(np.uint8)
 
 
-def edges(window, margin, piece):
-    """Pairs (p, q, cost) of the box's voxels, with the terminals "old" and "new"."""
+def edges(window, margin, patch):
+    """List pairs (p, q, cost) of the box's voxels, with the terminals "old" and "new"."""
     differs = {}
-    inside = [tuple(np.array(p) + margin) for p in np.ndindex(piece.shape)]
+    inside = [tuple(np.array(p) + margin) for p in np.ndindex(patch.shape)]
     for p in inside:
         if window[p] < OUT:
-            differs[p] = int(window[p] % FIXED != piece[tuple(np.array(p) - margin)])
+            differs[p] = int(window[p] % FIXED != patch[tuple(np.array(p) - margin)])
     box = set(inside)
     found = []
     for p in differs:
@@ -77,13 +77,13 @@ def best_cut(found):
     return maximum_flow(graph, names["old"], names["new"]).flow_value
 
 
-def cost_of(found, made, window, piece, margin):
-    """What a result's seam costs where its sides can be told apart: where old and new agree, either
-    side will do.
+def cost_of(found, made, window, patch, margin):
+    """Return the cost of a result's seam where its sides can be distinguished: where old and new
+    agree, either side counts.
     """
     side = {"old": 0, "new": 1}
     for p in {e for pair in found for e in pair[:2] if isinstance(e, tuple)}:
-        old, new = window[p] % FIXED, piece[tuple(np.array(p) - margin)]
+        old, new = window[p] % FIXED, patch[tuple(np.array(p) - margin)]
         side[p] = None if old == new else int(made[p] % FIXED == new)
     return sum(c for p, q, c in found if side[p] == 0 and side[q] == 1)
 
@@ -94,24 +94,24 @@ def cost_of(found, made, window, piece, margin):
     st.sampled_from([2, 4]),
 )
 def test_the_cut_is_as_cheap_as_a_reference_solvers(seed, shape, labels):
-    window, margin, piece = scene(seed, shape, labels=labels)
-    made, cost = seamed(window, margin, piece)
-    found = edges(window, margin, piece)
+    window, margin, patch = scene(seed, shape, labels=labels)
+    made, cost = cut_in(window, margin, patch)
+    found = edges(window, margin, patch)
     assert cost == best_cut(found)
-    assert cost_of(found, made, window, piece, margin) <= cost
-    assert seamed(window, margin, piece, keep=MOST)[1] == cost
+    assert cost_of(found, made, window, patch, margin) <= cost
+    assert cut_in(window, margin, patch, keep=MOST)[1] == cost
 
 
 @given(st.integers(0, 10**6))
 def test_given_voxels_stay_and_what_is_not_made_is_the_pieces(seed):
-    window, margin, piece = scene(seed, (5, 5, 6), held=0.3)
+    window, margin, patch = scene(seed, (5, 5, 6), held=0.3)
     box = tuple(slice(MARGIN, -MARGIN) for _ in range(3))
     for keep in (LEAST, MOST, ALL):
-        made, _ = seamed(window, margin, piece, keep=keep)
+        made, _ = cut_in(window, margin, patch, keep=keep)
         held = (window >= FIXED) & (window < OUT)
         assert np.array_equal(made[held], window[held])
         empty = window[box] == EMPTY
-        assert np.array_equal(made[box][empty], piece[empty])
+        assert np.array_equal(made[box][empty], patch[empty])
         assert np.all(made[window == OUT] == OUT)
         outside = np.ones(window.shape, bool)
         outside[box] = False
@@ -119,15 +119,15 @@ def test_given_voxels_stay_and_what_is_not_made_is_the_pieces(seed):
 
 
 def test_of_two_equal_cuts_the_least_or_the_most_is_kept():
-    """Old and new differ everywhere in an overlap of three columns: every straight cut costs the
-    same.
+    """Check old and new that differ everywhere in an overlap of three columns: every straight cut
+    costs the same.
     """
     window = np.full((1, 3, 8), EMPTY, np.uint8)
     window[:, :, :4] = 1  # one column before the box, three in it
-    piece = np.zeros((1, 3, 6), np.uint8)
+    patch = np.zeros((1, 3, 6), np.uint8)
     counts = {}
     for keep in (LEAST, MOST, ALL):
-        made, cost = seamed(window, (0, 0, 1), piece, keep=keep)
+        made, cost = cut_in(window, (0, 0, 1), patch, keep=keep)
         counts[keep] = int((made[:, :, 1:7] == 1).sum())
         assert cost == (6 if keep != ALL else -1)
     assert counts == {LEAST: 0, MOST: 9, ALL: 9}
@@ -136,6 +136,6 @@ def test_of_two_equal_cuts_the_least_or_the_most_is_kept():
 def test_a_seam_goes_where_old_and_new_agree():
     window = np.full((1, 5, 9), EMPTY, np.uint8)
     window[:, :, :5] = [1, 1, 1, 0, 0]
-    made, cost = seamed(window, (0, 0, 1), np.zeros((1, 5, 7), np.uint8))
+    made, cost = cut_in(window, (0, 0, 1), np.zeros((1, 5, 7), np.uint8))
     assert cost == 0
     assert made[0, 2].tolist() == [1, 1, 1, 0, 0, 0, 0, 0, EMPTY]

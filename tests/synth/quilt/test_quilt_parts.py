@@ -1,4 +1,4 @@
-"""Words, candidates, periods, bodies: each against a plain way to the same."""
+"""Words, candidates, periods, components: each against a plain way to the same."""
 
 import numpy as np
 import pytest
@@ -8,18 +8,28 @@ from quilt_lattice import lattice, reference
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.synth.quilt.bit_packing import Words, mismatches, planes_for, query_of
-from trabecula.synth.quilt.candidate_pools import Descriptors, Pool
+from trabecula.synth.quilt.candidates import CandidateDescriptors, CandidatePool, RankedCandidates
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, PatchGrid, near_empty
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.connectivity import CLOSED, FINE, SOLID, VOID, Bodies, Judge, classes_for
-from trabecula.synth.quilt.cut import seamed
-from trabecula.synth.quilt.feature_size import thin_voxels
-from trabecula.synth.quilt.period import in_phase, period_along, periods_of, shifts_of
-from trabecula.synth.quilt.ranking import Ranked
-from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.struts import Struts
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.windows import Frame, near_empty
+from trabecula.synth.quilt.connectivity import (
+    CLOSED,
+    FINE,
+    SOLID,
+    VOID,
+    ComponentTracker,
+    ConnectivityCheck,
+    thin_voxels,
+    voxel_classes,
+)
+from trabecula.synth.quilt.patch_library import PackedLabels, label_bits, mismatches, overlap_query
+from trabecula.synth.quilt.period import (
+    cell_shifts,
+    common_periods,
+    period_along,
+    positions_in_phase,
+)
+from trabecula.synth.quilt.run import QuiltRun
+from trabecula.synth.quilt.seams import StrutBuilder, cut_in
 
 
 @given(st.integers(0, 10**6), st.sampled_from([(7, 3, 2), (14, 4, 2), (9, 5, 3), (6, 2, 11)]))
@@ -27,13 +37,13 @@ def test_mismatches_are_counted_voxel_by_voxel(seed, sizes):
     patch, overlap, labels = sizes
     rng = np.random.default_rng(seed)
     stack = rng.integers(0, labels, (2, patch + 2, patch + 3, patch + 4)).astype(np.uint8)
-    words = Words.of(stack, patch=patch, overlap=overlap, planes=planes_for(labels))
+    words = PackedLabels.pack(stack, patch=patch, overlap=overlap, planes=label_bits(labels))
     box = rng.integers(0, labels, (patch,) * 3).astype(np.uint8)
     box[rng.random(box.shape) < 0.2] += FIXED
     near = np.zeros(box.shape, bool)
     near[:overlap] = near[:, :, :overlap] = True
     near[:, -2:] |= rng.random((patch, 2, patch)) < 0.5
-    query = query_of(words, box, near, (stack.shape[2] * stack.shape[3], stack.shape[3]))
+    query = overlap_query(words, box, near, (stack.shape[2] * stack.shape[3], stack.shape[3]))
     assert query.voxels == near.sum()
     places = [(s, z, y, x) for s in range(2) for z in (0, 2) for y in (0, 3) for x in (0, 4)]
     at = np.array([np.ravel_multi_index(place, stack.shape) for place in places], np.int32)
@@ -48,10 +58,10 @@ def test_mismatches_are_counted_voxel_by_voxel(seed, sizes):
 def test_a_part_of_a_query_counts_a_part_of_the_voxels(seed, nth):
     rng = np.random.default_rng(seed)
     stack = rng.integers(0, 3, (1, 12, 13, 14)).astype(np.uint8)
-    words = Words.of(stack, patch=9, overlap=4, planes=planes_for(3))
+    words = PackedLabels.pack(stack, patch=9, overlap=4, planes=label_bits(3))
     near = rng.random((9, 9, 9)) < 0.5
-    query = query_of(words, stack[0, :9, :9, :9], near, (13 * 14, 14))
-    part = query.every(nth)
+    query = overlap_query(words, stack[0, :9, :9, :9], near, (13 * 14, 14))
+    part = query.every_nth(nth)
     at = np.arange(4, dtype=np.int32)
     whole, less = mismatches(words, query, at), mismatches(words, part, at)
     assert part.voxels == sum(int(mask).bit_count() for mask in query.masks[::nth])
@@ -59,24 +69,26 @@ def test_a_part_of_a_query_counts_a_part_of_the_voxels(seed, nth):
     assert nth > 1 or np.array_equal(less, whole)
 
 
-def test_what_goes_on_exactly_passes_the_sieve():
-    """Of thousands of candidates the one that was cut out is found again by a part of its words."""
+def test_exact_continuations_pass_the_sieve():
+    """Find, among thousands of candidates, the one that was cut out again by a part of its
+    words.
+    """
     rng = np.random.default_rng(2)
     blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
-    run = Run(
-        tb.method("quilt", patch=12, overlap=5, connected="none").fit(blobs).learnt,
+    run = QuiltRun(
+        tb.method("quilt", patch=12, overlap=5, connected="none").fit(blobs).library,
         QuiltConfig(share=1.0),
         asking(),
     )
-    at = int(np.ravel_multi_index((0, 9, 14, 21), run.learnt.stack.shape))
-    box = run.learnt.piece(at).copy()
+    at = int(np.ravel_multi_index((0, 9, 14, 21), run.library.stack.shape))
+    box = run.library.patch_at(at).copy()
     near = np.zeros(box.shape, bool)
     near[:5] = near[:, :5] = True
-    query = query_of(run.learnt.words, box, near, run.learnt.strides[1:])
+    query = overlap_query(run.library.words, box, near, run.library.strides[1:])
     none = (np.empty(0, np.int64), np.empty((0, 3), np.int64))
-    asked = run.descriptors.scaled({"volume_fraction": 0.5})
-    found = run.chooser.ranker.ranked(
-        query, run.pools.of((0, 0, 0)), asked, place=0, count=10**6, before=none, without=()
+    asked = run.descriptors.scale_targets({"volume_fraction": 0.5})
+    found = run.chooser.ranker.rank(
+        query, run.pools.pool((0, 0, 0)), asked, place=0, count=10**6, before=none, without=()
     )
     assert len(found.at) < 29**3 // 4, "most were sifted out"
     assert found.mismatch[found.at == at].tolist()[:1] == [0]
@@ -90,16 +102,17 @@ def test_of_the_nearest_the_least_seam_comes_first():
     rng = np.random.default_rng(4)
     blobs = (ndimage.gaussian_filter(rng.random((40, 40, 40)), 1.5) > 0.5).astype(np.uint8)
     model = tb.method("quilt", patch=12, overlap=5, seams=6, tries=10, connected="none").fit(blobs)
-    run = Run(model.learnt, model.config, asking())
-    assert run._step(0) == 1
-    place = run._place(1, run.frame.corner(1))
-    found = run.chooser.ranker.ranked(
-        place.query, place.pool, place.asked, place=1, count=500, before=place.before, without=()
+    run = QuiltRun(model.library, model.config, asking())
+    assert run._lay_or_undo(0) == 1
+    place = run._site_at(1, run.grid.corner(1))
+    found = run.chooser.ranker.rank(
+        place.query, place.pool, place.target, place=1, count=500, before=place.before, without=()
     )
     nearest = np.argsort(found.score, kind="stable")[:10]
     order = [n for n, _ in run.chooser._by_seam(place, found)]
     costs = [
-        seamed(place.old, run.frame.margin, model.learnt.piece(int(found.at[n])))[1] for n in order
+        cut_in(place.old, run.grid.margin, model.library.patch_at(int(found.at[n])))[1]
+        for n in order
     ]
     assert set(order[:6]) == set(nearest[:6].tolist()) and set(order) == set(nearest.tolist())
     assert costs[:6] == sorted(costs[:6]) and costs[6:] == sorted(costs[6:])
@@ -109,8 +122,8 @@ def test_of_the_nearest_the_least_seam_comes_first():
 @given(st.integers(0, 10**6), st.integers(1, 40))
 def test_candidates_are_taken_off_from_the_nearest(seed, count):
     score = np.random.default_rng(seed).integers(0, 30, 60)
-    ranked = Ranked(np.arange(60), np.zeros(60), np.zeros(60), score.copy(), True)
-    first, second = ranked.taken_off(count), ranked.taken_off(count)
+    ranked = RankedCandidates(np.arange(60), np.zeros(60), np.zeros(60), score.copy(), True)
+    first, second = ranked.take_nearest(count), ranked.take_nearest(count)
     assert (
         np.concatenate([first, second]).tolist()
         == np.argsort(score, kind="stable")[: 2 * count].tolist()
@@ -118,26 +131,30 @@ def test_candidates_are_taken_off_from_the_nearest(seed, count):
 
 
 def two_stubs():
-    """All is made but one box; two rods end at it, and a third lies elsewhere on a body of its own."""
+    """Return a canvas with one box to make; two rods end at it, and a third component is
+    elsewhere.
+    """
     canvas = np.zeros((9, 9, 15), np.uint8)
     canvas[4, 4, :5] = canvas[4, 4, 10:] = 1
     canvas[2:7, 2:7, 5:10] = EMPTY
-    frame = Frame(canvas.shape, (False,) * 3, (5, 5, 5), (5, 5, 5), (2, 2, 5))
-    bodies = Bodies(canvas, frame.wraps, classes_for("solid", 0, 2))
-    old, of = np.empty((13, 13, 13), np.uint8), np.empty((13, 13, 13), np.int32)
-    frame.cut_out(canvas, (2, 2, 5), old, OUT)
-    frame.cut_out(bodies.of, (2, 2, 5), of, 0)
-    return bodies, Judge(old.shape, frame.margin, island=0), old, of
+    grid = PatchGrid(canvas.shape, (False,) * 3, (5, 5, 5), (5, 5, 5), (2, 2, 5))
+    components = ComponentTracker(canvas, grid.wraps, voxel_classes("solid", 0, 2))
+    old, numbers = np.empty((13, 13, 13), np.uint8), np.empty((13, 13, 13), np.int32)
+    grid.read_window(canvas, (2, 2, 5), old, OUT)
+    grid.read_window(components.numbers, (2, 2, 5), numbers, 0)
+    return components, ConnectivityCheck(old.shape, grid.margin, island=0), old, numbers
 
 
 def test_a_strut_leads_where_pieces_have_solid():
-    bodies, judge, old, of = two_stubs()
+    components, check, old, numbers = two_stubs()
     new = np.where(old == EMPTY, 0, old).astype(np.uint8)
-    assert judge.verdict(bodies, old, new, of) == CLOSED
+    assert check.verdict(components, old, new, numbers) == CLOSED
     detour = np.zeros((5, 5, 5), bool)
     detour[2, :3, 0] = detour[2, 0, :] = detour[2, :3, 4] = True
     for share, voxels in ((np.zeros(detour.shape), 5), (detour.astype(float), 9)):
-        made = Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, share)
+        made = StrutBuilder(void=0, solid=1, radius=0).lay(
+            components, check, old, new, numbers, share
+        )
         added = np.argwhere(made != new) - 4
         assert len(added) == voxels
         assert ndimage.label(made == 1)[1] == 1
@@ -146,19 +163,23 @@ def test_a_strut_leads_where_pieces_have_solid():
 
 
 def test_a_strut_of_some_thickness_stays_in_its_box():
-    bodies, judge, old, of = two_stubs()
+    components, check, old, numbers = two_stubs()
     new = np.where(old == EMPTY, 0, old).astype(np.uint8)
-    made = Struts(void=0, solid=1, radius=2).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5)))
+    made = StrutBuilder(void=0, solid=1, radius=2).lay(
+        components, check, old, new, numbers, np.zeros((5, 5, 5))
+    )
     added = np.argwhere(made != new)
     assert len(added) > 40 and added.min() >= 4 and added.max() < 9
 
 
 def test_without_a_way_there_is_no_strut():
-    bodies, judge, old, of = two_stubs()
+    components, check, old, numbers = two_stubs()
     old[:, :, 6] = np.where(old[:, :, 6] == EMPTY, FIXED, old[:, :, 6])
     new = np.where(old == EMPTY, 0, old).astype(np.uint8)
     assert (
-        Struts(void=0, solid=1, radius=0).laid(bodies, judge, old, new, of, np.zeros((5, 5, 5)))
+        StrutBuilder(void=0, solid=1, radius=0).lay(
+            components, check, old, new, numbers, np.zeros((5, 5, 5))
+        )
         is None
     )
 
@@ -169,7 +190,7 @@ def test_the_nearest_candidates_are_the_nearest(seed, names, count):
     values = rng.integers(0, 200, (names, 60)).astype(np.int32)
     values = values[:, np.argsort(values[0], kind="stable")]
     weights, target = rng.integers(1, 9, names), rng.integers(-50, 250, names)
-    pool = Pool(np.arange(60, dtype=np.int32), values)
+    pool = CandidatePool(np.arange(60, dtype=np.int32), values)
     at, differences = pool.nearest(target, weights, count)
     every = (weights[:, None] * np.abs(values - target[:, None])).sum(axis=0)
     assert len(set(at.tolist())) == count
@@ -179,10 +200,10 @@ def test_the_nearest_candidates_are_the_nearest(seed, names, count):
 
 def test_descriptors_are_those_of_the_windows_over_their_range():
     image = tb.Image(reference(24), "labels")
-    learnt = (
-        tb.method("quilt", patch=8, overlap=2, period="none", connected="none").fit(image).learnt
+    library = (
+        tb.method("quilt", patch=8, overlap=2, period="none", connected="none").fit(image).library
     )
-    found = Descriptors.of(learnt, ["volume_fraction", "euler"], {"euler": 3})
+    found = CandidateDescriptors.measure(library, ["volume_fraction", "euler"], {"euler": 3})
     assert found.names == ("euler", "volume_fraction"), "the heavier first"
     assert found.weights.tolist() == [768, 256]
     shares = ndimage.uniform_filter(image.values.astype(float), 8, origin=-4)[:17, :17, :17].ravel()
@@ -210,13 +231,13 @@ def test_a_period_that_is_no_whole_number_is_told_from_its_multiples():
 def test_exemplars_out_of_step_are_brought_into_step():
     cells = lattice(np.full((40, 40, 40), 0.4))
     stack = [np.ascontiguousarray(part) for part in (cells[:32, :32, :32], cells[3:35, 5:37, 1:33])]
-    periods = periods_of(stack)
+    periods = common_periods(stack)
     assert periods == (8.0, 8.0, 8.0)
-    shifts = shifts_of(stack, periods)
+    shifts = cell_shifts(stack, periods)
     for key in (0, 8, 20):  # quarters of a voxel
         cell = []
         for labels, shift in zip(stack, shifts, strict=True):
-            begin = [in_phase(24, key, int(by), 8.0)[0] for by in shift]
+            begin = [positions_in_phase(24, key, int(by), 8.0)[0] for by in shift]
             cell.append(labels[tuple(slice(first, first + 8) for first in begin)])
         assert np.mean(cell[0] != cell[1]) < 0.02, "but for voxels that lie on the surface"
 
@@ -229,10 +250,10 @@ def test_what_is_near_to_be_made():
 
 def test_frames_cover_every_voxel_once_or_more():
     for wraps in ((False,) * 3, (True, False, True)):
-        frame = Frame((23, 17, 30), wraps, (8, 8, 8), (5, 5, 5), (0, -3, 0))
-        seen = np.zeros(frame.shape, int)
-        for number in range(int(np.prod(frame.counts))):
-            seen[np.ix_(*frame.indices(frame.corner(number)))] += 1
+        grid = PatchGrid((23, 17, 30), wraps, (8, 8, 8), (5, 5, 5), (0, -3, 0))
+        seen = np.zeros(grid.shape, int)
+        for number in range(int(np.prod(grid.counts))):
+            seen[np.ix_(*grid.indices(grid.corner(number)))] += 1
         assert seen.min() >= 1
 
 
@@ -257,48 +278,48 @@ def test_thin_solid_is_what_an_opening_takes_away(seed, size):
     )
 
 
-def laid(seed, connected, density):
-    """A volume laid box by box from random pieces, each only if the judge has nothing against it."""
+def lay_random(seed, connected, density):
+    """Lay a volume box by box from random patches, each only if the check accepts it."""
     rng = np.random.default_rng(seed)
     shape, patch, step = (14, 14, 21), (7, 7, 7), (5, 5, 5)
     canvas = np.full(shape, EMPTY, np.uint8)
-    frame = Frame(shape, (False,) * 3, patch, step, (0, 0, 0))
-    classes = classes_for(connected, 0, 2)
-    bodies = Bodies(canvas, frame.wraps, classes)
-    window = tuple(side + 2 * m for side, m in zip(patch, frame.margin, strict=True))
-    judge = Judge(window, frame.margin, island=0)
-    inner = tuple(slice(m, -m) for m in frame.margin)
-    for number in range(int(np.prod(frame.counts))):
-        corner = frame.corner(number)
-        old, of = np.empty(window, np.uint8), np.empty(window, np.int32)
-        frame.cut_out(canvas, corner, old, OUT)
-        frame.cut_out(bodies.of, corner, of, 0)
+    grid = PatchGrid(shape, (False,) * 3, patch, step, (0, 0, 0))
+    classes = voxel_classes(connected, 0, 2)
+    components = ComponentTracker(canvas, grid.wraps, classes)
+    window = tuple(side + 2 * m for side, m in zip(patch, grid.margin, strict=True))
+    check = ConnectivityCheck(window, grid.margin, island=0)
+    inner = tuple(slice(m, -m) for m in grid.margin)
+    for number in range(int(np.prod(grid.counts))):
+        corner = grid.corner(number)
+        old, numbers = np.empty(window, np.uint8), np.empty(window, np.int32)
+        grid.read_window(canvas, corner, old, OUT)
+        grid.read_window(components.numbers, corner, numbers, 0)
         for _ in range(60):
             new = old.copy()
-            piece = (
+            labels = (
                 ndimage.gaussian_filter(rng.random(patch), 1.2)
                 < np.quantile(rng.random(9), density)
             ).astype(np.uint8)
             keep = (old[inner] >= OUT) if rng.random() < 0.5 else old[inner] == EMPTY
             new[inner] = np.where(
-                (old[inner] != OUT) & (keep | (rng.random() < 0.3)), piece, old[inner]
+                (old[inner] != OUT) & (keep | (rng.random() < 0.3)), labels, old[inner]
             )
-            if judge.verdict(bodies, old, new, of) == FINE:
+            if check.verdict(components, old, new, numbers) == FINE:
                 break
         else:
-            return None, bodies
-        judge.enter(bodies, old, new, of)
-        frame.put_back(canvas, corner, new)
-        frame.put_back(bodies.of, corner, of)
-    return canvas, bodies
+            return None, components
+        check.enter(components, old, new, numbers)
+        grid.write_box(canvas, corner, new)
+        grid.write_box(components.numbers, corner, numbers)
+    return canvas, components
 
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.sampled_from(["solid", "void", "both"]), st.floats(0.3, 0.7))
 def test_pieces_that_pass_make_one_body(seed, connected, density):
-    canvas, bodies = laid(seed, connected, density)
+    canvas, components = lay_random(seed, connected, density)
     if canvas is None:
-        return  # no random piece would do
+        return  # no random patch was accepted
     if connected in ("solid", "both"):
         assert ndimage.label(canvas == 1)[1] <= 1
     if connected in ("void", "both"):
@@ -307,9 +328,9 @@ def test_pieces_that_pass_make_one_body(seed, connected, density):
             [np.unique(pores.take(end, axis)) for axis in range(3) for end in (0, -1)]
         )
         assert set(range(1, count + 1)) <= set(faces.tolist())
-    assert bodies.alive[0, SOLID] == 0 and bodies.alive[0, VOID] <= 1
+    assert components.alive[0, SOLID] == 0 and components.alive[0, VOID] <= 1
 
 
-def test_random_pieces_do_pass_sometimes():
-    """So that the test above is not empty."""
-    assert sum(laid(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3
+def test_random_patches_do_pass_sometimes():
+    """Check that the test above is not empty."""
+    assert sum(lay_random(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3

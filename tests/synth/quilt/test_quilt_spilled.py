@@ -15,15 +15,14 @@ from scipy import ndimage
 import trabecula as tb
 from trabecula.engine import checkpoint, memmap
 from trabecula.measure.labelling import label_components
-from trabecula.synth.quilt import candidate_pools, components, connectivity, method
-from trabecula.synth.quilt.candidate_pools import Descriptors, Pools
-from trabecula.synth.quilt.connectivity import SOLID, VOID, Bodies, classes_for
-from trabecula.synth.quilt.memory import _pooled
+from trabecula.synth.quilt import candidates, connectivity, method
+from trabecula.synth.quilt.candidates import CandidateDescriptors, CandidatePools
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, PatchGrid
+from trabecula.synth.quilt.compatibility import REASONS, PlacementTrace
+from trabecula.synth.quilt.connectivity import SOLID, VOID, ComponentTracker, voxel_classes
+from trabecula.synth.quilt.method import _count_pooled
 from trabecula.synth.quilt.period import phase_key
-from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.trace import REASONS, Trace
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.windows import Frame
+from trabecula.synth.quilt.run import QuiltRun
 
 CELL = dict(patch=11, overlap=3)
 
@@ -49,15 +48,15 @@ def slabs(folder, memory=1 << 14):
 
 
 def same_in_slabs(model, request, folder):
-    """The values and the trace of a request, after a look whether they are the same in scratch
-    files.
+    """Return the values and the trace of a request, after a check that they are the same in
+    memory-mapped files.
     """
-    values, trace = model.traced(request)
+    values, trace = model.make_with_trace(request)
     with slabs(folder):
-        again, other = model.traced(request)
+        again, other = model.make_with_trace(request)
         assert memmap.file_of(again) is not None
         assert np.array_equal(values, again)
-        assert other.told() == trace.told()
+        assert other.summary() == trace.summary()
         del again, other
     assert not list(folder.iterdir())
     return values, trace
@@ -72,7 +71,7 @@ def test_a_field_in_a_form_that_repeats(lattice_model, tmp_path):
     )
     values, trace = same_in_slabs(lattice_model, request, tmp_path)
     assert not values[~mask].any() and abs(values[mask].mean() - 0.5) < 0.1
-    assert trace.told()["places"] == np.count_nonzero(trace.tried)
+    assert trace.summary()["places"] == np.count_nonzero(trace.tried)
 
 
 @pytest.mark.parametrize("connected", ["solid", "both"])
@@ -85,21 +84,21 @@ def test_repair(blobs, connected, tmp_path):
         model, tb.Request(known.shape, seed=1, fixed=fixed, known=known), tmp_path
     )
     assert np.array_equal(values[known], fixed.values[known])
-    assert trace.told()["mismatch"]["max"] > 0
+    assert trace.summary()["mismatch"]["max"] > 0
 
 
-def test_islands_and_pieces_taken_back(tmp_path, monkeypatch):
-    """The book grows on the way."""
+def test_islands_and_patches_taken_back(tmp_path, monkeypatch):
+    """Check islands and patches taken back while the table grows."""
     rng = np.random.default_rng(5)
     sparse = (ndimage.gaussian_filter(rng.random((48, 48, 48)), 1.2) > 0.54).astype(np.uint8)
     few = dict(tries=1, candidates=8, mismatch=1.0)
     model = tb.method("quilt", patch=9, overlap=3, connected="both", **few).fit(sparse)
     request = tb.Request((30, 24, 24), seed=2)
-    whole = model.traced(request)[0]
+    whole = model.make_with_trace(request)[0]
     monkeypatch.setattr(connectivity, "_MORE", 2)
     values, trace = same_in_slabs(model, request, tmp_path)
-    told = trace.told()
-    assert told["taken_back"] > 0 and told["painted"] > 0 and told["struts"] > 0
+    summary = trace.summary()
+    assert summary["taken_back"] > 0 and summary["painted"] > 0 and summary["struts"] > 0
     assert np.array_equal(values, whole)
 
 
@@ -116,7 +115,7 @@ def test_a_picture(tmp_path):
 
 def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monkeypatch):
     request = tb.Request((40, 24, 24), seed=4, target={"volume_fraction": 0.5})
-    whole, trace = lattice_model.traced(request)
+    whole, trace = lattice_model.make_with_trace(request)
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     left = []
@@ -132,8 +131,8 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     for stopped in (True, False):
         stops = pytest.raises(KeyboardInterrupt) if stopped else nullcontext()
         with slabs(tmp_path / "files"), stops, checkpoint.kept_at(tmp_path / "part"):
-            values, report = lattice_model.compute(request)
-            assert np.array_equal(values, whole) and report["places"] == trace.told()["places"]
+            values, report = lattice_model.made(request)
+            assert np.array_equal(values, whole) and report["places"] == trace.summary()["places"]
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
 
@@ -142,7 +141,7 @@ def test_memory_does_not_grow_with_the_volume(lattice_model, tmp_path):
     for length in (24, 24, 144):
         with slabs(tmp_path):
             tracemalloc.start()
-            lattice_model.traced(
+            lattice_model.make_with_trace(
                 tb.Request((length, 24, 24), seed=1, target={"volume_fraction": 0.5})
             )
             peaks.append(tracemalloc.get_traced_memory()[1])
@@ -164,18 +163,18 @@ def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
     labels, sizes = label_components(values == 1, periodic=wraps)
     into = np.full(values.shape, 99, np.int32)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(components, "_AT_ONCE", 42 * thick)
-        part, found = components.parts_of(values, np.arange(256) == 1, wraps, into=into)
-        _, counted = components.parts_of(values, np.arange(256) == 1, wraps)
+        patch.setattr(connectivity, "_AT_ONCE", 42 * thick)
+        part, found = connectivity.label_slabwise(values, np.arange(256) == 1, wraps, into=into)
+        _, counted = connectivity.label_slabwise(values, np.arange(256) == 1, wraps)
     assert found.tolist() == sizes.tolist() == counted.tolist()
     assert np.array_equal(np.where(values == 1, part[np.where(values == 1, into, 0)], 0), labels)
     assert (into[values != 1] == 99).all()
 
 
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
-def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
-    """Ends are faces towards voxels to make; void that reaches a face of the volume, or what is
-    outside, is body 0.
+def test_given_voxels_begin_with_their_components(wraps, tmp_path):
+    """Check ends, faces towards voxels to make; void that reaches a face of the volume, or `OUT`,
+    is component 0.
     """
     rng = np.random.default_rng(7)
     canvas = (
@@ -187,11 +186,11 @@ def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
     for z, y, x in ((2, 2, 2), (9, 6, 6)):
         canvas[z if z == 9 else z - 1 : z + 2, y - 1 : y + 2, x - 1 : x + 2] = FIXED + 1
         canvas[z, y, x] = FIXED
-    classes = classes_for("both", 0, 2)
+    classes = voxel_classes("both", 0, 2)
     with slabs(tmp_path, memory=1):
-        made = Bodies(canvas, wraps, classes)
-        of, ends, sizes = (
-            np.array(made.of),
+        made = ComponentTracker(canvas, wraps, classes)
+        numbers, ends, sizes = (
+            np.array(made.numbers),
             np.array(made.ends[: made.count]),
             np.array(made.sizes[: made.count]),
         )
@@ -200,9 +199,13 @@ def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
         (np.roll(canvas, sign, axis) == EMPTY).astype(int) for axis in range(3) for sign in (-1, 1)
     )  # what is to be made lies away from the ends
     solids, count = label_components(canvas == FIXED + 1, periodic=wraps)
-    assert np.array_equal(np.where(solids, of, 0), solids)
-    for body, size in enumerate(count, start=1):
-        assert (parent[body], sizes[body], ends[body]) == (body, size, faces[solids == body].sum())
+    assert np.array_equal(np.where(solids, numbers, 0), solids)
+    for component, size in enumerate(count, start=1):
+        assert (parent[component], sizes[component], ends[component]) == (
+            component,
+            size,
+            faces[solids == component].sum(),
+        )
     void = (canvas == FIXED) | (canvas == OUT)
     pores, count = label_components(void, periodic=wraps)
     at_end = np.zeros(canvas.shape, bool)
@@ -217,17 +220,17 @@ def test_what_is_given_begins_with_its_bodies(wraps, tmp_path):
     inner = [k for k in range(1, len(count) + 1) if not at_end[pores == k].any()]
     assert 2 <= len(inner) < len(count)
     for k in range(1, len(count) + 1):
-        assert len(set(of[pores == k].tolist())) == 1
-        assert (of[pores == k][0] > 0) == (k in inner)
+        assert len(set(numbers[pores == k].tolist())) == 1
+        assert (numbers[pores == k][0] > 0) == (k in inner)
     assert {faces[pores == k].any() for k in inner} == {True, False}
     assert alive[0, VOID] == 1 + sum(faces[pores == k].any() for k in inner)
     assert alive[0, SOLID] == np.count_nonzero(ends[1 : 1 + solids.max()])
 
 
 def test_a_trace_sums_what_was_laid():
-    frame = Frame((20, 20, 20), (False,) * 3, (8, 8, 8), (5, 5, 5), (0, -2, 0))
-    trace = Trace(frame)
-    shares = np.random.default_rng(0).random(int(np.prod(frame.counts)))
+    grid = PatchGrid((20, 20, 20), (False,) * 3, (8, 8, 8), (5, 5, 5), (0, -2, 0))
+    trace = PlacementTrace(grid)
+    shares = np.random.default_rng(0).random(int(np.prod(grid.counts)))
     for number, share in enumerate(shares[:-3]):
         trace.add(
             number,
@@ -238,23 +241,23 @@ def test_a_trace_sums_what_was_laid():
             REASONS[number % 3],
         )
     trace.drop(len(shares) - 4)
-    told, laid = trace.told(), np.arange(len(shares) - 4)
-    assert told["places"] == len(laid) and told["taken_back"] == 1
-    assert told["mismatch"] == {
+    summary, laid = trace.summary(), np.arange(len(shares) - 4)
+    assert summary["places"] == len(laid) and summary["taken_back"] == 1
+    assert summary["mismatch"] == {
         "mean": round(shares[laid][1:].mean(), 6),
         "max": round(shares[laid][1:].max(), 6),
     }
-    assert "descriptors" not in told
-    assert told["struts"] == told["strut_voxels"] == (laid % 2).sum()
-    assert told["gave_way"] == np.count_nonzero(laid % 3)
-    assert told["gave_way_at"] == [
-        {"voxel": list(frame.corner(int(n))), "in": REASONS[n % 3]} for n in laid[laid % 3 > 0][:5]
+    assert "descriptors" not in summary
+    assert summary["struts"] == summary["strut_voxels"] == (laid % 2).sum()
+    assert summary["gave_way"] == np.count_nonzero(laid % 3)
+    assert summary["gave_way_at"] == [
+        {"voxel": list(grid.corner(int(n))), "in": REASONS[n % 3]} for n in laid[laid % 3 > 0][:5]
     ]
 
 
 @pytest.fixture(scope="module")
 def out_of_step():
-    """Cells of 7.25 voxels, laid every 6: every place has a phase of its own."""
+    """Fit cells of 7.25 voxels, laid every 6: every place has a phase of its own."""
     x = np.indices((40, 40, 40)) % 7.25 < 4
     return tb.method("quilt", patch=9, overlap=3, connected="none").fit(
         (x.sum(axis=0) > 1).astype(np.uint8)
@@ -264,36 +267,38 @@ def out_of_step():
 def test_pools_that_are_forgotten_are_made_again(out_of_step, monkeypatch):
     assert all(period == pytest.approx(7.25, abs=0.1) for period in out_of_step.periods)
     request = tb.Request((30, 24, 24), seed=1)
-    values = out_of_step.traced(request)[0]
-    monkeypatch.setattr(candidate_pools, "HELD", 0)
-    run = Run(out_of_step.learnt, out_of_step.config, request)
-    assert np.array_equal(run.made(), values)
+    values = out_of_step.make_with_trace(request)[0]
+    monkeypatch.setattr(candidates, "HELD", 0)
+    run = QuiltRun(out_of_step.library, out_of_step.config, request)
+    assert np.array_equal(run.lay_all(), values)
     assert not run.pools._made
 
 
 def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
-    learnt = out_of_step.learnt
-    frame = Frame((30, 24, 24), (False,) * 3, learnt.box, learnt.step, (0, 0, 0))
-    made = Pools(learnt, Descriptors.of(learnt, ["volume_fraction"], {}), 0)
-    keys = {phase_key(frame.corner(n), learnt.periods) for n in range(int(np.prod(frame.counts)))}
+    library = out_of_step.library
+    grid = PatchGrid((30, 24, 24), (False,) * 3, library.box, library.step, (0, 0, 0))
+    made = CandidatePools(
+        library, CandidateDescriptors.measure(library, ["volume_fraction"], {}), 0
+    )
+    keys = {phase_key(grid.corner(n), library.periods) for n in range(int(np.prod(grid.counts)))}
     assert len(keys) > 50
-    assert sum(len(made.of(phase).at) for phase in keys) == _pooled(learnt, frame, 0)
+    assert sum(len(made.pool(phase).at) for phase in keys) == _count_pooled(library, grid, 0)
 
 
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
-    """But for a plane; what is left of the whole is what lies in scratch files."""
+    """Check that memory does not grow, except by a plane; the rest is memory-mapped."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
-    assert lattice_model.resident_memory(short) == lattice_model.resident_memory(long)
+    assert lattice_model._plan_spilled(short) == lattice_model._plan_spilled(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak
     assert 5 * 576 * 64 * 64 < more < 6 * 576 * 64 * 64
 
 
 def test_a_form_in_pieces_is_found_in_slabs(monkeypatch):
-    monkeypatch.setattr(components, "_AT_ONCE", 1)
+    monkeypatch.setattr(connectivity, "_AT_ONCE", 1)
     mask = np.zeros((9, 6, 6), bool)
     mask[:, 1:3] = True
     method._check_one_form(mask, (False,) * 3)
     mask[4] = False
     method._check_one_form(mask, (True, False, False))
-    with pytest.raises(tb.errors.RequestError, match="2 separate pieces"):
+    with pytest.raises(tb.errors.RequestError, match="2 connected components"):
         method._check_one_form(mask, (False,) * 3)

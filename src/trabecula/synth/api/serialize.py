@@ -31,7 +31,7 @@ from trabecula.core.errors import FileError, InputError, MissingExtraError
 from trabecula.core.image import Image
 from trabecula.engine import tensors
 from trabecula.engine.memory import available_memory, format_bytes
-from trabecula.io.guard import check_there, damaged
+from trabecula.io.guard import check_there, report_damage
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.model import FORMAT, KEY, STATE, VOXELS, Model, ModelState
@@ -69,15 +69,15 @@ def load_model(source: str | os.PathLike[str]) -> Model:
             f"cannot read {path} as a model: it has {format_bytes(size)}, more than fits into "
             "memory twice"
         )
-    with damaged(path, "a model", checked=False):
+    with report_damage(path, "a model", checked=False):
         model = decode_model(path.read_bytes(), path)
-    model.name = path.stem if path == models.shipped().get(path.stem) else path.name
+    model.name = path.stem if path == models.shipped_models().get(path.stem) else path.name
     return model
 
 
 def place_of(source: str | os.PathLike[str]) -> Path:
     """Return the file of a model: the path itself, or that of a shipped model of that name."""
-    path, known = Path(source), models.shipped()
+    path, known = Path(source), models.shipped_models()
     if path.is_dir():
         raise FileError(f"cannot read {path} as a model: it is a folder")
     if not path.exists() and os.fspath(source) in known:

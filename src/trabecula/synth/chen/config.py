@@ -1,11 +1,11 @@
-"""Settings of `chen`: the only home of its defaults, besides those that it shares with its rivals."""
+"""Settings of `chen`: the only home of its defaults, beside those of `SolidConfig`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from trabecula.synth.shared.settings import keep_choices, keep_numbers
-from trabecula.synth.shared.solid_config import SolidConfig
+from trabecula.synth.shared.solid.config import SolidConfig
 
 
 @dataclass(frozen=True)

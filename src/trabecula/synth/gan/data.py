@@ -12,7 +12,7 @@ from torch import Tensor
 from trabecula.core.image import Image
 from trabecula.core.seeds import generator
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.shared.fields import phase_fields
+from trabecula.synth.shared.content.fields import phase_fields
 
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 

@@ -1,11 +1,11 @@
-"""Settings of `kopf`: the only home of its defaults, besides those that it shares with its rivals."""
+"""Settings of `kopf`: the only home of its defaults, beside those of `SolidConfig`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from trabecula.synth.shared.settings import keep_numbers
-from trabecula.synth.shared.solid_config import SolidConfig
+from trabecula.synth.shared.solid.config import SolidConfig
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""`kopf`: the frame of `shared.solid` with the soft histogram matching of the paper's weights.
+"""`kopf`: the loop of `shared.solid` with the soft histogram matching of the paper's weights.
 
 A contribution of an exemplar's pixel weighs less by 1 + sum over channels of max(0, H_S(b) -
 H_E(b)), where b is the bin of its value, H_S the histogram of the result so far and H_E that of the
@@ -12,16 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.config import KopfConfig
-from trabecula.synth.kopf.kernels import count_bins
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.planes import Frame, voted_planes
-from trabecula.synth.shared.solid import SolidModel
-from trabecula.synth.shared.solid_fit import Solid
-from trabecula.synth.shared.solid_state import State
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.planes import RegionViews
+from trabecula.synth.shared.solid.method import Solid
+from trabecula.synth.shared.solid.model import SolidModel
+from trabecula.synth.shared.solid.run import SolidRounds, SolidStage
 
 _BINS = 16
 
@@ -36,30 +36,35 @@ class Kopf(Solid):
         return KopfModel(self.config, exemplars, views)
 
 
+class KopfRounds(SolidRounds):
+    """A run with the soft histogram matching of the paper's weights."""
+
+    config: KopfConfig
+
+    def factors(self, stage: SolidStage) -> list[np.ndarray] | None:
+        """Return smaller factors for values that are too frequent in the last votes."""
+        if not self.config.reweighting:
+            return None
+        views = stage.views
+        excess = histogram_excess(self.votes, views, self.config.reweighting)
+        return [
+            factors_of(view.grid.candidates.stack.field, excess, views.full) for view in views.grids
+        ]
+
+
 class KopfModel(SolidModel):
     """Pictures as pyramids of fields."""
 
     capabilities = CAPABILITIES
+    rounds_type = KopfRounds
     config: KopfConfig
 
-    def _vote(self, frame: Frame, state: State, weights: Sequence[np.ndarray], trim: int) -> None:
-        factors = None
-        if self.config.reweighting:
-            excess = excess_of(state.votes, frame, self.config.reweighting)
-            factors = [
-                factors_of(plane.grid.candidates.stack.field, excess, frame.full)
-                for plane in frame.planes
-            ]
-        self._make(
-            frame, state, voted_planes(frame, state.matches, weights, factors=factors, trim=trim)
-        )
 
-
-def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
-    """(C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its share in
-    the target.
+def histogram_excess(votes: np.ndarray, views: RegionViews, strength: float) -> np.ndarray:
+    """Return (C, 16): strength times the share of a bin in votes (C, Z, Y, X) int16 beyond its
+    share in the target.
     """
-    free = np.empty((0, 0, 0), bool) if frame.region.free is None else frame.region.free
+    free = np.empty((0, 0, 0), bool) if views.region.free is None else views.region.free
 
     def count(start: int, stop: int) -> np.ndarray:
         counts = np.zeros((len(votes), _BINS), np.int64)
@@ -68,12 +73,12 @@ def excess_of(votes: np.ndarray, frame: Frame, strength: float) -> np.ndarray:
 
     counts = sum_slabs(count, votes.shape[1])
     own = counts / np.maximum(1, counts.sum(axis=1, keepdims=True))
-    return strength * np.maximum(own - np.array([_shares(target) for target in frame.targets]), 0)
+    return strength * np.maximum(own - np.array([_shares(target) for target in views.targets]), 0)
 
 
 def factors_of(exemplar: np.ndarray, excess: np.ndarray, full: int) -> np.ndarray:
-    """The factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the excess of
-    its values' bins.
+    """Return the factor (z, y, x) int16 of every voxel of (C, z, y, x) int8: `full` over 1 + the
+    excess of its values' bins.
     """
     total = np.ones(exemplar.shape[1:])
     for channel, over in zip(exemplar, excess, strict=True):
@@ -88,3 +93,18 @@ def _shares(target: Histogram) -> np.ndarray:
 
 def _bin(values: np.ndarray) -> np.ndarray:
     return (values.astype(np.int16) + 128) >> 4
+
+
+@kernel
+def count_bins(votes, free, counts, start, stop):
+    """Count the voxels of planes start..stop of (C, Z, Y, X) int16 in each of 16 equal bins, added
+    to counts (C, 16).
+
+    Only those that are `free` (Z, Y, X) bool count; empty means all.
+    """
+    for c in range(votes.shape[0]):
+        for z in range(start, stop):
+            for y in range(votes.shape[2]):
+                for x in range(votes.shape[3]):
+                    if free.size == 0 or free[z, y, x]:
+                        counts[c, (votes[c, z, y, x] >> 12) + 8] += 1

@@ -12,13 +12,13 @@ from trabecula.exemplar.views import as_planes
 
 @dataclass(frozen=True)
 class MrfConfig:
-    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last counts for
-    the rest.
+    """Settings of `mrf`. Sweeps and temperatures are given finest scale first; the last one holds
+    for all coarser scales.
     """
 
     views: tuple[str, ...] = ()
-    """Planes in which slices are to look like the picture, such as [yx, zx]; empty: all three, or
-    by the number of pictures.
+    """Planes whose slices should look like the picture, such as [yx, zx]; empty: all three, or by
+    the number of pictures.
     """
 
     neighbourhood: int = 7
@@ -35,7 +35,7 @@ class MrfConfig:
     """
 
     heuristic: str = "h2b"
-    """What makes one density of the views': "h2b" the product, "h2a" the least; "h1a" and "h1b"
+    """Rule that combines the views' densities: "h2b" the product, "h2a" the least; "h1a" and "h1b"
     (icm only) take the most probable level of the least certain view, or the mean of all (equations
     12 to 15)."""
 
@@ -58,30 +58,30 @@ class MrfConfig:
     Bayes' rule, 0 the paper. (h2b)"""
 
     shares: bool = True
-    """Whether every class of sites is drawn with just the wanted shares of the levels; without, as
-    in the paper, they drift.
+    """Whether every class of sites is drawn with the target shares of the levels; without, as in
+    the paper, they drift.
     """
 
     feedback: float | None = None
-    """How fast a bias learns, from sweep to sweep, how levels go with the sums around them, 0 ..
-    20; 0: not, as in the paper. Default: 1 for two phases, 5 for more, 0 for grey and colour."""
+    """Rate at which a bias learns, from sweep to sweep, the joint statistic of levels and the sums
+    around them, 0 .. 20; 0: not, as in the paper. Default: 1 for two phases, 5 for more, 0 for grey
+    and colour."""
 
     coupling: float | None = None
-    """How fast couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0: none,
-    as in the paper. Default:
-    0.75 for two phases, 0.4 for more, 0.4 for grey, 0.35 for colour. Where it is too high they
-    swing."""
+    """Rate at which couplings of pairs of voxels learn the picture's autocorrelation, 0 .. 100; 0:
+    none, as in the paper. Default: 0.75 for two phases, 0.4 for more, 0.4 for grey, 0.35 for
+    colour. Too high a rate oscillates."""
 
     reach: int = 20
-    """Farthest pairs that are coupled, voxels of the finest scale, 2 .. 200."""
+    """Largest distance of coupled pairs, voxels of the finest scale, 2 .. 200."""
 
     oblique: bool | None = None
-    """Whether sweeps also go by planes turned by 45 degrees. Default: for gibbs, where one picture
-    with square pixels is for all three planes and is alike in all directions."""
+    """Whether sweeps also use planes rotated by 45 degrees. Default: for gibbs, where one isotropic
+    picture with square pixels serves all three planes."""
 
     cells: int = 12
-    """Cells of the local sum of a neighbourhood, for the feedback, 1 .. 48; with 1 it knows the
-    levels' shares alone.
+    """Cells of the local sum of a neighbourhood, for the feedback, 1 .. 48; 1 leaves the levels'
+    shares alone.
     """
 
     bandwidth: float | None = None
@@ -90,7 +90,7 @@ class MrfConfig:
 
     candidates: int = 4096
     """Neighbourhoods of the picture that the density sums over, at most, 64 .. 65536: evenly spread
-    ones where it has more.
+    ones of more.
     """
 
     every: bool = True
@@ -105,20 +105,20 @@ class MrfConfig:
     """Colours of the palette, 2 .. 255, each a colour of the picture."""
 
     spread: bool = True
-    """Whether a voxel of the result takes, at random, the value of one of the pixels that its level
-    stands for; without, the level's middle."""
+    """Whether a voxel of the result takes, at random, the value of one of the pixels of its level;
+    without, the level's middle."""
 
     upsampling: str = "all"
-    """What a finer scale starts from: "one", a coarse voxel in one of its eight and the others at
-    random (1/8); "all": in all (8/8)."""
+    """Start of a finer scale: "one", a coarse voxel in one of its eight and the others at random
+    (1/8); "all": in all (8/8)."""
 
     resynthesis: bool = True
-    """Whether voxels inherited from a coarser scale are questioned again, with full confidence for
+    """Whether voxels inherited from a coarser scale are synthesised again, with full confidence for
     their neighbours. (icm)
     """
 
     xi: float = -3.0
-    """How fast temperatures fall, -1000 .. 0, exclusive (equation 8). (icm)"""
+    """Rate at which temperatures fall, -1000 .. 0, exclusive (equation 8). (icm)"""
 
     stop: float = 0.95
     """The fall of the global temperature, as a share, that ends a scale, .5 .. 1. (icm)"""
@@ -130,10 +130,10 @@ class MrfConfig:
         object.__setattr__(self, "views", as_planes(self.views))
         for name, (low, high) in _RANGES.items():
             if getattr(self, name) is not None:
-                self._keep(name, low, high)
-        self._keep_several("sweeps", 1, 1000, whole=True)
-        self._keep_several("heat", 0, 10, whole=False)
-        self._keep_several("final_heat", 0, 10, whole=False)
+                self._check_number(name, low, high)
+        self._check_schedule("sweeps", 1, 1000, whole=True)
+        self._check_schedule("heat", 0, 10, whole=False)
+        self._check_schedule("final_heat", 0, 10, whole=False)
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
         for name in ("every", "resynthesis", "shares", "spread"):
@@ -141,20 +141,24 @@ class MrfConfig:
                 raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
         if self.neighbourhood % 2 == 0:
             raise InputError(
-                f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, 9 or 11"
+                f"neighbourhood={self.neighbourhood} has no middle: give an odd width, such as 7, "
+                "9 or 11"
             )
         if self.heuristic in ("h1a", "h1b") and self.relaxation != "icm":
             raise InputError(
-                f"heuristic={self.heuristic} gives a level and no density: it goes with relaxation=icm, or take h2a or h2b"
+                f"heuristic={self.heuristic} gives a level and no density: it goes with "
+                "relaxation=icm, or take h2a or h2b"
             )
 
-    def _keep(self, name: str, low: float, high: float) -> None:
+    def _check_number(self, name: str, low: float, high: float) -> None:
+        """Store a number after checking its range."""
         whole = isinstance(getattr(MrfConfig, name, None), int) or name == "polish"
         object.__setattr__(
             self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
         )
 
-    def _keep_several(self, name: str, low: float, high: float, *, whole: bool) -> None:
+    def _check_schedule(self, name: str, low: float, high: float, *, whole: bool) -> None:
+        """Store one number per scale after checking their range."""
         given = getattr(self, name)
         counts = tuple(given) if isinstance(given, (list, tuple)) else (given,)
         if not counts:
@@ -166,32 +170,23 @@ class MrfConfig:
         )
         object.__setattr__(self, name, checked)
 
-    def feedback_of(self, sort: str) -> float:
-        """`feedback`, or its default for a sort of picture (`Content.sort`)."""
-        return _FEEDBACK[sort] if self.feedback is None else self.feedback
-
-    def coupling_of(self, sort: str) -> float:
-        """`coupling`, or its default for a sort of picture."""
-        return _COUPLING[sort] if self.coupling is None else self.coupling
-
-    def bandwidth_of(self, sort: str) -> float:
-        """`bandwidth`, or its default for a sort of picture."""
-        return _BANDWIDTH[sort] if self.bandwidth is None else self.bandwidth
-
-    def polish_of(self, sort: str) -> int:
-        """`polish`, or its default for a sort of picture."""
-        return _POLISH[sort] if self.polish is None else self.polish
+    def setting_for(self, name: str, sort: str) -> Any:
+        """Return a setting, or its default for a sort of picture (`PictureLevels.sort`)."""
+        given = getattr(self, name)
+        return _BY_SORT[name][sort] if given is None else given
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 
-_FEEDBACK = {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0}
-_COUPLING = {"two phases": 0.75, "phases": 0.4, "grey": 0.4, "colour": 0.35}
-_POLISH = {"two phases": 2, "phases": 2, "grey": 0, "colour": 0}
-_BANDWIDTH = {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35}
+_BY_SORT: dict[str, dict[str, float]] = {
+    "feedback": {"two phases": 1.0, "phases": 5.0, "grey": 0.0, "colour": 0.0},
+    "coupling": {"two phases": 0.75, "phases": 0.4, "grey": 0.4, "colour": 0.35},
+    "polish": {"two phases": 2, "phases": 2, "grey": 0, "colour": 0},
+    "bandwidth": {"two phases": 1.0, "phases": 1.0, "grey": 0.35, "colour": 0.35},
+}
 
 _CHOICES = {
     "relaxation": ("gibbs", "icm", "annealing"),

@@ -1,20 +1,20 @@
-"""`mrf`: fit learns the picture's neighbourhoods at every scale, generate relaxes a volume from
+"""The method `mrf`: learn the picture's neighbourhoods at every scale, then relax a volume from
 coarse to fine.
 
-1. The pictures become numbered levels (`content`), decimated by two for every scale; their
-neighbourhoods become the
-   candidates of a Parzen estimate with h_opt (`source`).
-2. The coarsest scale starts from white noise with the picture's histogram; each finer one from what
-it inherits.
+1. The pictures become numbered levels (`picture_levels`), decimated by two for every scale; their
+   neighbourhoods become the candidates of a Parzen estimate with h_opt (`candidates`).
+2. The coarsest scale starts from white noise with the picture's histogram, each finer one from the
+   coarser result (`lattice`, `relaxation`).
 3. At each scale sweeps visit every site: the density of all levels given the neighbourhoods in the
-slices through it
-   (`density`), the views' densities made one, a level chosen (`choose`), the site's temperature or
-   the bias learnt (`relax`).
+   slices through it (`density`), the product of the views' densities (`slice_planes`), a new level
+   (`site_update`), then the site's temperature or the feedback (`relaxation`,
+   `statistics_feedback`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,135 +27,155 @@ from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, resume
-from trabecula.engine.memory import Plan
 from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
+from trabecula.synth.mrf.candidates import (
+    ParzenCandidates,
+    candidate_bytes,
+    count_scales,
+    extract_neighbourhoods,
+    learning_bytes,
+    prepare_candidates,
+    reweight_by_porosity,
+)
 from trabecula.synth.mrf.config import MrfConfig
-from trabecula.synth.mrf.content import Content, content_of
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.forecast import Run, learning_bytes
-from trabecula.synth.mrf.lattice import Lattice
-from trabecula.synth.mrf.limits import STEPS, largest_feature, scales_of
-from trabecula.synth.mrf.patches import Source, bytes_of, patches_of, source_of
-from trabecula.synth.mrf.planes import across, turned
-from trabecula.synth.mrf.porosity_reweighting import tilted
-from trabecula.synth.mrf.scales import count_of, lattices_of, padded_shape, started
-from trabecula.synth.mrf.slice_planes import Face
-from trabecula.synth.shared.fields import isotropic_scale
+from trabecula.synth.mrf.density import STEPS
+from trabecula.synth.mrf.lattice import SiteLattice, build_lattices, result_scales, torus_shape
+from trabecula.synth.mrf.picture_levels import PictureLevels, largest_feature, number_levels
+from trabecula.synth.mrf.relaxation import start_relaxation
+from trabecula.synth.mrf.site_update import ROWS_AT_ONCE
+from trabecula.synth.mrf.slice_planes import (
+    BATCH_OF_BITS,
+    BATCH_OF_PRODUCTS,
+    SliceView,
+    oblique_planes,
+    plane_across,
+)
+from trabecula.synth.mrf.statistics_feedback import PairCouplings
+from trabecula.synth.shared.content.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-# along which of a turned plane's axes steps are diagonals
-_STRETCHED = ((False, True), (True, True))
+
+# axes of an oblique plane whose steps are diagonals: (rows, columns)
+_DIAGONAL = ((False, True), (True, True))
 
 
 class Mrf(PictureMethod):
-    """Maximum likelihood from one picture."""
+    """Maximum-likelihood synthesis from one picture."""
 
     capabilities = CAPABILITIES
     config_type = MrfConfig
 
     def _width(self) -> int:
+        """Return the width of the neighbourhoods, pixels."""
         return self.config.neighbourhood
 
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> MrfModel:
+        """Learn the pictures."""
         return MrfModel(self.config, exemplars, views)
 
-    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
+    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+        """Forecast the memory of learning, bytes."""
         config = self.config
-        three = len(config.views) in (0, 3)
-        turned = (
-            _turns(config, exemplars, three=three) if config.oblique is None else config.oblique
+        oblique = _uses_oblique(config, exemplars, three=len(config.views) in (0, 3))
+        count = count_scales(exemplars, config)
+        kept, peak = learning_bytes(exemplars, count, config, oblique=oblique)
+        return Plan(
+            {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
         )
-        kept, peak = learning_bytes(exemplars, scales_of(exemplars, config), config, turned=turned)
-        return {
-            "interpreter and kernels": _PROCESS,
-            "neighbourhoods": kept,
-            "learning": peak - kept,
-        }
 
 
 class MrfModel(PictureModel):
     """Views of the pictures, and their neighbourhoods at every scale."""
 
     capabilities = CAPABILITIES
+    spills = True
     config: MrfConfig
 
     def __init__(
         self, config: MrfConfig, exemplars: Sequence[Image], views: Sequence[View]
     ) -> None:
         super().__init__(config, exemplars, views)
-        # A picture that several views share is learnt once.
+        # A picture that several views share is learned once.
         images: list[Image] = []
         self.learners: list[int] = []
         for view in self.views:
             known = [n for n, image in enumerate(images) if image is view.image]
             self.learners.append(known[0] if known else len(images))
             images += [] if known else [view.image]
-        self.content: Content = content_of(
+        self.content: PictureLevels = number_levels(
             images,
             full=largest_feature(images[0].kind, config),
             levels=config.levels,
             colours=config.colours,
         )
-        three = len(self.views) == 3
-        self.oblique = (
-            _turns(config, images, three=three) if config.oblique is None else config.oblique
-        )
-        self.count = scales_of(images, config)
-        self.sources = [
-            self._learn(scale, None) for scale in track(range(self.count), "learning the exemplar")
+        self.oblique = _uses_oblique(config, images, three=len(self.views) == 3)
+        self.count = count_scales(images, config)
+        self.candidate_sets = [
+            self._candidates_at(scale, None)
+            for scale in track(range(self.count), "learning the exemplar")
         ]
 
-    def _learn(self, scale: int, porosity: float | None) -> list[Source]:
-        """What each picture says at a scale, then what the first says along diagonals; its
-        neighbourhoods chosen for a `porosity` where one is asked for."""
+    def _candidates_at(self, scale: int, porosity: float | None) -> list[ParzenCandidates]:
+        """Prepare the candidates of each picture at a scale, then those of the first picture along
+        diagonals; with a `porosity`, from neighbourhoods redrawn for it.
+        """
         config, content = self.config, self.content
         kinds = [(picture, (False, False)) for picture in content.pictures]
         if self.oblique:
-            kinds += [(content.pictures[0], stretched) for stretched in _STRETCHED]
-        sources = []
-        for picture, stretched in kinds:
-            patches = patches_of(
+            kinds += [(content.pictures[0], diagonal) for diagonal in _DIAGONAL]
+        candidate_sets = []
+        for picture, diagonal in kinds:
+            neighbourhoods = extract_neighbourhoods(
                 picture,
                 scale=scale,
                 width=config.neighbourhood,
                 every=config.every,
-                stretched=stretched,
+                diagonal=diagonal,
             )
             if porosity is not None and content.void is not None:
-                patches = tilted(patches, content.void, porosity)
-            sources.append(
-                source_of(
-                    patches,
+                neighbourhoods = reweight_by_porosity(neighbourhoods, content.void, porosity)
+            candidate_sets.append(
+                prepare_candidates(
+                    neighbourhoods,
                     content,
                     most=config.candidates,
-                    bandwidth=config.bandwidth_of(self.content.sort),
+                    bandwidth=config.setting_for("bandwidth", self.content.sort),
                     steps=STEPS if config.relaxation == "icm" else 1,
                     products=config.relaxation == "icm",
                     bins=config.cells,
                 )
             )
-        return sources
+        return candidate_sets
 
-    def _frames(self, sources: Sequence[Source]) -> list[list[Face]]:
-        """The views along the axes, and where the material is alike in all directions those turned
-        about each of them.
+    def _view_sets(self, candidate_sets: Sequence[ParzenCandidates]) -> list[list[SliceView]]:
+        """Return the views along the axes, and for isotropic material those of the oblique planes
+        about each axis.
         """
         pairs = zip(self.views, self.learners, strict=True)
-        frames = [[Face(across(view.axis), sources[learner], learner) for view, learner in pairs]]
+        view_sets = [
+            [
+                SliceView(plane_across(view.axis), candidate_sets[learner], learner)
+                for view, learner in pairs
+            ]
+        ]
         for axis in range(3) if self.oblique else ():
-            numbers = [1 + _STRETCHED.index(plane.stretched) for plane in turned(axis)]
-            frames.append(
-                [Face(plane, sources[n], n) for plane, n in zip(turned(axis), numbers, strict=True)]
+            numbers = [1 + _DIAGONAL.index(plane.diagonal) for plane in oblique_planes(axis)]
+            view_sets.append(
+                [
+                    SliceView(plane, candidate_sets[n], n)
+                    for plane, n in zip(oblique_planes(axis), numbers, strict=True)
+                ]
             )
-        return frames
+        return view_sets
 
-    def _couplings(self, scale: int, lattice: Lattice) -> Couplings | None:
-        """The couplings of a scale, which have learnt nothing yet."""
-        rate = self.config.coupling_of(self.content.sort)
+    def _start_couplings(self, scale: int, lattice: SiteLattice) -> PairCouplings | None:
+        """Return the couplings of a scale before the first sweep; None without."""
+        rate = self.config.setting_for("coupling", self.content.sort)
         if not rate:
             return None
         stride = 2**scale
@@ -163,7 +183,7 @@ class MrfModel(PictureModel):
             (view.axis, self.content.pictures[learner][::stride, ::stride])
             for view, learner in zip(self.views, self.learners, strict=True)
         ]
-        return Couplings(
+        return PairCouplings(
             pictures,
             self.content.features,
             lattice.shape,
@@ -178,13 +198,13 @@ class MrfModel(PictureModel):
         for axis, side, periodic in zip("zyx", request.shape, request.periodic, strict=True):
             if periodic and side < width:
                 raise RequestError(
-                    f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for more, or for a smaller "
-                    "neighbourhood"
+                    f"{axis} is periodic with {side} voxels, a neighbourhood has {width}: ask for "
+                    "more, or for a smaller neighbourhood"
                 )
-        self._porosity(request)
+        self._target_porosity(request)
 
-    def _porosity(self, request: Request) -> float | None:
-        """The porosity that is asked for."""
+    def _target_porosity(self, request: Request) -> float | None:
+        """Return the requested porosity, or None."""
         wanted = porosity_of(request.target)
         if isinstance(wanted, np.ndarray):
             raise RequestError(
@@ -192,8 +212,8 @@ class MrfModel(PictureModel):
             )
         return wanted
 
-    def _shares(self, porosity: float | None) -> np.ndarray:
-        """The shares (L,) of the levels that the result is to have: the pictures', or with another
+    def _target_shares(self, porosity: float | None) -> np.ndarray:
+        """Return the target shares (L,) of the levels: the pictures', or those with another
         porosity.
         """
         content = self.content
@@ -210,25 +230,25 @@ class MrfModel(PictureModel):
         return np.asarray(counts / counts.sum())
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
-        porosity = self._porosity(request)
-        sources = (
-            self.sources
+        porosity = self._target_porosity(request)
+        candidate_sets = (
+            self.candidate_sets
             if porosity is None
-            else [self._learn(scale, porosity) for scale in range(self.count)]
+            else [self._candidates_at(scale, porosity) for scale in range(self.count)]
         )
-        lattices = lattices_of(request, self.content, self.count, self.config.neighbourhood)
+        lattices = build_lattices(request, self.content, self.count, self.config.neighbourhood)
         top = len(lattices) - 1
-        learnt: Couplings | None = None
-        told: list[dict[str, Any]] = []
-        begin, state = self._resumed(top)
-        wanted = self._shares(porosity)
+        learned: PairCouplings | None = None
+        report: list[dict[str, Any]] = []
+        begin, state = self._find_checkpoint(top)
+        wanted = self._target_shares(porosity)
         for scale in range(begin, -1, -1):
             coarse = lattices[scale + 1].levels if scale < top else None
-            couplings = self._couplings(scale, lattices[scale])
-            relaxation = started(
+            couplings = self._start_couplings(scale, lattices[scale])
+            relaxation = start_relaxation(
                 lattices[scale],
                 coarse,
-                self._frames(sources[scale]),
+                self._view_sets(candidate_sets[scale]),
                 self.content,
                 self.config,
                 seed=request.seed,
@@ -238,19 +258,21 @@ class MrfModel(PictureModel):
             )
             del coarse, lattices[scale + 1 :]
             if couplings is not None and state is None:
-                couplings.start(learnt, lattices[scale].levels, lattices[scale].there)
-            learnt = couplings
-            told = relaxation.run(told, state)
+                couplings.start(learned, lattices[scale].levels, lattices[scale].domain)
+            learned = couplings
+            report = relaxation.run(report, state)
             state = None
             del relaxation, couplings
-        del learnt
-        return self._delivered(lattices[0].levels, request), {
-            "scales": told,
+        del learned
+        return self._to_values(lattices[0].levels, request), {
+            "scales": report,
             "oblique": self.oblique,
         }
 
-    def _delivered(self, levels: np.ndarray, request: Request) -> np.ndarray:
-        """Levels as values; what is known comes out as it was, and outside a form is nothing."""
+    def _to_values(self, levels: np.ndarray, request: Request) -> np.ndarray:
+        """Convert levels to values; known voxels keep their values, and outside a form the value is
+        `empty`.
+        """
         table, word = self.content.values, key(request.seed, "mrf/values")
         depth, height, width = request.shape
         values = memmap.empty((*request.shape, *table.shape[1:]), table.dtype)
@@ -259,7 +281,7 @@ class MrfModel(PictureModel):
             for z in range(first, last):  # an index of the whole would take 8 bytes a voxel
                 plane = levels[z, :height, :width]
                 values[z] = (
-                    self.content.drawn(plane, z, word) if self.config.spread else table[plane]
+                    self.content.draw_values(plane, z, word) if self.config.spread else table[plane]
                 )
                 if request.mask is not None:
                     values[z][~request.mask[z]] = self.content.empty
@@ -270,50 +292,184 @@ class MrfModel(PictureModel):
         for_slabs(work, depth)
         return values
 
-    def _resumed(self, top: int) -> tuple[int, Checkpoint | None]:
-        """The scale at which an interrupted run goes on, and its state; the coarsest, and none."""
+    def _find_checkpoint(self, top: int) -> tuple[int, Checkpoint | None]:
+        """Return the scale at which an interrupted run resumes and its checkpoint, or the coarsest
+        and None.
+        """
         for scale in range(top + 1):
             state = resume(f"scale {scale}")
             if state is not None:
                 return scale, state
         return top, None
 
-    def memory(self, request: Request) -> Mapping[str, int]:
-        run = self._run(request)
-        return {**self._fixed(request), "output": run.output, "scratch": run.scratch}
+    def _plan(self, request: Request) -> Plan:
+        run = self._run_memory(request)
+        memory = {**self._constant_bytes(request), "output": run.output, "scratch": run.scratch}
+        return Plan(
+            memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
+        )
 
-    def resident_memory(self, request: Request) -> Mapping[str, int]:
-        return {**self._fixed(request), "slab": self._run(request).slab}
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        return {**self._constant_bytes(request), "slab": self._run_memory(request).slab}
 
-    def _fixed(self, request: Request) -> dict[str, int]:
-        """Bytes that do not depend on the shape."""
-        kept = bytes_of([source for scale in self.sources for source in scale])
+    def _constant_bytes(self, request: Request) -> dict[str, int]:
+        """Return the bytes that do not depend on the shape."""
+        kept = candidate_bytes(
+            [candidates for scale in self.candidate_sets for candidates in scale]
+        )
         memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
-        if request.target:  # the pictures are learnt anew
+        if request.target:  # the pictures are learned anew
             memory["learning"] = learning_bytes(
-                self.exemplars, self.count, self.config, turned=self.oblique
+                self.exemplars, self.count, self.config, oblique=self.oblique
             )[1]
         return memory
 
-    def _run(self, request: Request) -> Run:
+    def _run_memory(self, request: Request) -> RunMemory:
+        """Return the memory of a request."""
         config, width = self.config, self.config.neighbourhood
-        count = count_of(request.shape, request.periodic, count=self.count, width=width)
-        shape = padded_shape(request.shape, request.periodic, count=count, width=width)
-        kept = [source for scale in self.sources for source in scale]
+        count = result_scales(request.shape, request.periodic, count=self.count, width=width)
+        shape = torus_shape(request.shape, request.periodic, count=count, width=width)
+        kept = [candidates for scale in self.candidate_sets for candidates in scale]
         pairs = self._pairs(shape)
-        return Run(
+        return RunMemory(
             request, shape, self.content, kept, len(self.views), pairs, config, thread_count()
         )
 
     def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
-        """The pairs of a lattice that are coupled at most."""
-        if not self.config.coupling_of(self.content.sort):
+        """Return the pairs of a lattice that can be coupled; None without couplings."""
+        if not self.config.setting_for("coupling", self.content.sort):
             return None
         shortest = min(min(picture.shape) for picture in self.content.pictures)
         far = max(1, min(max(self.config.reach, 4), shortest // 2 - 1, min(shape) // 2 - 1))
         return Pairs(shape, far, (True, True, True), isotropic_scale(spacing_of(self.views)))
 
 
-def _turns(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
-    """Whether turned planes go without being asked for."""
+def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
+    """Return whether oblique planes are used: the setting, or its default."""
+    if config.oblique is not None:
+        return config.oblique
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
+
+
+_SMALL = 100_000  # bytes of what does not depend on the picture
+_OF_A_SITE = 42  # bytes a site while sites in the result are marked
+
+_OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
+
+
+@dataclass(frozen=True)
+class RunMemory:
+    """Memory of a run, from shapes and settings alone; the factors were measured.
+
+    `shape` is that of the finest lattice, `pairs` the coupled pairs (None: none), `threads` the
+    number of threads.
+    """
+
+    request: Request
+    shape: tuple[int, ...]
+    content: PictureLevels
+    candidate_sets: Sequence[ParzenCandidates]
+    views: int
+    pairs: Pairs | None
+    config: MrfConfig
+    threads: int
+
+    @property
+    def scratch(self) -> int:
+        """Return the bytes of batches of sites in all threads."""
+        content = self.content
+        around, (levels, channels) = self.config.neighbourhood**2 - 1, content.features.shape
+        shares = levels * (24 * self.views + 24) + around * 11
+        words = [
+            len(candidates.bits)
+            for candidates in self.candidate_sets
+            if candidates.bits is not None
+        ]
+        if words:
+            return self.threads * BATCH_OF_BITS * (shares + 16 * max(words))
+        widest = max(len(candidates.centres) for candidates in self.candidate_sets)
+        return self.threads * (
+            BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest
+        )
+
+    @property
+    def output(self) -> int:
+        """Return the bytes of the lattices of all scales and of the largest array beside them; the
+        scratch memory of sites comes on top.
+        """
+        beside = (
+            *self._site_bytes(),
+            self._coupling_bytes() - self.scratch,
+            self._value_bytes() - self.scratch,
+        )
+        return self._lattice_bytes() + max(0, *beside)
+
+    @property
+    def slab(self) -> int:
+        """Return the bytes of the thinnest slabs where arrays as large as the result are
+        memory-mapped.
+        """
+        _, height, width = self.shape
+        levels, each = len(self.content.values), self.content.values[0].nbytes
+        sites = _OF_A_SITE * height * width // (self.config.neighbourhood // 2 + 1) ** 2
+        plane = (_OF_A_PLANE + 2 * each) * height * width
+        if self.request.known is not None and self.content.kind == "colour":
+            plane += 80 * height * width + 40 * levels * ROWS_AT_ONCE
+        most = self.threads * max(plane, sites + ROWS_AT_ONCE * 4 * levels)
+        if self.pairs is not None:
+            most = max(most, self.pairs.slab_bytes + self.pairs.lines_bytes)
+        return self.scratch + self._table_bytes + 2 * _SMALL + most
+
+    @property
+    def _voxels(self) -> int:
+        """Count the voxels of the finest lattice."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def _table_bytes(self) -> int:
+        """Return the bytes of the pair tables: bins of offsets, and for a while their weights."""
+        return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
+
+    def _lattice_bytes(self) -> int:
+        """Return the bytes held from the first sweep to the last, coarser scales included."""
+        levels, channels = self.content.features.shape
+        marks = (self.request.mask is not None) + (self.request.known is not None)
+        each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
+        if self.pairs is not None:
+            each += 9 / 8 * 2 * channels
+        return (
+            round(self._voxels * each)
+            + 8 * 4 * self.views * levels**2
+            + self._table_bytes
+            + 2 * _SMALL
+        )
+
+    def _site_bytes(self) -> tuple[int, int]:
+        """Return the bytes of a class of sites with their scores, and of the groups' scores less
+        the earlier scratch memory.
+        """
+        levels, channels = self.content.features.shape
+        groups = int(self.content.groups.max()) + 1
+        sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
+        rows = 4 * levels + self.views * channels * (
+            self.config.setting_for("feedback", self.content.sort) > 0
+        )
+        return (8 + rows) * sites, self.config.shares * (
+            rows + 8 * groups + _OF_A_SITE
+        ) * sites - self.scratch
+
+    def _coupling_bytes(self) -> int:
+        """Return the bytes of the transforms of a field."""
+        if self.pairs is None:
+            return 0
+        return (
+            2 * self.pairs.spectrum_bytes
+            + self.pairs.kernel_bytes
+            + 4 * self._voxels
+            + self.pairs.slab_bytes
+        )
+
+    def _value_bytes(self) -> int:
+        """Return the bytes of the result's values."""
+        each = self.content.values[0].nbytes
+        return each * int(np.prod(self.request.shape, dtype=np.int64))

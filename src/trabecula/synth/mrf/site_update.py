@@ -1,55 +1,193 @@
-"""One class of sites at once: the scores of all levels, the shifts that make the expected shares
-right, the draw.
+"""Update of one class of sites at once.
 
-1. Every site's scores, from the densities of its slices, the feedback and the couplings (`scored`).
-2. The groups' shifts, and how far the levels within them move for the next class (`Shifts`).
-3. New levels (`levels_for`), which the feedback counts (`count_into`).
+1. The scores of every site, from the densities of its slices, the feedback and the couplings
+   (`score_class`).
+2. The shifts that give the target shares (`fraction_control`).
+3. New levels by draw, mode or proposal (`choose_levels`), which the feedback counts
+   (`count_local`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
-from trabecula.synth.mrf import decision_rules
-from trabecula.synth.mrf.bias_feedback import Tables
-from trabecula.synth.mrf.couplings import Couplings
-from trabecula.synth.mrf.feedback import count
-from trabecula.synth.mrf.fraction_control import moved_levels, of_groups, shares_of, shifts_for
-from trabecula.synth.mrf.site_class import Members
-from trabecula.synth.mrf.slice_planes import Frame
-from trabecula.synth.mrf.tables import LOGS, POWERS
+from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.random import below, philox
+from trabecula.synth.mrf.density import POWERS, UNIT, power_of
+from trabecula.synth.mrf.lattice import ClassName, SiteClasses
+from trabecula.synth.mrf.slice_planes import ViewSet, best_level, level_of_views
+from trabecula.synth.mrf.statistics_feedback import BiasTables, PairCouplings, count_cells
 
-_ROWS = 4096  # sites that get new levels at once
+T = TypeVar("T")
+
+_FEW = 1 << 14
+"""Sites below which cheap work is done before threads have started."""
+
+_MANY = 1 << 22
+"""Voxels of a lattice whose arrays may be resident."""
+
+_SMALL = 1 << 20
+"""Bytes below which an array is not worth a file."""
+
+_ENOUGH = 256
+"""Sites that are worth a thread where each needs a density."""
+
+
+@dataclass
+class SiteClass:
+    """Sites of a class that a sweep visits, plane by plane. They are found anew wherever they are
+    needed, since their places would take more memory than their levels.
+
+    `temperature` (Z, Y, X) float32, `held` bool: only sites that are warm or held are visited;
+    without entries all are.
+    """
+
+    classes: SiteClasses
+    name: ClassName
+    temperature: np.ndarray
+    held: np.ndarray
+
+    def sites(self, first: int, last: int) -> np.ndarray:
+        """Return flat places in the planes first .. last, rising."""
+        sites = self.classes.sites(self.name, first, last)
+        if not self.temperature.size:
+            return sites
+        warm = self.temperature.reshape(-1)[sites] > 0
+        if self.held.size:
+            warm |= self.held.reshape(-1)[sites]
+        return sites[warm]
+
+    @property
+    def depth(self) -> int:
+        """Return the planes of the lattice."""
+        return self.classes.lattice.shape[0]
+
+    @cached_property
+    def starts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Count the sites before each plane, and those of them in the result: twice (Z +
+        1,) int64.
+        """
+        lattice = self.classes.lattice
+        plane, counts = lattice.shape[1] * lattice.shape[2], np.zeros((2, self.depth + 1), np.int64)
+
+        def work(first: int, last: int) -> None:
+            sites = self.sites(first, last)
+            z = sites // plane - first
+            counts[0, first + 1 : last + 1] = np.bincount(z, minlength=last - first)
+            counts[1, first + 1 : last + 1] = np.bincount(
+                z[lattice.in_result(sites)], minlength=last - first
+            )
+
+        if lattice.levels.size > _MANY:
+            for_slabs(work, self.depth)
+        else:
+            work(0, self.depth)
+        before, within = counts.cumsum(axis=1)
+        return before, within
+
+    @property
+    def count(self) -> int:
+        """Return the number of sites."""
+        return int(self.starts[0][-1])
+
+    @property
+    def count_in_result(self) -> int:
+        """Return the number of sites in the result."""
+        return int(self.starts[1][-1])
+
+    @property
+    def _are_few(self) -> bool:
+        """Return whether threads are not worth their start."""
+        return self.count < _FEW and self.classes.lattice.levels.size <= _MANY
+
+    def allocate(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
+        """Allocate an array of rows for sites, for `run_expensive` to write; in memory where it is
+        small, since every visit allocates some.
+        """
+        small = self._are_few and math.prod(shape) * np.dtype(dtype).itemsize < _SMALL
+        return np.empty(tuple(shape), dtype) if small else memmap.empty(shape, dtype, least=0)
+
+    def run_on_planes(self, work: Callable[[int, int], object]) -> None:
+        """Run cheap work on planes of sites."""
+        if self._are_few:
+            work(0, self.depth)
+        else:
+            for_slabs(work, self.depth, least=self._planes_with(_FEW))
+
+    def sum_on_planes(self, work: Callable[[int, int], T]) -> T:
+        """Sum whole numbers over planes of sites."""
+        return (
+            work(0, self.depth)
+            if self._are_few
+            else sum_slabs(work, self.depth, least=self._planes_with(_FEW))
+        )
+
+    def run_expensive(self, work: Callable[[int, int], object]) -> None:
+        """Run expensive work on planes of sites, also in other processes; it writes slabs of arrays
+        from `allocate`.
+        """
+        for_slabs(work, self.depth, least=self._planes_with(_ENOUGH), anywhere=not self._are_few)
+
+    def _planes_with(self, sites: int) -> int:
+        """Return how many planes hold so many sites."""
+        return max(1, self.depth * sites // max(1, self.count))
+
+
+ROWS_AT_ONCE = 4096  # sites that get new levels at once
+
+
+def run_on_rows(work: Callable[[int, int], object], rows: int) -> None:
+    """Run cheap work on rows of numbers, one row a site."""
+    if rows < _FEW:
+        work(0, rows)
+    else:
+        for_slabs(work, rows, least=_FEW)
+
+
+def sum_on_rows(work: Callable[[int, int], T], rows: int) -> T:
+    """Sum whole numbers over rows."""
+    return work(0, rows) if rows < _FEW else sum_slabs(work, rows, least=_FEW)
+
+
+def allocate_rows(rows: int) -> np.ndarray:
+    """Allocate a whole number for every row (int64); in memory where that is little."""
+    return np.empty(rows, np.int64) if rows < _FEW else memmap.empty(rows, np.int64)
 
 
 @dataclass(frozen=True)
-class Step:
-    """What a sweep does: its rule ("gibbs", "icm", "annealing"), temperature, key and number for
-    random words, which of the frames it goes by, and whether it sees the pictures from behind."""
+class SweepStep:
+    """One sweep: its rule ("gibbs", "icm", "annealing"), temperature, key and number for random
+    words, the number of its view set, and whether it sees the pictures mirrored.
+    """
 
     rule: str
     heat: float
     key: np.uint64
     number: int
-    frame: int = 0
+    view_set: int = 0
     mirrored: bool = False
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What is known of the sites of a class, one row for each.
+class ClassScores:
+    """Scores of the sites of a class, one row a site.
 
     Attributes
     ----------
     score : (S, L) int32
-        Of all levels; without rows for h1a and h1b, which choose at once:
+        Of all levels; without rows for h1a and h1b, which choose at once.
     chosen : (S,) uint8
-        Else without entries.
+        Levels chosen by h1a and h1b; otherwise without entries.
     cells : (V, S, C) uint8
-        Where the local sums lie; without rows where nothing is learnt of them.
+        Cells of the local sums; without rows where the feedback is off.
     """
 
     score: np.ndarray
@@ -58,186 +196,170 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Tally:
-    """How many sites changed, and what the feedback counted."""
+class SweepTally:
+    """The number of changed sites, and the counts of the feedback."""
 
     changed: int
-    tables: Tables
+    tables: BiasTables
 
-    def __add__(self, other: Tally) -> Tally:
-        return Tally(
+    def __add__(self, other: SweepTally) -> SweepTally:
+        """Add two tallies."""
+        return SweepTally(
             self.changed + other.changed,
             [a + b for a, b in zip(self.tables, other.tables, strict=True)],
         )
 
 
-def scored(
-    members: Members,
-    frame: Frame,
+def score_class(
+    site_class: SiteClass,
+    view_set: ViewSet,
     *,
     heuristic: str,
-    bias: Tables,
+    bias: BiasTables,
     temperature: np.ndarray,
-    couplings: Couplings | None,
+    couplings: PairCouplings | None,
     mirrored: bool,
-) -> Scored:
-    """The scores of a class.
+) -> ClassScores:
+    """Compute the scores of all levels at the sites of a class.
 
     Parameters
     ----------
-    members : Members
-    frame : Frame
+    site_class : SiteClass
+    view_set : ViewSet
     heuristic : str
         Setting `heuristic`.
     bias : list of (C, B, G) int64
         Of the feedback, in units; empty for none.
     temperature : (Z, Y, X) float32
         Of equation 8; without entries for none.
-    couplings : Couplings, optional
+    couplings : PairCouplings, optional
     mirrored : bool
         Whether the pictures are seen from behind.
     """
     at_once = heuristic in ("h1a", "h1b")
-    features, starts = frame.content.features, members.starts[0]
-    score = members.room((0 if at_once else members.count, len(features)), np.int32)
-    chosen = members.room((members.count if at_once else 0,), np.uint8)
-    cells = members.room(
-        (len(frame.faces), members.count if bias else 0, features.shape[1]), np.uint8
+    features, starts = view_set.content.features, site_class.starts[0]
+    score = site_class.allocate((0 if at_once else site_class.count, len(features)), np.int32)
+    chosen = site_class.allocate((site_class.count if at_once else 0,), np.uint8)
+    cells = site_class.allocate(
+        (len(view_set.slice_views), site_class.count if bias else 0, features.shape[1]), np.uint8
     )
 
     def work(first: int, last: int) -> None:
-        sites, start = members.sites(first, last), int(starts[first])
-        room = frame.scratch(len(sites))
-        for begin in range(0, len(sites), frame.batch):
-            asked = sites[begin : begin + frame.batch]
+        sites, start = site_class.sites(first, last), int(starts[first])
+        room = view_set.product_buffer(len(sites))
+        for begin in range(0, len(sites), view_set.batch):
+            asked = sites[begin : begin + view_set.batch]
             rows = slice(start + begin, start + begin + len(asked))
             pulled = np.zeros((len(asked), len(features)), np.int64)
-            log = frame.densities(
+            log = view_set.log_densities(
                 asked, room, temperature, pulled, bias, cells[:, rows], mirrored=mirrored
             )
             if at_once:
-                decision_rules.of_views(log, features, heuristic == "h1b", chosen[rows])
+                level_of_views(log, features, heuristic == "h1b", chosen[rows])
                 continue
             if couplings is not None:
-                couplings.pull(asked, pulled)
-            frame.score(log, pulled, heuristic, score[rows])
+                couplings.add_to_scores(asked, pulled)
+            view_set.combine(log, pulled, heuristic, score[rows])
 
-    members.dear_over(work)
-    return Scored(score, chosen, cells)
-
-
-@dataclass
-class Shifts:
-    """What is added to the scores of groups of levels, and of levels within them, for the wanted
-    shares.
-
-    Attributes
-    ----------
-    groups : (L,) uint8
-    wanted : (L,) float64
-        Shares of the levels.
-    of_groups, fine : (G,), (L,) int64
-        In units; they go on from class to class.
-    """
-
-    groups: np.ndarray
-    wanted: np.ndarray
-
-    def __post_init__(self) -> None:
-        self._by_group = np.bincount(self.groups, self.wanted)
-        self.of_groups = np.zeros(len(self._by_group), np.int64)
-        self.fine = np.zeros(len(self.wanted), np.int64)
-
-    def settle(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
-        """The shifts (L,) int32 that give the sites of a class the wanted shares where they lie in
-        the result.
-        """
-        if not members.asked:
-            return (self.of_groups[self.groups] + self.fine).astype(np.int32)
-        energy = self._energy(members, score, coldness)
-        self.of_groups = shifts_for(energy, self._by_group, coldness=coldness, start=self.of_groups)
-        del energy
-        shift = self.of_groups[self.groups] + self.fine
-        if len(self._by_group) < len(self.wanted):
-            self.fine = moved_levels(
-                self._taken(members, score, shift, coldness),
-                self.groups,
-                self.wanted,
-                count=members.asked,
-                coldness=coldness,
-                shift=self.fine,
-            )
-        return shift.astype(np.int32)
-
-    def _energy(self, members: Members, score: np.ndarray, coldness: int) -> np.ndarray:
-        """Scores (S', G) int64 of the groups at the sites in the result."""
-        (rows, asked), asks_for = members.starts, members.classes.lattice.asks_for
-        energy = members.room((members.asked, len(self._by_group)), np.int64)
-
-        def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
-            into = energy[asked[first] : asked[last]]
-            of_groups(
-                score[rows[first] : rows[last]],
-                kept,
-                self.fine,
-                self.groups,
-                coldness,
-                LOGS,
-                POWERS,
-                into,
-            )
-
-        members.over(work)
-        return energy
-
-    def _taken(
-        self, members: Members, score: np.ndarray, shift: np.ndarray, coldness: int
-    ) -> np.ndarray:
-        """How many of these sites every level is expected to take, (L,) float64."""
-        rows, asks_for = members.starts[0], members.classes.lattice.asks_for
-        # by plane: sums of floats that no slab touches
-        totals = np.zeros((members.depth, len(shift)))
-
-        def work(first: int, last: int) -> None:
-            kept = asks_for(members.sites(first, last))
-            for z in range(first, last):
-                of_plane = kept[rows[z] - rows[first] : rows[z + 1] - rows[first]]
-                shares_of(
-                    score[rows[z] : rows[z + 1]], of_plane, shift, coldness, POWERS, totals[z]
-                )
-
-        members.over(work)
-        return np.array([math.fsum(column) for column in totals.T])
+    site_class.run_expensive(work)
+    return ClassScores(score, chosen, cells)
 
 
-def levels_for(
-    score: np.ndarray, sites: np.ndarray, present: np.ndarray, step: Step, proposals: int
+def choose_levels(
+    score: np.ndarray, sites: np.ndarray, present: np.ndarray, step: SweepStep, proposals: int
 ) -> np.ndarray:
-    """New levels (S,) uint8 by the rule of a step, from scores (S, L) int32 with all shifts and the
-    `present` levels.
+    """Choose new levels (S,) uint8 by the rule of a step, from scores (S, L) int32 with all shifts
+    and the `present` levels.
     """
     chosen = np.empty(len(sites), np.uint8)
     if step.rule == "icm" or (step.rule == "gibbs" and step.heat == 0):
-        decision_rules.greatest(score, chosen)
+        most_probable_levels(score, chosen)
     elif step.rule == "gibbs":
-        decision_rules.drawn(
-            score, decision_rules.coldness(step.heat), POWERS, sites, step.key, step.number, chosen
-        )
+        draw_levels(score, coldness(step.heat), POWERS, sites, step.key, step.number, chosen)
     else:
         heat = round(65536 * step.heat)
-        decision_rules.proposed(
+        propose_levels(
             score, heat, POWERS, present, proposals, sites, step.key, step.number, chosen
         )
     return chosen
 
 
-def parts_of(count: int) -> list[slice]:
-    """So many rows, a few at a time."""
-    return [slice(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
+def row_slices(count: int) -> list[slice]:
+    """Split so many rows into slices."""
+    return [
+        slice(first, min(first + ROWS_AT_ONCE, count)) for first in range(0, count, ROWS_AT_ONCE)
+    ]
 
 
-def count_into(tables: Tables, cells: np.ndarray, frame: Frame, chosen: np.ndarray) -> None:
+def count_local(
+    tables: BiasTables, cells: np.ndarray, view_set: ViewSet, chosen: np.ndarray
+) -> None:
     """Count the levels chosen at some sites by cell (V, S, C)."""
-    for face, cell in zip(frame.faces, cells, strict=True):
-        count(cell, frame.content.groups, chosen, tables[face.learner])
+    for slice_view, cell in zip(view_set.slice_views, cells, strict=True):
+        count_cells(cell, view_set.content.groups, chosen, tables[slice_view.learner])
+
+
+COLD = 4096
+"""The coldness of temperature 1."""
+
+COLDEST = 64 * COLD
+"""The coldness that stands for the mode; colder, differences of scores times it would not fit into
+64 bits.
+"""
+
+
+def coldness(heat: float) -> int:
+    """Return 1 / heat in whole 4096ths, `COLDEST` at most."""
+    return max(1, round(min(COLDEST, COLD / heat)))
+
+
+@kernel
+def most_probable_levels(score, chosen):
+    """Choose the level of the greatest score; of equals the first."""
+    for s in range(len(score)):
+        chosen[s] = best_level(score[s])
+
+
+@kernel
+def draw_levels(score, coldness, powers, sites, key, sweep, chosen):
+    """Draw a level with probability proportional to 2^(score coldness / 2^16 / 2^12); coldness 4096
+    is temperature 1.
+    """
+    weight = np.empty(score.shape[1], np.int64)
+    for s in range(len(score)):
+        top = score[s, best_level(score[s])]
+        total = np.int64(0)
+        for level in range(len(weight)):
+            weight[level] = power_of(((score[s, level] - top) * coldness) >> 12, powers)
+            total += weight[level]
+        word = philox(key, sites[s], sites[s] >> 32, sweep, 0)[0]
+        at = np.int64(np.float64(word) * 2.0**-32 * np.float64(total))
+        level = 0
+        while level + 1 < len(weight) and at >= weight[level]:
+            at -= weight[level]
+            level += 1
+        chosen[s] = level
+
+
+@kernel
+def propose_levels(score, temperature, powers, present, tries, sites, key, sweep, chosen):
+    """Propose levels at random (figure 1): one replaces the present level where p > 1 or p t > q, p
+    being the ratio of their densities and q random.
+
+    `temperature` in 0 .. 2^16; `tries` proposals one after another, each with a q of its own.
+    """
+    for s in range(len(score)):
+        level = np.int64(present[s])
+        for trial in range(tries):
+            first, second, _, _ = philox(key, sites[s], sites[s] >> 32, sweep, trial)
+            other = below(first, score.shape[1])
+            ratio = score[s, other] - score[s, level]
+            if ratio > 0:
+                level = other
+            else:
+                weight = power_of(max(ratio, -31 * UNIT), powers)  # p times 2^31
+                if (np.float64(weight) * np.float64(temperature) * 2.0**-47) > np.float64(
+                    second
+                ) * 2.0**-32:
+                    level = other
+        chosen[s] = level

@@ -37,7 +37,7 @@ class QuiltConfig:
     """
 
     candidates: int = 8000
-    """So many at most, 8 .. 2**31."""
+    """Candidates looked at for a place at most, 8 .. 2**31."""
 
     mismatch: float = 0.15
     """Share of differing voxels in an overlap, 0 .. 1, above which four times as many candidates
@@ -62,25 +62,22 @@ class QuiltConfig:
     """
 
     connected: str = "solid"
-    """What becomes one body (section 4.3): "solid" (every phase but void), "void" (all of it
-    reaches a face of the volume or the form), "both", "none"."""
+    """Phases that become one connected component (section 4.3): "solid" (every phase but void),
+    "void" (all of it reaches a face of the volume or the form), "both", "none"."""
 
     feature: int = 1
-    """Voxels that the solid is thick at least, 1 .. 8: no seam leaves less. 1: nothing is asked
-    for.
-    """
+    """Least thickness of the solid, voxels, 1 .. 8: no seam leaves less. 1: no condition."""
 
     seams: int = 0
-    """Of so many candidates with the least distance the one with the least visible seam is taken, 1
-    .. 64. 0: 8, of a lattice
-    4."""
+    """Of so many candidates with the least distance the one with the cheapest seam is taken,
+    1 .. 64. 0: 8, of a lattice 4."""
 
     tries: int = 12
-    """Candidates that are laid down and judged at a place, 1 .. 1000, before more are looked at."""
+    """Candidates that are cut in and judged at a place, 1 .. 1000, before more are looked at."""
 
     backtrack: int = 2
-    """Pieces that are taken back, 0 .. 8, where nothing fits, before struts are laid or a place
-    gives way.
+    """Patches that are taken back, 0 .. 8, where no candidate fits, before struts are laid or a
+    place gives way.
     """
 
     def __post_init__(self) -> None:
@@ -92,11 +89,13 @@ class QuiltConfig:
             )
         if self.patch and self.overlap >= self.patch:
             raise InputError(
-                f"overlap={self.overlap} is not smaller than patch={self.patch}: the step between them would be none"
+                f"overlap={self.overlap} is not smaller than patch={self.patch}: the step between "
+                "patches would be 0"
             )
         if not isinstance(self.weights, Mapping):
             raise InputError(
-                f"weights={self.weights!r} should name descriptors, such as {{'volume_fraction': 2}}"
+                f"weights={self.weights!r} should name descriptors, such as "
+                "{'volume_fraction': 2}"
             )
         kept = {
             str(name): float(as_number(value, name=f"the weight of {name}", low=0, high=1000))
@@ -106,7 +105,7 @@ class QuiltConfig:
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 

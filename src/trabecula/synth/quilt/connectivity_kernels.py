@@ -1,5 +1,5 @@
-"""The kernels of `bodies`: what a piece would do to the bodies that the parts of its window belong
-to.
+"""Kernels of connectivity: the components of a window, and the effect of a patch on the components
+of the output that they belong to.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.synth.quilt.component_kernels import root_of
-from trabecula.synth.quilt.voxel_codes import EMPTY, FIXED
+from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 
 
 @inline
 def _in_box(z, y, x, shape, margin):
+    """Return whether a voxel of a window is in its box."""
     return (
         margin[0] <= z < shape[0] - margin[0]
         and margin[1] <= y < shape[1] - margin[1]
@@ -24,7 +24,7 @@ def _in_box(z, y, x, shape, margin):
 
 @inline
 def _ends_at(window, z, y, x):
-    """Faces of a voxel towards voxels that are not made."""
+    """Count the faces of a voxel towards voxels that are not made."""
     depth, height, width = window.shape
     count = 0
     if z > 0 and window[z - 1, y, x] == EMPTY:
@@ -42,8 +42,8 @@ def _ends_at(window, z, y, x):
     return count
 
 
-class Book(NamedTuple):
-    """What is known of every body, by its number; arrays as in `bodies.Bodies`."""
+class ComponentTable(NamedTuple):
+    """Facts of every component, by its number; arrays as in `ComponentTracker`."""
 
     parent: np.ndarray
     ends: np.ndarray
@@ -52,21 +52,21 @@ class Book(NamedTuple):
     alive: np.ndarray
 
 
-class Sight(NamedTuple):
-    """What is seen in one window.
+class WindowComponents(NamedTuple):
+    """Components in one window.
 
     before, after : (z, y, x) int32
         Parts of the old and of the new window, from 1.
     parts : (8, .) int64
-        Rows below; columns are the parts of the new window. Parts of one body follow one leader,
-        which holds all there is.
+        Rows below; columns are the parts of the new window. Parts of one component follow one
+        leader, which holds the sums.
     seen : (.,) int64
-        How many bodies the window has, then their numbers.
+        Number of components in the window, then their numbers.
     stack : (.,) int32
-        Room to work in.
+        Scratch array.
     tally : (4, 3) int64
-        Per class the bodies that were alive here, those that will be, those that would be shut, and
-        those that were.
+        Per class the components that were alive here, those that will be, those that would be
+        closed, and those that were.
     """
 
     before: np.ndarray
@@ -77,145 +77,157 @@ class Sight(NamedTuple):
     tally: np.ndarray
 
 
-# Rows of `parts`. BODY is the body's number + 1, 0 for a new one; SHUT_BEFORE voxels were in bodies
-# that had no end already.
-LINK, BODY, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
+# Rows of `parts`. COMPONENT is the component's number + 1, 0 for a new one; SHUT_BEFORE counts
+# voxels of components that had no end already.
+LINK, COMPONENT, ENDS, SIZE, KIND, SHUT_BEFORE, WHOLE, SHUT_NOW = 0, 1, 2, 3, 4, 5, 6, 7
+
 _ALIVE, _COMING, _SHUT, _WAS_SHUT = 0, 1, 2, 3
-# instead of ends: no longer growing, and the one body of its class; 0: an island, or given, or
-# given up
+
+# Instead of ends: no longer growing, and the only component of its class. 0: an island, or given,
+# or given up.
 _CLOSED = -1
-_GONE = -1  # instead of a part: the body was in the box alone, and the new window has nothing of it
+
+_GONE = -1  # instead of a part: the component was in the box alone, and none of it is left
 
 
 @inline
 def _leader(parts, k):
+    """Return the leader of a part."""
     while parts[LINK, k] > 0:
         k = parts[LINK, k]
     return k
 
 
 @inline
-def _joined(parts, a, b):
+def _join(parts, a, b):
+    """Let two parts follow one leader."""
     a, b = _leader(parts, a), _leader(parts, b)
     if a != b:
         parts[LINK, max(a, b)] = min(a, b)
 
 
 @kernel
-def judged(old, new, of, margin, classes, book, sight, count, island):
-    """Whether `new` may stand in place of `old`: 0, or 1 where it tears what hangs together, or 2
-    where it closes a body beside others. `of`: bodies of the old window; `count`: parts of the new
-    one; `island`: voxels that may be closed. `book.mark` is 0 before and after.
+def judge_window(old, new, numbers, margin, classes, table, local, count, island):
+    """Return 0 if `new` may replace `old`, 1 where it tears connected voxels apart, 2 where it
+    closes a component beside others.
+
+    `numbers`: components of the old window; `count`: parts of the new one; `island`: voxels that
+    may be closed. `table.mark` is 0 before and after.
     """
-    sight.tally[:] = 0
-    known, torn = _matched(old, new, of, margin, classes, book, sight)
-    known = _weighed(old, new, of, margin, classes, book, sight, known)
-    sight.seen[0] = known
-    _carried_over(book, sight)
-    _counted(sight, count, island)
+    local.tally[:] = 0
+    known, torn = _match_components(old, new, numbers, margin, classes, table, local)
+    known = _weigh_components(old, new, numbers, margin, classes, table, local, known)
+    local.seen[0] = known
+    _carry_over(table, local)
+    _count_leaders(local, count, island)
     for n in range(1, known + 1):
-        book.mark[sight.seen[n]] = 0
+        table.mark[local.seen[n]] = 0
     if torn:
         return 1
-    return 2 if _closes_beside_others(book.alive, sight.tally) else 0
+    return 2 if _closes_beside_others(table.alive, local.tally) else 0
 
 
 @inline
-def _matched(old, new, of, margin, classes, book, sight):
-    """Which bodies every new part goes on; returns how many there are, and whether one is torn."""
-    shape, parts, sent = new.shape, sight.parts, sight.stack
+def _match_components(old, new, numbers, margin, classes, table, local):
+    """Match the components with the new parts that continue them; return their number, and if one
+    is torn.
+    """
+    shape, parts, sent = new.shape, local.parts, local.stack
     torn, known = False, 0
     sent[: old.size] = 0
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                mine, was = sight.after[z, y, x], sight.before[z, y, x]
+                mine, was = local.after[z, y, x], local.before[z, y, x]
                 inside = _in_box(z, y, x, shape, margin)
                 if mine > 0:
                     parts[SIZE, mine] += inside
                     parts[KIND, mine] = classes[new[z, y, x]]
                 if was == 0 or (inside and old[z, y, x] < FIXED):
                     continue
-                # Nothing changes here: what hung together by the old window has to by the new.
+                # Nothing changes here: parts connected in the old window have to be in the new.
                 if sent[was - 1] == 0:
                     sent[was - 1] = mine
                 elif sent[was - 1] != mine:
                     torn = True
-                body = root_of(book.parent, of[z, y, x])
-                if book.mark[body] == 0:
-                    book.mark[body] = mine
+                component = root_of(table.parent, numbers[z, y, x])
+                if table.mark[component] == 0:
+                    table.mark[component] = mine
                     known += 1
-                    sight.seen[known] = body
-                elif book.mark[body] != mine:
-                    _joined(parts, book.mark[body], mine)
+                    local.seen[known] = component
+                elif table.mark[component] != mine:
+                    _join(parts, table.mark[component], mine)
     return known, torn
 
 
 @inline
-def _weighed(old, new, of, margin, classes, book, sight, known):
-    """Voxels and ends that every leader gains or loses in the window; returns how many bodies there
-    are with those that go.
+def _weigh_components(old, new, numbers, margin, classes, table, local, known):
+    """Count the voxels and ends that every leader gains or loses in the window; return the number
+    of components, with those that disappear.
     """
-    shape, parts = new.shape, sight.parts
+    shape, parts = new.shape, local.parts
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
                 inside = _in_box(z, y, x, shape, margin)
-                if sight.after[z, y, x] > 0:
-                    k = _leader(parts, sight.after[z, y, x])
+                if local.after[z, y, x] > 0:
+                    k = _leader(parts, local.after[z, y, x])
                     parts[ENDS, k] += _ends_at(new, z, y, x)
                     parts[WHOLE, k] += inside
-                if sight.before[z, y, x] == 0:
+                if local.before[z, y, x] == 0:
                     continue
-                body = root_of(book.parent, of[z, y, x])
-                if book.mark[body] == 0:
-                    book.mark[body] = _GONE
+                component = root_of(table.parent, numbers[z, y, x])
+                if table.mark[component] == 0:
+                    table.mark[component] = _GONE
                     known += 1
-                    sight.seen[known] = body
-                    sight.tally[_ALIVE, classes[old[z, y, x]]] += book.ends[body] > 0
-                    sight.tally[_WAS_SHUT, classes[old[z, y, x]]] += book.ends[body] == _CLOSED
-                elif book.mark[body] > 0:
-                    k = _leader(parts, book.mark[body])
+                    local.seen[known] = component
+                    local.tally[_ALIVE, classes[old[z, y, x]]] += table.ends[component] > 0
+                    local.tally[_WAS_SHUT, classes[old[z, y, x]]] += (
+                        table.ends[component] == _CLOSED
+                    )
+                elif table.mark[component] > 0:
+                    k = _leader(parts, table.mark[component])
                     parts[ENDS, k] -= _ends_at(old, z, y, x)
                     parts[WHOLE, k] -= inside
     return known
 
 
 @inline
-def _carried_over(book, sight):
-    """What leaders take over from the bodies that they go on."""
-    parts, tally = sight.parts, sight.tally
-    for n in range(1, sight.seen[0] + 1):
-        body = sight.seen[n]
-        if book.mark[body] == _GONE:
+def _carry_over(table, local):
+    """Add to the leaders the ends and voxels of the components that they continue."""
+    parts, tally = local.parts, local.tally
+    for n in range(1, local.seen[0] + 1):
+        component = local.seen[n]
+        if table.mark[component] == _GONE:
             continue
-        k = _leader(parts, book.mark[body])
-        parts[ENDS, k] += max(book.ends[body], 0)
-        parts[WHOLE, k] += book.sizes[body]
-        tally[_ALIVE, parts[KIND, k]] += book.ends[body] > 0
-        tally[_WAS_SHUT, parts[KIND, k]] += book.ends[body] == _CLOSED
-        if book.ends[body] == 0:  # it was shut before, which is nobody's fault now
-            parts[SHUT_BEFORE, k] += book.sizes[body]
-        if parts[BODY, k] == 0 or body + 1 < parts[BODY, k]:
-            parts[BODY, k] = body + 1
+        k = _leader(parts, table.mark[component])
+        parts[ENDS, k] += max(table.ends[component], 0)
+        parts[WHOLE, k] += table.sizes[component]
+        tally[_ALIVE, parts[KIND, k]] += table.ends[component] > 0
+        tally[_WAS_SHUT, parts[KIND, k]] += table.ends[component] == _CLOSED
+        if table.ends[component] == 0:  # it was closed before, not by this patch
+            parts[SHUT_BEFORE, k] += table.sizes[component]
+        if parts[COMPONENT, k] == 0 or component + 1 < parts[COMPONENT, k]:
+            parts[COMPONENT, k] = component + 1
 
 
 @inline
-def _counted(sight, count, island):
-    """How many leaders may go on growing, and how many would be shut."""
-    parts = sight.parts
+def _count_leaders(local, count, island):
+    """Count the leaders that may go on growing, and those that would be closed."""
+    parts = local.parts
     for k in range(1, count + 1):
         if parts[LINK, k] > 0:
             continue
         if parts[ENDS, k] > 0:
-            sight.tally[_COMING, parts[KIND, k]] += 1
+            local.tally[_COMING, parts[KIND, k]] += 1
         elif parts[WHOLE, k] > max(island, parts[SHUT_BEFORE, k]):
-            sight.tally[_SHUT, parts[KIND, k]] += 1
+            local.tally[_SHUT, parts[KIND, k]] += 1
             parts[SHUT_NOW, k] = 1
 
 
 @inline
 def _closes_beside_others(alive, tally):
+    """Return whether a component is closed while there is another of its class."""
     for kind in range(1, 3):
         shut = alive[1, kind] - tally[_WAS_SHUT, kind] + tally[_SHUT, kind]
         if shut > 0 and alive[0, kind] - tally[_ALIVE, kind] + tally[_COMING, kind] + shut > 1:
@@ -224,8 +236,8 @@ def _closes_beside_others(alive, tally):
 
 
 @kernel
-def led(after, parts, found):
-    """The leader of every voxel's part."""
+def label_leaders(after, parts, found):
+    """Write the leader of every voxel's part."""
     for z in range(after.shape[0]):
         for y in range(after.shape[1]):
             for x in range(after.shape[2]):
@@ -234,40 +246,167 @@ def led(after, parts, found):
 
 
 @kernel
-def entered(new, of, margin, classes, book, sight, count):
-    """The parts as bodies; `count` numbers are in use before, and what it returns after."""
-    shape, parts, tally = new.shape, sight.parts, sight.tally
-    for n in range(1, sight.seen[0] + 1):
-        if sight.seen[n] > 0:
-            book.ends[sight.seen[n]] = 0  # what goes on gets its ends below
-            book.sizes[sight.seen[n]] = 0
+def enter_window(new, numbers, margin, classes, table, local, count):
+    """Enter the parts as components; `count` numbers are in use before; return the numbers in use
+    after.
+    """
+    shape, parts, tally = new.shape, local.parts, local.tally
+    for n in range(1, local.seen[0] + 1):
+        if local.seen[n] > 0:
+            table.ends[local.seen[n]] = 0  # those that continue get their ends below
+            table.sizes[local.seen[n]] = 0
     given_up = np.zeros(3, np.bool_)
     for kind in range(1, 3):
-        book.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
-        book.alive[1, kind] -= tally[_WAS_SHUT, kind]
-        given_up[kind] = book.alive[0, kind] + book.alive[1, kind] + tally[_SHUT, kind] > 1
+        table.alive[0, kind] += tally[_COMING, kind] - tally[_ALIVE, kind]
+        table.alive[1, kind] -= tally[_WAS_SHUT, kind]
+        given_up[kind] = table.alive[0, kind] + table.alive[1, kind] + tally[_SHUT, kind] > 1
         if not given_up[kind]:
-            book.alive[1, kind] += tally[_SHUT, kind]
+            table.alive[1, kind] += tally[_SHUT, kind]
     for z in range(shape[0]):
         for y in range(shape[1]):
             for x in range(shape[2]):
-                if sight.after[z, y, x] == 0:
+                if local.after[z, y, x] == 0:
                     continue
-                k = _leader(parts, sight.after[z, y, x])
-                if parts[BODY, k] == 0:
-                    book.parent[count] = count
+                k = _leader(parts, local.after[z, y, x])
+                if parts[COMPONENT, k] == 0:
+                    table.parent[count] = count
                     count += 1
-                    parts[BODY, k] = count
-                body = parts[BODY, k] - 1
-                if body > 0:
-                    book.ends[body] = max(parts[ENDS, k], 0)
+                    parts[COMPONENT, k] = count
+                component = parts[COMPONENT, k] - 1
+                if component > 0:
+                    table.ends[component] = max(parts[ENDS, k], 0)
                     if parts[SHUT_NOW, k] > 0 and not given_up[parts[KIND, k]]:
-                        book.ends[body] = _CLOSED
-                    book.sizes[body] = parts[WHOLE, k]
+                        table.ends[component] = _CLOSED
+                    table.sizes[component] = parts[WHOLE, k]
                 if _in_box(z, y, x, shape, margin):
-                    of[z, y, x] = body
+                    numbers[z, y, x] = component
                 else:
-                    root = root_of(book.parent, of[z, y, x])
-                    if root != body:
-                        book.parent[root] = body
+                    root = root_of(table.parent, numbers[z, y, x])
+                    if root != component:
+                        table.parent[root] = component
     return count
+
+
+@inline
+def root_of(parent, component):
+    """Return the number that stands for all of a component."""
+    while parent[component] != component:
+        component = parent[component]
+    return component
+
+
+@kernel
+def largest_component(parent, sizes, first, last, found):
+    """Return the largest of the components first .. last - 1 and of `found`; of equals the
+    first.
+    """
+    for component in range(first, last):
+        if parent[component] == component and sizes[component] > sizes[found]:
+            found = component
+    return found
+
+
+@kernel
+def mark_islands(parent, sizes, most, kept, first, last, found):
+    """Mark the components first .. last - 1 of up to `most` voxels, except `kept` and 0."""
+    for component in range(first, last):
+        root = root_of(parent, component)
+        found[component] = root > 0 and root != kept and sizes[root] <= most
+
+
+@kernel
+def initial_ends(canvas, member, numbers, part, wraps, first, last, ends, out):
+    """Count, in the layers first .. last - 1, faces of every part towards voxels to make, and mark
+    the parts that touch a face of the volume or `OUT`. `part`: the part of a number, from 1.
+    """
+    shape = canvas.shape
+    for z in range(first, last):
+        for y in range(shape[1]):
+            for x in range(shape[2]):
+                if not member[canvas[z, y, x]]:
+                    continue
+                k = part[numbers[z, y, x]] - 1
+                for axis in range(3):
+                    for sign in (-1, 1):
+                        at = [z, y, x]
+                        at[axis] += sign
+                        if wraps[axis]:
+                            at[axis] %= shape[axis]
+                        if 0 <= at[axis] < shape[axis]:
+                            beside = canvas[at[0], at[1], at[2]]
+                            ends[k] += beside == EMPTY
+                            out[k] |= beside == OUT
+                        else:
+                            out[k] |= shape[axis] > 1
+
+
+@kernel
+def renumber(canvas, member, component, numbers):
+    """Replace numbers by the components that they stand for."""
+    for z in range(canvas.shape[0]):
+        for y in range(canvas.shape[1]):
+            for x in range(canvas.shape[2]):
+                if member[canvas[z, y, x]]:
+                    numbers[z, y, x] = component[numbers[z, y, x]]
+
+
+@inline
+def _unite(parent, a, b):
+    """Unite two numbers of one part; return their root, the smaller of both roots; 0 is none."""
+    if a == 0 or b == 0:
+        return a + b
+    while parent[a - 1] != a:
+        a = parent[a - 1]
+    while parent[b - 1] != b:
+        b = parent[b - 1]
+    parent[max(a, b) - 1] = min(a, b)
+    return min(a, b)
+
+
+@kernel
+def label_window(window, classes, labels, parent):
+    """Assign numbers to the connected parts of every class, from 1 in raster order; return their
+    number.
+    """
+    depth, height, width = window.shape
+    count = 0
+    for z in range(depth):
+        for y in range(height):
+            left, left_kind = 0, 0
+            for x in range(width):
+                kind = classes[window[z, y, x]]
+                mine = 0
+                if kind > 0:
+                    mine = left if left_kind == kind else 0
+                    if (
+                        y > 0
+                        and labels[z, y - 1, x] != mine
+                        and classes[window[z, y - 1, x]] == kind
+                    ):
+                        mine = _unite(parent, mine, labels[z, y - 1, x])
+                    if (
+                        z > 0
+                        and labels[z - 1, y, x] != mine
+                        and classes[window[z - 1, y, x]] == kind
+                    ):
+                        mine = _unite(parent, mine, labels[z - 1, y, x])
+                    if mine == 0:
+                        count += 1
+                        mine = count
+                        parent[count - 1] = count
+                labels[z, y, x] = mine
+                left, left_kind = mine, kind
+    last = 0
+    for k in range(count):
+        if parent[k] == k + 1:
+            last += 1
+            parent[k] = -last
+        else:
+            # a root comes before all that follow it, and has its number
+            parent[k] = parent[parent[k] - 1]
+    for z in range(depth):
+        for y in range(height):
+            for x in range(width):
+                if labels[z, y, x] > 0:
+                    labels[z, y, x] = -parent[labels[z, y, x] - 1]
+    return last

@@ -1,8 +1,11 @@
-"""`quilt`: fit packs the exemplars, generate lays their pieces (Liu and Shapiro 2016, section 3.3)."""
+"""The method `quilt`: pack the exemplars, then lay their patches (Liu and Shapiro 2016, section
+3.3).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,15 +18,19 @@ from trabecula.engine.memory import Plan
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES
-from trabecula.synth.quilt.bit_packing import planes_for
-from trabecula.synth.quilt.canvas import frame_for
-from trabecula.synth.quilt.compatibility import Forecast, check_held, forecast_of
-from trabecula.synth.quilt.components import parts_of
+from trabecula.synth.quilt.candidates import HELD
+from trabecula.synth.quilt.canvas import PatchGrid, patch_grid, shape_3d
+from trabecula.synth.quilt.compatibility import (
+    CompatibilityForecast,
+    PlacementTrace,
+    check_targets,
+    forecast_compatibility,
+)
 from trabecula.synth.quilt.config import QuiltConfig
-from trabecula.synth.quilt.memory import needs_of
-from trabecula.synth.quilt.patch_library import Learnt
-from trabecula.synth.quilt.run import Run
-from trabecula.synth.quilt.trace import Trace
+from trabecula.synth.quilt.connectivity import label_slabwise
+from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits
+from trabecula.synth.quilt.period import phase_key, positions_in_phase
+from trabecula.synth.quilt.run import QuiltRun
 from trabecula.synth.shared.orient import symmetries
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -37,16 +44,17 @@ class Quilt(Method):
     config: QuiltConfig
 
     def learn(self, exemplars: Sequence[Image]) -> QuiltModel:
+        """Pack the exemplars."""
         return QuiltModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Words and a copy of every orientation, and what cleaning takes."""
+        """Forecast the memory: words and a copy of every orientation, and the cleaning."""
         turns = len(
             symmetries(
                 self.config.orientations, ndim=exemplars[0].ndim, spacing=exemplars[0].spacing
             )
         )
-        planes = planes_for(len(exemplars[0].phases))
+        planes = label_bits(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
         return Plan(
             {
@@ -58,7 +66,7 @@ class Quilt(Method):
 
 
 class QuiltModel(Model):
-    """Exemplars as words."""
+    """Packed exemplars."""
 
     capabilities = CAPABILITIES
     config: QuiltConfig
@@ -66,38 +74,40 @@ class QuiltModel(Model):
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
-        self.learnt = Learnt.of(exemplars, config)
+        self.library = PatchLibrary.build(exemplars, config)
         self._held: dict[str, tuple[float, float]] = {}
 
     @property
     def patch(self) -> int:
-        """Side of a neighbourhood, voxels."""
-        return self.learnt.patch
+        """Return the side of a patch, voxels."""
+        return self.library.patch
 
     @property
     def overlap(self) -> int:
-        """Voxels by which neighbourhoods overlap."""
-        return self.learnt.overlap
+        """Return the voxels by which patches overlap."""
+        return self.library.overlap
 
     @property
     def periods(self) -> tuple[float | None, ...]:
-        """The exemplar's period along every axis, voxels; None where it has none."""
-        return self.learnt.periods[-self.facts[0].ndim :]
+        """Return the exemplar's period along every axis, voxels; None where it has none."""
+        return self.library.periods[-self.facts[0].ndim :]
 
-    def forecast(self, request: Request) -> Forecast:
-        """What the exemplars can give of a request's target, place by place, before anything is
-        made (section 3.4).
+    def forecast(self, request: Request) -> CompatibilityForecast:
+        """Forecast how near the exemplars can come to a request's target, place by place (section
+        3.4).
         """
         self._check_request(request)
-        return forecast_of(self.learnt, self.config, frame_for(self.learnt, request), request)
+        return forecast_compatibility(
+            self.library, self.config, patch_grid(self.library, request), request
+        )
 
-    def traced(self, request: Request) -> tuple[np.ndarray, Trace]:
-        """The voxels of a request, and what happened at every place (the recipe of `generate` has
-        its sums).
+    def make_with_trace(self, request: Request) -> tuple[np.ndarray, PlacementTrace]:
+        """Make the voxels of a request; return them and the record of every place (its sums are in
+        the recipe of `generate`).
         """
         self._check_request(request)
-        run = Run(self.learnt, self.config, request)
-        values = run.made()
+        run = QuiltRun(self.library, self.config, request)
+        values = run.lay_all()
         return values.reshape(request.shape), run.trace
 
     def _check_request(self, request: Request) -> None:
@@ -105,49 +115,144 @@ class QuiltModel(Model):
         axes = zip(request.shape, request.periodic, strict=True)
         if any(wraps and side < self.patch + 4 for side, wraps in axes):
             raise RequestError(
-                f"a periodic axis needs at least {self.patch + 4} voxels with a patch of {self.patch}, the request is "
-                f"{request.shape}: ask for more, or for a smaller patch"
+                f"a periodic axis needs at least {self.patch + 4} voxels with a patch of "
+                f"{self.patch}, the request is {request.shape}: ask for more, or for a smaller "
+                "patch"
             )
         if request.mask is not None and self.config.connected in ("solid", "both"):
             _check_one_form(request.mask, request.periodic)
 
     def _check_target(self, request: Request) -> None:
-        check_held(self.learnt, request, self._held)
+        check_targets(self.library, request, self._held)
 
     def _plan(self, request: Request) -> Plan:
-        kept = needs_of(self.learnt, self.config, request)
+        kept = run_bytes(self.library, self.config, request)
         return Plan(
             {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels
         )
 
     def _plan_spilled(self, request: Request) -> dict[str, int]:
-        kept = needs_of(self.learnt, self.config, request)
+        kept = run_bytes(self.library, self.config, request)
         return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
-        values, trace = self.traced(request)
-        told = trace.told()
-        if told["gave_way"]:
-            at = told["gave_way_at"][0]
+        values, trace = self.make_with_trace(request)
+        summary = trace.summary()
+        if summary["gave_way"]:
+            at = summary["gave_way_at"][0]
             notify(
-                f"{told['gave_way']} of {told['places']} places gave way in {at['in']}, the first at voxel {at['voxel']}: "
-                "look at more candidates, or finish the part (finish.connect)"
+                f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, "
+                f"the first at voxel {at['voxel']}: look at more candidates, or finish the part "
+                "(finish.connect)"
             )
         return values, {
             "patch": self.patch,
             "overlap": self.overlap,
             "periods": list(self.periods),
-            **told,
+            **summary,
         }
 
 
 def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:
-    """Raise where the form is in pieces: what fills them cannot hang together."""
+    """Raise where the form is not connected: no solid that fills it can be."""
     deep = mask.reshape((1,) * (3 - mask.ndim) + mask.shape)
     wraps = (False,) * (3 - mask.ndim) + tuple(periodic)
-    _, sizes = parts_of(deep.view(np.uint8), INSIDE, wraps)
+    _, sizes = label_slabwise(deep.view(np.uint8), INSIDE, wraps)
     if len(sizes) > 1:
         raise RequestError(
-            f"the mask is {len(sizes)} separate pieces, which no solid can connect: fill them one by one, or ask for "
-            "connected=none"
+            f"the mask has {len(sizes)} connected components, which no solid can connect: fill "
+            "them one by one, or ask for connected=none"
         )
+
+
+_A_PLACE = 29 + 72
+"""Bytes of a place: its patch, its record, and a component or two that begin there, of 24 in a
+table that doubles.
+"""
+
+_AT_ONCE = 32
+"""Bytes a voxel of a slab while components of given voxels are labelled: runs, labels, masks."""
+
+
+@dataclass(frozen=True)
+class QuiltBytes:
+    """Memory of a run, bytes, by what it is for.
+
+    Attributes
+    ----------
+    fixed : dict of str to int
+        That do not depend on the request's size, but for the phases of a lattice that its places
+        have.
+    growing : dict of str to int
+        That grow with it.
+    slab : int
+        Of one plane of it, with what work on it takes, and of the windows of one row.
+    voxels : int
+        Of the result.
+    """
+
+    fixed: dict[str, int]
+    growing: dict[str, int]
+    slab: int
+    voxels: int
+
+
+def run_bytes(library: PatchLibrary, config: QuiltConfig, request: Request) -> QuiltBytes:
+    """Forecast the memory of a request."""
+    shape = shape_3d(request)
+    wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
+    grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
+    plane, row = shape[1] * shape[2], shape[2]
+    voxels, places = shape[0] * plane, int(np.prod(grid.counts, dtype=np.int64))
+    planes = label_bits(len(library.images[0].phases))
+    window = int(
+        np.prod([side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)])
+    )
+    each = 1 + (4 if config.connected != "none" else 0)
+    given = _bytes_of_given(request)
+    return QuiltBytes(
+        {
+            "exemplar": sum(image.values.size for image in library.images) * (2 + 16 * planes),
+            "candidates": _candidate_bytes(library, grid, len(request.target)),
+            "windows": 160 * window,
+        },
+        {"result": voxels * (each + given) + places * _A_PLACE},
+        plane * (each + (_AT_ONCE if given else 0))
+        + window // (library.box[2] + 2 * grid.margin[2]) * row * each,
+        voxels,
+    )
+
+
+def _bytes_of_given(request: Request) -> int:
+    """Return the bytes a voxel while given voxels are entered, with all arrays in memory."""
+    if request.fixed is not None:
+        return 16
+    return 1 if request.mask is not None else 0
+
+
+def _candidate_bytes(library: PatchLibrary, grid: PatchGrid, named: int) -> int:
+    """Return the bytes of candidates: their descriptors, their ranking, and the pools of all phases
+    of the places.
+    """
+    count = sum(int(np.prod(counts)) for counts in library.counts)
+    pooled = sum(_count_pooled(library, grid, source) for source in range(len(library.counts)))
+    return count * (40 + 8 * named) + max(0, min(pooled, (HELD + 1) * count) - count) * (
+        4 + 2 * max(named, 1)
+    )
+
+
+def _count_pooled(library: PatchLibrary, grid: PatchGrid, source: int) -> int:
+    """Count the candidates of an exemplar in all pools together."""
+    total = 1
+    for axis, period in enumerate(library.periods):
+        firsts = range(0, grid.counts[axis] * grid.step[axis], grid.step[axis])
+        keys = {phase_key((first,), (period,))[0] for first in firsts}
+        total *= sum(
+            len(
+                positions_in_phase(
+                    library.counts[source][axis], k, library.shifts[source][axis], period
+                )
+            )
+            for k in keys
+        )
+    return total

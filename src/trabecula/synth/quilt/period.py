@@ -1,7 +1,7 @@
-"""Lattices: the period of an exemplar along every axis, and how far each exemplar is out of step
-with the first.
+"""Lattices: the period of an exemplar along every axis, and the shift of each exemplar's cells from
+those of the first.
 
-From how often voxels agree at a distance, in whole numbers, so that every machine finds the same.
+They follow from how often voxels at a distance agree, in whole numbers, so that all machines agree.
 """
 
 from __future__ import annotations
@@ -14,19 +14,18 @@ _LEAST = 4
 """Voxels of the shortest period."""
 
 _PEAK, _RISE = 0.4, 0.2
-"""Agreement beyond chance at the period (1: all voxels), and how far it lies above the dip before.
-"""
+"""Agreement above chance at the period (1: all voxels), and its rise above the dip before."""
 
 _CLEAR = 0.1
-"""Agreement by which a multiple of the period lies elsewhere than at whole periods."""
+"""Agreement that a multiple away from whole periods has more than one at them."""
 
 _SHARP = 4
-"""Phases are told to 1 part in this many of a voxel."""
+"""Phases are distinguished to 1 part in this many of a voxel."""
 
 
 def agreement(labels: np.ndarray, axis: int, reach: int) -> np.ndarray:
-    """(reach + 1,) share of voxels that agree with the one at a distance along an axis, beyond
-    chance: 1 at 0, 0 by chance.
+    """Return the share of voxels that agree with the one at a distance along an axis, (reach + 1,),
+    above chance: 1 at 0, 0 by chance.
     """
     lines = np.moveaxis(labels, axis, 0)
     shares = np.bincount(labels.ravel()) / labels.size
@@ -37,9 +36,9 @@ def agreement(labels: np.ndarray, axis: int, reach: int) -> np.ndarray:
 
 
 def period_along(labels: np.ndarray, axis: int) -> float | None:
-    """The period along an axis in voxels, or None where the exemplar has none.
+    """Return the period along an axis in voxels, or None where the exemplar has none.
 
-    It is the first distance of strong agreement beyond a dip, told more finely from its multiples.
+    It is the first distance of strong agreement beyond a dip, refined by its multiples.
 
     Examples
     --------
@@ -67,8 +66,8 @@ def period_along(labels: np.ndarray, axis: int) -> float | None:
         best = int(lags[np.argmax(curve[lags])])
         if curve[best] < _PEAK:
             break
-        # A gradient draws every peak to the near side by less than a voxel: only a clear one is
-        # believed.
+        # A gradient draws every peak to the near side by less than a voxel: only a clear one
+        # counts.
         if (
             best != times * peaks[0]
             and curve[best] - curve[min(times * peaks[0], len(curve) - 1)] < _CLEAR
@@ -78,8 +77,8 @@ def period_along(labels: np.ndarray, axis: int) -> float | None:
     return found
 
 
-def periods_of(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
-    """The periods that all exemplars share, along every axis."""
+def common_periods(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
+    """Return the periods that all exemplars share, along every axis."""
     found = []
     for axis in range(3):
         each = [period_along(labels, axis) for labels in stack]
@@ -91,11 +90,11 @@ def periods_of(stack: Sequence[np.ndarray]) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> np.ndarray:
-    """(S, 3) voxels by which each exemplar's cells lie further along every axis than the first
-    one's.
+def cell_shifts(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> np.ndarray:
+    """Return (S, 3) voxels by which each exemplar's cells are shifted along every axis from the
+    first one's.
     """
-    cells = [_cell(labels, periods) for labels in stack]
+    cells = [_cell_counts(labels, periods) for labels in stack]
     first = np.conj(np.fft.rfftn(cells[0]))
     shifts = np.zeros((len(stack), 3), np.int64)
     for n, cell in enumerate(cells[1:], start=1):
@@ -105,8 +104,8 @@ def shifts_of(stack: Sequence[np.ndarray], periods: Sequence[float | None]) -> n
     return shifts
 
 
-def _cell(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
-    """How many voxels of label 0 fall on every voxel of a cell; one voxel along axes without a
+def _cell_counts(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
+    """Count the voxels of label 0 at every voxel of a cell; one voxel along axes without a
     period.
     """
     places, sides = [], []
@@ -124,16 +123,18 @@ def _cell(labels: np.ndarray, periods: Sequence[float | None]) -> np.ndarray:
 
 
 def phase_key(corner: Sequence[int], periods: Sequence[float | None]) -> tuple[int, ...]:
-    """The phase of a place of the output, in parts of a voxel; 0 along axes without a period."""
+    """Return the phase of a place of the output, in parts of a voxel; 0 along axes without a
+    period.
+    """
     return tuple(
         0 if period is None else round(at % period * _SHARP)
         for at, period in zip(corner, periods, strict=True)
     )
 
 
-def in_phase(count: int, key: int, shift: int, period: float | None) -> np.ndarray:
-    """Positions 0 .. count - 1 along an axis that have a phase, of an exemplar that lies `shift`
-    further.
+def positions_in_phase(count: int, key: int, shift: int, period: float | None) -> np.ndarray:
+    """Return the positions 0 .. count - 1 along an axis that have a phase, of an exemplar with
+    cells shifted by `shift`.
     """
     at = np.arange(count)
     if period is None:

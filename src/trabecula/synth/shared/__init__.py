@@ -1,3 +1,3 @@
-"""What methods share: fields of labels, pyramids, neighbourhoods, histogram matching. Knows no
-method.
+"""Tools that methods share: the coarse-to-fine loop, the content of images as fields, search and
+vote on neighbourhoods, statistics of fields, and solid texture from pictures. They know no method.
 """

@@ -1,4 +1,6 @@
-"""Sums over the windows around every voxel: running sums along one axis after the other, in place."""
+"""Sums over the windows around every voxel: running sums along one axis after the
+other, in place.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +13,19 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 
 
-def sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
-    """(Z, Y, X) int32: sums over the windows of `width` voxels around every voxel; beyond an open
-    face lies nothing.
+def window_sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
+    """Sum over the windows of `width` voxels around every voxel, (Z, Y, X) int32; beyond an open
+    face is nothing.
     """
-    return summed(lambda z: values[z], values.shape, width, wraps)[0]
+    return window_sums_of_planes(lambda z: values[z], values.shape, width, wraps)[0]
 
 
-def summed(
+def window_sums_of_planes(
     values: Callable[[int], np.ndarray], shape: tuple[int, ...], width: int, wraps: tuple[bool, ...]
 ) -> tuple[np.ndarray, int]:
-    """The same for a volume whose plane z is `values(z)`, and the sum of all of it."""
+    """Do `window_sums` on a volume whose plane z is `values(z)`; return the sum of all of it as
+    well.
+    """
     total = memmap.empty(shape, np.int32)
 
     def work(start: int, stop: int) -> int:
@@ -37,10 +41,10 @@ def summed(
     return total, found
 
 
-def summed_again(
+def replace_by_window_sums(
     total: np.ndarray, width: int, wraps: tuple[bool, ...], change: Callable[[int, int], None]
 ) -> None:
-    """Sums over windows of what `change(start, stop)` makes of planes of `total`, in place."""
+    """Sum over windows, in place, after `change(start, stop)` of the planes of `total`."""
 
     def work(start: int, stop: int) -> None:
         change(start, stop)
@@ -53,13 +57,13 @@ def summed_again(
 def _slide_in_planes(
     total: np.ndarray, width: int, wraps: tuple[bool, ...], start: int, stop: int
 ) -> None:
-    """Sums along y and x, in place."""
+    """Sum along y and x, in place."""
     _slide(total, False, width, wraps[1], start, stop)
     _slide_last(total, width, wraps[2], start, stop)
 
 
 def _slide_across(total: np.ndarray, width: int, wraps: tuple[bool, ...]) -> None:
-    """Sums along z, in place: whole columns, by rows of them."""
+    """Sum along z, in place: whole columns, by rows of them."""
     for_slabs(lambda start, stop: _slide(total, True, width, wraps[0], start, stop), total.shape[1])
 
 
@@ -70,8 +74,8 @@ def _row(lines, along_first, n, k):
 
 @kernel
 def _slide(lines, along_first, width, wraps, start, stop):
-    """Running sums in place along the first axis, or the second, for start..stop of the other; all
-    of a row at once.
+    """Write running sums along the first axis, or the second, for start..stop of the other, in
+    place; all of a row at once.
     """
     # of the voxels beside a voxel: itself counts to those after
     before, after = width // 2, width - width // 2
@@ -101,7 +105,7 @@ def _slide(lines, along_first, width, wraps, start, stop):
 
 @kernel
 def _slide_last(lines, width, wraps, start, stop):
-    """Running sums in place along the last axis."""
+    """Write running sums along the last axis, in place."""
     before, after = width // 2, width - width // 2
     side = lines.shape[2]
     line = np.empty(side, np.int32)

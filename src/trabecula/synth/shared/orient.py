@@ -25,7 +25,7 @@ class Symmetry:
 
     @property
     def mirrors(self) -> bool:
-        """Whether it turns a left hand into a right one."""
+        """Return whether it turns a left hand into a right one."""
         order = sum(a > b for i, a in enumerate(self.axes) for b in self.axes[i + 1 :])
         return (order + sum(self.reversed)) % 2 == 1
 
@@ -33,7 +33,7 @@ class Symmetry:
 def symmetries(
     which: str, *, ndim: int = 3, spacing: float | tuple[float, ...] | None = None
 ) -> tuple[Symmetry, ...]:
-    """The symmetries of a set, the identity first.
+    """List the symmetries of a set, the identity first.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def symmetries(
     return tuple(Symmetry(axes, flip) for axes in fitting for flip in flips)
 
 
-def oriented(field: np.ndarray, symmetry: Symmetry) -> np.ndarray:
-    """The field (C, z, y, x) or (C, y, x) under a symmetry, as a new contiguous array.
+def apply_symmetry(field: np.ndarray, symmetry: Symmetry) -> np.ndarray:
+    """Return the field (C, z, y, x) or (C, y, x) under a symmetry, as a new contiguous array.
 
     Its values stay as they are: they must not have a direction, as a distance or a grey value has
     none.

@@ -1,14 +1,10 @@
-"""What every method from pictures has in common: views of one, two or three pictures, and what they
-have to hold.
-"""
+"""The common part of methods from pictures: views of one to three pictures, and their checks."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
@@ -20,7 +16,7 @@ ROOM = 4
 
 
 class PictureModel(Model):
-    """A model that has seen a material in some views."""
+    """A model of a material seen in some views."""
 
     def __init__(self, config: Any, exemplars: Sequence[Image], views: Sequence[View]) -> None:
         super().__init__(config, exemplars)
@@ -42,7 +38,8 @@ class PictureMethod(Method):
             for name in ("kind", "phases", "unit"):
                 if getattr(image, name) != getattr(first, name):
                     raise InputError(
-                        f"pictures of one material agree in {name}: got {getattr(first, name)} and {getattr(image, name)}; "
+                        f"pictures of one material agree in {name}: got {getattr(first, name)} "
+                        f"and {getattr(image, name)}; "
                         "convert or rename them first"
                     )
 
@@ -50,7 +47,8 @@ class PictureMethod(Method):
         least = self._width() + ROOM
         if min(image.shape) < least:
             raise InputError(
-                f"the exemplar is {image.shape}, a neighbourhood of {self._width()} needs at least {least} pixels along every "
+                f"the exemplar is {image.shape}, a neighbourhood of {self._width()} needs at "
+                f"least {least} pixels along every "
                 "side: give a larger picture, or a smaller neighbourhood"
             )
         if image.kind != "labels" and (image.values == image.values[0, 0]).all():
@@ -61,19 +59,7 @@ class PictureMethod(Method):
 
     @abstractmethod
     def _width(self) -> int:
-        """Pixels a side of the largest neighbourhood."""
+        """Return the pixels a side of the largest neighbourhood."""
 
     @abstractmethod
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> PictureModel: ...
-
-
-def as_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """A volume (Z, Y, X, ...) with the axis that the view is seen across first: its slices are
-    (rows, columns).
-    """
-    return np.ascontiguousarray(np.moveaxis(values, view.axis, 0))
-
-
-def from_volume(view: View, values: np.ndarray) -> np.ndarray:
-    """`as_volume` backwards, not copied."""
-    return np.moveaxis(values, 0, view.axis)

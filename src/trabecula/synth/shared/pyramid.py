@@ -11,12 +11,14 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.slabs import by_pieces, made_by_slabs
+from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 
 
 def halve(field: np.ndarray) -> np.ndarray:
-    """Mean over 2 x 2 x 2 cells of (C, Z, Y, X) float32; an odd side is continued by its last cell."""
+    """Average over 2 x 2 x 2 cells of (C, Z, Y, X) float32; an odd side is continued by its last
+    cell.
+    """
     count, *sides = field.shape
     shape = (count, *(-(-side // 2) for side in sides))
 
@@ -31,7 +33,7 @@ def halve(field: np.ndarray) -> np.ndarray:
             part = (part[tuple(even)] + part[tuple(odd)]) * np.float32(0.5)
         return part
 
-    return made_by_slabs(mean, shape, np.result_type(field.dtype, np.float32))
+    return make_by_slabs(mean, shape, np.result_type(field.dtype, np.float32))
 
 
 def double(
@@ -41,10 +43,10 @@ def double(
     shape: Sequence[int] | None = None,
     factor: int = 1,
 ) -> np.ndarray:
-    """Trilinear up-sampling of int8 (C, Z, Y, X) by two, in integers: weights 3/4 and 1/4 along
+    """Upsample int8 (C, Z, Y, X) by two, trilinearly and in integers: weights 3/4 and 1/4 along
     every axis.
 
-    Beyond a face lies its last cell again, or where the axis `wraps` the cell at the other end.
+    Beyond a face its last cell is repeated, or where the axis `wraps` the cell at the other end.
     With a `shape` the result is cropped, or continued by its last cells, to that; with a `factor`
     it is multiplied by it, and clipped to -127 .. 127.
     """
@@ -60,8 +62,8 @@ def double(
 
 
 def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(C, Z, Y, X) cropped at the far ends, or continued by the last cell, to `shape`; itself where
-    there is nothing to do.
+    """Crop (C, Z, Y, X) at the far ends, or continue it by the last cell, to `shape`; return it
+    itself where there is nothing to do.
     """
     if field.shape[1:] == tuple(shape):
         return np.ascontiguousarray(field)
@@ -75,13 +77,13 @@ def fit_to(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         part[:, :, y:, :x] = part[:, :, y - 1 : y, :x]
         part[:, :, :, x:] = part[:, :, :, x - 1 : x]
 
-    by_pieces(work, shape)
+    for_plane_groups(work, shape)
     return fitted
 
 
 @inline
 def _pair(k, side, wrap):
-    """The coarse cells that fine cell k lies between: the one that it lies in, and the other."""
+    """Return the coarse cells around fine cell k: the one that holds it, and the other."""
     k = min(k, 2 * side - 1)
     near = k // 2
     far = near + (1 if k % 2 else -1)
@@ -89,14 +91,14 @@ def _pair(k, side, wrap):
 
 
 @inline
-def _rounded(sixty_fourths, factor):
+def _scale_back(sixty_fourths, factor):
     value = ((sixty_fourths + 32) >> 6) * factor
     return np.int8(min(max(value, -FULL), FULL) if factor > 1 else value)
 
 
 @kernel
 def _double(field, wraps, factor, fine, start, stop):
-    """Fine planes start..stop. Weights along y and z are summed up first, on coarse lines."""
+    """Upsample fine planes start..stop. Weights along y and z are summed first, on coarse lines."""
     C, Z, Y, X = field.shape
     line = np.empty(X, np.int32)
     for c in range(C):
@@ -115,8 +117,8 @@ def _double(field, wraps, factor, fine, start, stop):
                 for x in range(min(X, (len(to) + 1) // 2)):
                     before = line[x - 1] if x > 0 else line[X - 1 if wraps[2] else 0]
                     after = line[x + 1] if x < X - 1 else line[0 if wraps[2] else X - 1]
-                    to[2 * x] = _rounded(3 * line[x] + before, factor)
+                    to[2 * x] = _scale_back(3 * line[x] + before, factor)
                     if 2 * x + 1 < len(to):
-                        to[2 * x + 1] = _rounded(3 * line[x] + after, factor)
+                        to[2 * x + 1] = _scale_back(3 * line[x] + after, factor)
                 for x in range(2 * X, len(to)):
                     to[x] = to[2 * X - 1]

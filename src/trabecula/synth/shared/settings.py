@@ -11,7 +11,9 @@ from trabecula.exemplar.views import as_planes
 
 
 def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Numbers within their ranges (name -> least, most); whole where the field's default is."""
+    """Check that numbers are within their ranges (name -> least, most); whole where the field's
+    default is.
+    """
     for name, (low, high) in ranges.items():
         whole = isinstance(getattr(type(config), name), int)
         object.__setattr__(
@@ -21,20 +23,23 @@ def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None
         )
 
 
-def keep_rounds(config: Any, name: str, *, low: int = 1, high: int = 200) -> None:
-    """One whole number a level, finest first; a single number is for all."""
+def keep_rounds(
+    config: Any, name: str, *, low: int = 1, high: int = 200, advice: str | None = None
+) -> None:
+    """Check one whole number a level, finest first; a single number is for all. The `advice` for
+    who gives none says what to give.
+    """
     given = getattr(config, name)
     counts = given if isinstance(given, (list, tuple)) else (given,)
     if not counts:
-        raise InputError(
-            f"{name} is empty: give the {name} of the finest level first, such as [4, 6, 8]"
-        )
+        advice = advice or f"the {name} of the finest level first, such as [4, 6, 8]"
+        raise InputError(f"{name} is empty: give {advice}")
     checked = tuple(as_number(count, name=name, low=low, high=high, whole=True) for count in counts)
     object.__setattr__(config, name, checked)
 
 
 def keep_choices(config: Any, choices: Mapping[str, tuple[Any, ...]]) -> None:
-    """Names among those allowed; (True, False) for a switch."""
+    """Check that names are among those allowed; (True, False) for a switch."""
     for name, allowed in choices.items():
         value = getattr(config, name)
         if allowed == (True, False):
@@ -45,5 +50,5 @@ def keep_choices(config: Any, choices: Mapping[str, tuple[Any, ...]]) -> None:
 
 
 def keep_views(config: Any) -> None:
-    """The planes of `views`, as a tuple."""
+    """Check the planes of `views`, and keep them as a tuple."""
     object.__setattr__(config, "views", as_planes(config.views))

@@ -1,5 +1,4 @@
-"""What pictures say of a material at each resolution: neighbourhoods, histograms, two-point
-functions.
+"""Targets learnt from pictures at each resolution: neighbourhoods, histograms, two-point functions.
 
 A coarser level is the distance field at every second pixel, from every one of the starts there are,
 not a mean: a mean over pixels of a picture and one over voxels of a volume differ, values at points
@@ -14,14 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.fields import FULL, mean_edge, quantise
-from trabecula.synth.shared.histogram import Histogram
+from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.orient import oriented, symmetries
-from trabecula.synth.shared.statistics.correlate import Correlations, correlations_of
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.statistics.pairs import Pairs
-from trabecula.synth.shared.statistics.slices import Slices, slices_of
-from trabecula.synth.shared.statistics.soft import soft_indicator
+from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+    correlations_of,
+    soft_indicator,
+)
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import FAR
 
@@ -31,7 +33,7 @@ _HARD = 1.0  # softness of an indicator that is 0 or 1
 
 
 @dataclass(frozen=True)
-class Level:
+class SlicedLevel:
     """One resolution of search and vote; two-point functions are those of the phases, for
     `steps.stepped`.
     """
@@ -45,7 +47,7 @@ class Level:
 class Layout:
     """The resolution that sliced rounds lay out."""
 
-    views: tuple[tuple[int, Slices], ...]
+    views: tuple[tuple[int, SliceTarget], ...]
     histograms: tuple[Histogram, ...]
     correlations: Correlations
 
@@ -62,8 +64,8 @@ class Pictures:
     views: tuple[View, ...]
     orientations: str
 
-    def level(self, index: int, config: SlicedConfig) -> Level:
-        """For search and vote on level `index`."""
+    def level(self, index: int, config: SlicedConfig) -> SlicedLevel:
+        """Learn level `index` for search and vote."""
         clip = config.clip * 2**index
         stacks = {number: Stack.of(parts) for number, parts in self._parts(index, clip).items()}
         made = {
@@ -80,15 +82,15 @@ class Pictures:
         target = replace(
             self._correlations(index, clip, _HARD), softness=config.softness * FULL / FAR
         )
-        return Level(
+        return SlicedLevel(
             tuple((v.axis, made[v.picture]) for v in self.views), self._histograms(stacks), target
         )
 
     def layout(self, index: int, config: SlicedConfig) -> Layout:
-        """For sliced rounds on level `index`."""
+        """Learn level `index` for sliced rounds."""
         parts = self._parts(index, config.layout_clip)
         made = {
-            number: slices_of(part, width=config.layout_width, flat=True)
+            number: slice_target(part, width=config.layout_width, flat=True)
             for number, part in parts.items()
         }
         stacks = {number: Stack.of(part) for number, part in parts.items()}
@@ -101,51 +103,53 @@ class Pictures:
         )
 
     def _histograms(self, stacks: dict[int, Stack]) -> tuple[Histogram, ...]:
-        """One a channel, of all views together."""
+        """Pool the histograms of all views, one a channel."""
         seen = [stacks[view.picture].histograms for view in self.views]
-        return tuple(Histogram.pooled(channel) for channel in zip(*seen, strict=True))
+        return tuple(Histogram.pool(channel) for channel in zip(*seen, strict=True))
 
     def _parts(self, index: int, clip: float) -> dict[int, list[np.ndarray]]:
-        """Every picture as int8 fields of a level, one for each start and orientation."""
+        """Return every picture as int8 fields of a level, one for each start and orientation."""
         found = {}
         for number, field in self.fields.items():
             spacing = next(view.image.spacing for view in self.views if view.picture == number)
             turns = symmetries(self.orientations, ndim=2, spacing=spacing)
-            thin = thinned(field, index, clip)
-            found[number] = [oriented(part[:, 0], turn)[:, None] for part in thin for turn in turns]
+            thin = subsample(field, index, clip)
+            found[number] = [
+                apply_symmetry(part[:, 0], turn)[:, None] for part in thin for turn in turns
+            ]
         return found
 
     def _correlations(self, index: int, clip: float, softness: float) -> Correlations:
-        """The two-point functions in the planes; where turned pictures count as well, one for all
-        directions.
+        """Measure the two-point functions in the planes; where turned pictures count as well, one
+        for all directions.
         """
         spacing = spacing_of(self.views)
         edges = [edge / mean_edge(spacing) for edge in spacing]
         parts = [
             np.moveaxis(part, 1, 1 + view.axis)
             for view in self.views
-            for part in thinned(self.fields[view.picture], index, clip)
+            for part in subsample(self.fields[view.picture], index, clip)
         ]
         shortest = min(min(field.shape[2:]) for field in self.fields.values())
         reach = max(_NEAR, min(_REACH, shortest // 2 - 1) // 2**index)
         target = correlations_of(parts, softness=softness, r_max=reach, edges=edges)
         return (
-            alike(target, [part.shape[1:] for part in parts])
+            make_isotropic(target, [part.shape[1:] for part in parts])
             if self.orientations == "all"
             else target
         )
 
 
-def thinned(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
-    """A field (C, 1, Y, X) in int8 at every 2**index-th pixel, from every start."""
+def subsample(field: np.ndarray, index: int, clip: float) -> list[np.ndarray]:
+    """Return a field (C, 1, Y, X) in int8 at every 2**index-th pixel, from every start."""
     stride = 2**index
     whole = quantise(field, clip=clip)
     return [whole[:, :, y::stride, x::stride] for y in range(stride) for x in range(stride)]
 
 
-def alike(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlations:
-    """One function of distance for the three directions of a target that was measured in fields of
-    these shapes.
+def make_isotropic(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlations:
+    """Average the three directions of a target, measured in fields of these shapes, to one function
+    of distance.
     """
     bins = target.r_max + 1
     fits = np.sum(
@@ -155,11 +159,11 @@ def alike(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> Correlatio
     return replace(target, curves=np.tile(sums, (1, 3)), held=np.tile(fits.sum(axis=0) > 0, 3))
 
 
-def leaning(
+def reweight_target(
     target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
 ) -> Correlations:
-    """The target for fields with other histograms: the covariance form (S2 - m^2) / (m - m^2) is
-    kept.
+    """Return the target for fields with other histograms: the covariance form (S2 - m^2) / (m -
+    m^2) is kept.
 
     `softness` is that of the indicator whose two-point functions they are.
     """
@@ -171,7 +175,7 @@ def leaning(
 
 
 def _mean(histogram: Histogram, softness: float) -> float:
-    """The mean of the soft indicator."""
+    """Return the mean of the soft indicator."""
     counts = np.diff(histogram.up_to, prepend=0)
     soft = soft_indicator(histogram.values, softness).astype(np.float64)
     return float((soft * counts).sum() / counts.sum())

@@ -34,7 +34,7 @@ class SlicedConfig:
 
     layout_clip: float = 8.0
     """Signed distance at which the field saturates while it is laid out, voxels of the result, 1 ..
-    40. Less suits small bodies far apart (air voids), more connects."""
+    40. Less suits small components far apart (air voids), more connects."""
 
     strength: float = 2.5
     """How far sliced rounds move neighbourhoods, 0.1 .. 5: 1 is to the picture's distribution, more
@@ -84,7 +84,8 @@ class SlicedConfig:
     """At most so many principal components, 4 .. 128."""
 
     specks: int = 12
-    """Connected pieces of a phase of fewer voxels go to their surroundings at the end, 0 .. 1000.
+    """Connected components of a phase of fewer voxels go to their surroundings at the end, 0 ..
+    1000.
     """
 
     def __post_init__(self) -> None:
@@ -97,7 +98,7 @@ class SlicedConfig:
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 

@@ -1,4 +1,4 @@
-"""Where a request is made: a torus where nothing is known, so that no place is special; else the
+"""The regions of a request: a torus where nothing is known, so that no place is special; else the
 request's own grid.
 """
 
@@ -11,15 +11,15 @@ import numpy as np
 from trabecula.core.request import Request
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.content import Bounds
-from trabecula.synth.shared.fields import quantise
+from trabecula.synth.shared.content.bounds import Bounds
+from trabecula.synth.shared.content.fields import quantise
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.slabs import inverse
+from trabecula.synth.shared.slabs import complement
 
 
-def torus(request: Request, top: int, least: int) -> list[Region]:
-    """The regions of levels 0 .. `top`; an open axis goes on to whole voxels of the coarsest,
-    `least` of them at least.
+def torus_regions(request: Request, top: int, least: int) -> list[Region]:
+    """Return the regions of levels 0 .. `top`; an open axis is continued to whole voxels of the
+    coarsest, `least` of them at least.
     """
     whole = [max(least, -(-side // 2**top)) for side in request.shape]
     regions = []
@@ -32,10 +32,10 @@ def torus(request: Request, top: int, least: int) -> list[Region]:
     return regions
 
 
-def around_known(
+def regions_around_known(
     request: Request, bounds: Bounds, top: int, clip_of: Callable[[int], float], *, exact: bool
 ) -> list[Region]:
-    """The regions of levels 0 .. `top` around known voxels, whose field lies within `bounds`.
+    """Return the regions of levels 0 .. `top` around known voxels, whose field is within `bounds`.
 
     A coarser voxel is known where any of its voxels is, with their mean: a single slice would
     vanish in a mean over all of them. `clip_of(index)` is the distance in voxels of the result at
@@ -48,7 +48,7 @@ def around_known(
         if index == 0 and exact:
             least, most = (quantise(bound, clip=clip_of(0)) for bound in bounds)
             regions.append(
-                Region(request.shape, request.periodic, inverse(request.known), least, most)
+                Region(request.shape, request.periodic, complement(request.known), least, most)
             )
         else:
             regions.append(
@@ -60,7 +60,7 @@ def around_known(
 def _coarse(
     known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]
 ) -> Region:
-    """The region of voxels `side` times as long."""
+    """Return the region of voxels `side` times as long."""
     low, high = bounds
     shape = tuple(-(-count // side) for count in known.shape)
     free = memmap.empty(shape, bool)
@@ -69,7 +69,8 @@ def _coarse(
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
             planes = slice(z * side, (z + 1) * side)
-            here, below, above = known[planes], low[:, planes], high[:, planes]
+            here, below = known[planes], low[:, planes]
+            above = high[:, planes]
             depth = np.where(here, np.where(below > 0, above, below), np.float32(0))
             counts = _blocks(here[None].astype(np.float32), side)
             sums = _blocks(depth, side)[:, 0] / np.maximum(counts[:, 0], 1)
@@ -83,7 +84,7 @@ def _coarse(
 
 
 def _blocks(values: np.ndarray, side: int) -> np.ndarray:
-    """Sums of (C, Z, Y, X) over blocks; what reaches beyond the end counts nothing."""
+    """Sum (C, Z, Y, X) over blocks; beyond the end nothing counts."""
     padded = np.pad(values, [(0, 0)] + [(0, -count % side) for count in values.shape[1:]])
     z, y, x = (count // side for count in padded.shape[1:])
     return np.asarray(padded.reshape(len(values), z, side, y, side, x, side).sum(axis=(2, 4, 6)))

@@ -1,4 +1,4 @@
-"""Pieces too small to be anything go to their surroundings."""
+"""Removal of small connected components: their voxels go to their surroundings."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _OUT = 32000  # a vote that decides
 _FACES = 6  # neighbours share one
 
 
-def without_specks(
+def remove_specks(
     votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
 ) -> np.ndarray:
-    """Votes that no longer give `values` their pieces of fewer than `least` voxels.
+    """Return votes that no longer give `values` their connected components of fewer than `least`
+    voxels.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ def without_specks(
     present : sequence of int
         The labels that there are, in the order of the channels.
     least : int
-        Voxels that a piece of a phase needs to stay.
+        Voxels that a component of a phase needs to stay.
 
     Returns
     -------

@@ -1,4 +1,5 @@
-"""A step on the two-point function of what a field is cut to, rather than of its soft values.
+"""Steps on the two-point function of the phases that a field is cut to, rather than of its soft
+values.
 
 A field that is histogram-matched to distances need not be one: where it rises slowly, fewer and
 smoother interfaces make up the same histogram, and a soft indicator of its values does not see it.
@@ -15,10 +16,10 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.synth.shared.fields import FULL
+from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.statistics.correlate import Correlations, corrected, step_slab_bytes
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.statistics.two_point import Correlations
+from trabecula.synth.shared.statistics.two_point_steps import step_slab_bytes, two_point_step
 
 FAR = 4.0
 """Voxels at which distances saturate here."""
@@ -28,8 +29,8 @@ _FLAT = np.float32(1.0)  # least slope, int8 steps a voxel
 _FEW, _MANY = 8, 1 << 19
 
 
-def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
-    """One step.
+def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np.ndarray:
+    """Take one step.
 
     Parameters
     ----------
@@ -45,21 +46,23 @@ def stepped(field: np.ndarray, target: Correlations, region: Region) -> np.ndarr
     """
     distance = memmap.empty(field.shape, np.int8, least=0)  # another process may write it
     for channel, far in zip(field, distance, strict=True):
-        _by_few(partial(_divided, channel, region.wraps, far), channel.shape, anywhere=True)
-    votes = corrected(distance, target, periodic=region.wraps, free=region.free)
+        _by_few(partial(_divide_by_slope, channel, region.wraps, far), channel.shape, anywhere=True)
+    votes = two_point_step(distance, target, periodic=region.wraps, free=region.free)
     for channel, far, moved in zip(field, distance, votes, strict=True):
-        _by_few(partial(_multiplied, channel, region.wraps, far, moved), channel.shape)
+        _by_few(partial(_multiply_by_slope, channel, region.wraps, far, moved), channel.shape)
     return votes
 
 
 def slab_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool]) -> int:
-    """What `stepped` takes in memory where arrays lie in scratch files."""
+    """Forecast the memory of `distance_step` where arrays are memory-mapped."""
     planes = thread_count() * 48 * (_few(shape) + 2) * shape[1] * shape[2]
     return max(planes, step_slab_bytes(shape, target, periodic))
 
 
 def _few(shape: Sequence[int]) -> int:
-    """Planes that are worked on at once: what they take meanwhile is many times what they are."""
+    """Count the planes that are worked on at once: their temporary arrays are many
+    times as large.
+    """
     return max(1, min(_FEW, _MANY // (shape[1] * shape[2])))
 
 
@@ -76,10 +79,10 @@ def _by_few(
     for_slabs(few, shape[0], anywhere=anywhere)
 
 
-def _divided(
+def _divide_by_slope(
     channel: np.ndarray, wraps: Sequence[bool], far: np.ndarray, start: int, stop: int
 ) -> None:
-    """Planes start..stop of a channel (Z, Y, X) int8 divided by their slope, into `far`, alike:
+    """Divide planes start..stop of a channel (Z, Y, X) int8 by their slope, into `far`, alike:
     `FULL` is `FAR` voxels.
     """
     ratio = channel[start:stop] / slope(channel, wraps, start, stop)
@@ -88,7 +91,7 @@ def _divided(
     far[start:stop] = np.rint(ratio, out=ratio)
 
 
-def _multiplied(
+def _multiply_by_slope(
     channel: np.ndarray,
     wraps: Sequence[bool],
     far: np.ndarray,
@@ -96,8 +99,8 @@ def _multiplied(
     start: int,
     stop: int,
 ) -> None:
-    """What planes start..stop of `far` (Z, Y, X) int8 moved to, `votes` (Z, Y, X) int16, as votes
-    for the channel.
+    """Convert the move of planes start..stop of `far` (Z, Y, X) int8 to `votes` (Z, Y, X) int16
+    into votes for the channel, in place.
     """
     limit = FULL * UNIT
     part = slice(start, stop)
@@ -110,8 +113,9 @@ def _multiplied(
 
 
 def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> np.ndarray:
-    """The length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over neighbours and
-    never 0: planes start..stop, float32."""
+    """Return the length of the gradient of (Z, Y, X) int8 in steps a voxel, averaged over
+    neighbours and never 0: planes start..stop, float32.
+    """
     # a neighbour more on either side
     planes = _around(np.arange(start - 1, stop + 1), len(channel), wraps[0])
     square = np.zeros((len(planes), *channel.shape[1:]), np.float32)
@@ -120,9 +124,9 @@ def slope(channel: np.ndarray, wraps: Sequence[bool], start: int, stop: int) -> 
     for axis in (1, 2):
         _add_square(square, *_neighbours(channel[planes], axis, wraps[axis]))
     wide = np.sqrt(square, out=square)
-    mean = _averaged(wide[1:-1], wide[:-2], wide[2:])
+    mean = _average(wide[1:-1], wide[:-2], wide[2:])
     for axis in (1, 2):
-        mean = _averaged(mean, *_neighbours(mean, axis, wraps[axis]))
+        mean = _average(mean, *_neighbours(mean, axis, wraps[axis]))
     return np.maximum(mean, _FLAT, out=mean)
 
 
@@ -134,18 +138,18 @@ def _add_square(square: np.ndarray, before: np.ndarray, after: np.ndarray) -> No
     square += rise
 
 
-def _averaged(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """A quarter, a half, a quarter."""
+def _average(values: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Average with weights of a quarter, a half, a quarter."""
     return (before + after + 2 * values) * np.float32(0.25)
 
 
 def _neighbours(values: np.ndarray, axis: int, wrap: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The values before and after every voxel along an axis."""
+    """Return the values before and after every voxel along an axis."""
     cells, side = np.arange(values.shape[axis]), values.shape[axis]
     before, after = (_around(cells + by, side, wrap) for by in (-1, 1))
     return values.take(before, axis), values.take(after, axis)
 
 
 def _around(cells: np.ndarray, side: int, wrap: bool) -> np.ndarray:
-    """Cells beyond an end are the last one there, or those at the other end."""
+    """Clip cells to the last one beyond an end, or wrap them to the other end."""
     return cells % side if wrap else cells.clip(0, side - 1)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
+from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_rounds
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class TextureConfig:
     density of the result drifts."""
 
     novelty: float | None = None
-    """The dial between moving pieces of the exemplar (0) and copying no more than an independent
+    """The dial between moving patches of the exemplar (0) and copying no more than an independent
     sample of the material does (1). Default: 1 for labels; 0 for grey and colour, and with the
     paper's search, field or energies, which know no other."""
 
@@ -70,7 +71,7 @@ class TextureConfig:
     """
 
     field: str = "distance"
-    """What labels become: "distance", the clipped signed distance of every phase, or "indicator",
+    """The field of labels: "distance", the clipped signed distance of every phase, or "indicator",
     its 0 and 1 as the paper's grey levels. Grey values and colours are what they are."""
 
     histogram: bool = True
@@ -122,78 +123,56 @@ class TextureConfig:
     """
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _RANGES.items():
-            self._keep(name, low, high)
+        keep_numbers(self, _RANGES)
         if self.novelty is not None:
-            object.__setattr__(
-                self, "novelty", as_number(self.novelty, name="novelty", low=0, high=1)
-            )
-        self._keep_several("neighbourhood", 4, 10, "the widths, largest first, such as [10, 7, 4]")
-        self._keep_several(
-            "corrections", 0, 10, "the steps of the finest level first, such as [1, 2]"
-        )
-        self._keep_several(
-            "rounds", 1, 100, "the rounds of the finest level first, such as [4, 6, 8]"
-        )
-        for name, allowed in _CHOICES.items():
-            check_name(getattr(self, name), allowed, name=name)
-        for name in ("histogram", "adaptive"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name}={getattr(self, name)!r} should be true or false")
+            novelty = as_number(self.novelty, name="novelty", low=0, high=1)
+            object.__setattr__(self, "novelty", novelty)
+        widths = "the widths, largest first, such as [10, 7, 4]"
+        keep_rounds(self, "neighbourhood", low=4, high=10, advice=widths)
+        keep_rounds(self, "corrections", low=0, high=10)
+        keep_rounds(self, "rounds", high=100)
+        keep_choices(self, _CHOICES)
         narrowest = min(self.neighbourhood)
-        self._keep("step", 0, narrowest // 2)
-        self._keep("trim", 0, (narrowest - self.step_of(narrowest)) // 2)
-
-    def _keep_several(self, name: str, low: float, high: float, advice: str) -> None:
-        given = getattr(self, name)
-        counts = given if isinstance(given, (list, tuple)) else (given,)
-        if not counts:
-            raise InputError(f"{name} is empty: give {advice}")
-        checked = tuple(
-            as_number(count, name=name, low=low, high=high, whole=True) for count in counts
-        )
-        object.__setattr__(self, name, checked)
-
-    def _keep(self, name: str, low: float, high: float) -> None:
-        whole = isinstance(getattr(TextureConfig, name), int)
-        object.__setattr__(
-            self, name, as_number(getattr(self, name), name=name, low=low, high=high, whole=whole)
-        )
+        keep_numbers(self, {"step": (0, narrowest // 2)})
+        keep_numbers(self, {"trim": (0, (narrowest - self.step_of(narrowest)) // 2)})
 
     def step_of(self, width: int) -> int:
-        """Distance between neighbourhoods of a width."""
+        """Return the distance between neighbourhoods of a width."""
         return self.step or width // 2
 
     def novelty_for(self, *, distances: bool) -> float:
-        """The dial, or its default for exemplars of distances or of other fields.
+        """Return the dial, or its default for exemplars of distances or of other fields.
 
         Raises
         ------
         InputError
-            Novelty is asked for where it does not go.
+            Novelty is set where it does not apply.
         """
         applies = distances and self.search == "coherent" and not self.energetic and self.histogram
         if self.novelty and not applies:
             raise InputError(
-                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance and no energies: give novelty=0, "
+                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance "
+                "and no energies: give novelty=0, "
                 "or leave the others out"
             )
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
     @property
     def energetic(self) -> bool:
-        """Whether rounds go by the energy of equation (1) rather than by the plain vote."""
+        """Return whether rounds follow the energy of equation (1) rather than the plain vote."""
         return self.gradient > 0 or self.adaptive or self.tolerance > 0
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """The settings of a preset."""
+        """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 
 _NOVELTY = 1.0
 
-_CHOICES = {
+_CHOICES: dict[str, tuple[Any, ...]] = {
+    "histogram": (True, False),
+    "adaptive": (True, False),
     "field": ("distance", "indicator"),
     "search": ("coherent", "exact"),
     "orientations": ("none", "mirrors", "upright", "all"),

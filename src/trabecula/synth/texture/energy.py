@@ -1,7 +1,7 @@
 """The global energy of equation (1), the weights of equation (2), their feedback on lambda, and the
 stop rule.
 
-What the paper leaves open, and what is done here:
+Choices where the paper leaves some:
 
 - Which energy has to fall. Equation (1) holds the weights, and the weights hold lambda: raised by 5
 %, it makes the energy
@@ -39,8 +39,8 @@ from trabecula.engine.parallel import for_slabs
 
 @dataclass(frozen=True)
 class Energy:
-    """What one round ended with, in squared units of the field; comparable only on one level with
-    one neighbourhood size.
+    """The energies after one round, in squared units of the field; comparable only on one level
+    with one neighbourhood size.
     """
 
     weighted: float
@@ -60,8 +60,8 @@ class Energy:
 
 @dataclass(frozen=True)
 class Feedback:
-    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, go on with
-    `after`.
+    """The state of equation (2)'s control and of the stop rule. Start with `Feedback()`, continue
+    with `after`.
     """
 
     scale: float = 1.0
@@ -90,25 +90,25 @@ class Feedback:
     """The rounds so far."""
 
     def after(self, energy: Energy) -> Feedback:
-        """The state after a round that ended with `energy`."""
+        """Return the state after a round that ended with `energy`."""
         scale = self.scale
         if self.trace:
-            before, now = self._compared(self.trace[-1]), self._compared(energy)
+            before, now = self._comparable(self.trace[-1]), self._comparable(energy)
             scale *= 1 + self.increase if now < before else 1 - self.decrease if now > before else 1
         scale = min(max(scale, 1 / self.limit), self.limit)
         return replace(self, scale=scale, trace=(*self.trace, energy))
 
     @property
-    def done(self) -> bool:
-        """Whether the energy has settled, or the rounds are used up."""
+    def is_over(self) -> bool:
+        """Return whether the energy has settled, or the rounds are used up."""
         if len(self.trace) >= self.most:
             return True
         if len(self.trace) < 2:
             return False
-        before, now = (self._compared(energy) for energy in self.trace[-2:])
+        before, now = (self._comparable(energy) for energy in self.trace[-2:])
         return abs(now - before) <= self.tolerance * before
 
-    def _compared(self, energy: Energy) -> float:
+    def _comparable(self, energy: Energy) -> float:
         return energy.weighted if self.literal else energy.robust
 
 
@@ -124,8 +124,8 @@ def mismatch(
     gradient: bool = True,
     active: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Per site d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent voxels, in whole
-    neighbourhoods.
+    """Compute, per site, d^2 = |s_p - e_p|^2, and |G(s_p) - G(e_p)|^2 over pairs of adjacent
+    voxels, in whole neighbourhoods.
 
     Parameters
     ----------
@@ -152,28 +152,17 @@ def mismatch(
     covered = tuple((count - 1) * step + width for count in match.shape)
     if field.shape != (len(exemplar), *covered) or field.dtype not in (np.int8, np.int16):
         raise InputError(
-            f"the field is {field.dtype} of shape {field.shape}: int8 or int16 of {(len(exemplar), *covered)} is needed"
+            f"the field is {field.dtype} of shape {field.shape}: int8 or int16 of "
+            f"{(len(exemplar), *covered)} is needed"
         )
     parts = 1 if field.dtype == np.int8 else 256
     where = np.empty((0, 0, 0), bool) if active is None else active
     result = memmap.zeros((2, *match.shape), np.float64)
 
+    place = (shape, stride, step, width)
+
     def work(start: int, stop: int) -> None:
-        _mismatch(
-            field,
-            parts,
-            exemplar,
-            match,
-            where,
-            shape,
-            stride,
-            step,
-            width,
-            gradient,
-            result,
-            start,
-            stop,
-        )
+        _mismatch(field, parts, exemplar, match, where, place, gradient, result, start, stop)
 
     for_slabs(work, len(match), least=1)
     return result
@@ -187,7 +176,7 @@ def adaptive_weights(
     scale: float = 1.0,
     floor: float = 0.0,
 ) -> np.ndarray:
-    """w_p = lambda (d_p / reference)^(r - 2): equation (2).
+    """Compute w_p = lambda (d_p / reference)^(r - 2): equation (2).
 
     Parameters
     ----------
@@ -228,7 +217,7 @@ def energy(
     floor: float = 0.0,
     unit: float = 1.0,
 ) -> Energy:
-    """Equation (1) of a state and its matches.
+    """Evaluate equation (1) for a state and its matches.
 
     Parameters
     ----------
@@ -239,7 +228,7 @@ def energy(
     mu, robustness, reference, floor : float
         As in the vote and in `adaptive_weights`.
     unit : float
-        What a weight of 1 stands for.
+        The weight that counts as 1.
 
     Notes
     -----
@@ -268,26 +257,23 @@ def energy(
 
 
 def total(values: Callable[[int], np.ndarray], count: int) -> float:
-    """The sum of `values(z)` over all `count` planes, rounded once, at its end: it depends on no
-    order.
-    """
-    return math.fsum(chain.from_iterable(_listed(values, count)))
+    """Sum `values(z)` over all `count` planes, rounded once, at its end: it depends on no order."""
+    return math.fsum(chain.from_iterable(_values_by_plane(values, count)))
 
 
-def _listed(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
-    """One plane after the other: numbers of Python take 32 bytes each."""
+def _values_by_plane(values: Callable[[int], np.ndarray], count: int) -> Iterator[list[float]]:
+    """Yield one plane after the other: numbers of Python take 32 bytes each."""
     for z in range(count):
         yield values(z).ravel().tolist()
         memmap.release_pages()
 
 
 @kernel
-def _mismatch(
-    state, parts, example, match, active, shape, stride, step, width, gradient, result, start, stop
-):
-    """Sites start..stop, in whole numbers: `state` counts `parts` to a unit. An empty `active`
-    means everywhere.
+def _mismatch(state, parts, example, match, active, place, gradient, result, start, stop):
+    """Compute sites start..stop in whole numbers: `state` counts `parts` to a unit. An empty
+    `active` means everywhere.
     """
+    shape, stride, step, width = place
     difference = np.empty((width, width, width), np.int32)
     for sz in range(start, stop):
         for sy in range(match.shape[1]):

@@ -1,5 +1,5 @@
-"""One round's vote as the paper takes it: both terms of equation (1), the weights of equation (2),
-and the energy's trace.
+"""The paper's vote of one round: both terms of equation (1), the weights of equation (2), and the
+energy's trace.
 
 The plain vote of `optimise` is the special case without a gradient term, with weights from the
 distances of features.
@@ -8,6 +8,7 @@ distances of features.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,10 +16,17 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.matching.grid import Grid, wrapped
+from trabecula.synth.shared.matching.grid import Grid, wrap_field
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.energy import Feedback, adaptive_weights, energy, mismatch, total
-from trabecula.synth.texture.gradient import Votes, add_votes, fold_votes, no_votes
+from trabecula.synth.texture.energy import (
+    Energy,
+    Feedback,
+    adaptive_weights,
+    energy,
+    mismatch,
+    total,
+)
+from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
 _UNIT = 64  # the integer weight that stands for 1
@@ -35,24 +43,31 @@ class Balance:
 
     @classmethod
     def at_first(cls, config: TextureConfig, rounds: int) -> Balance:
-        """Before the first round."""
+        """Return the balance before the first round."""
         rise, fall = (config.increase, config.decrease) if config.adaptive else (0.0, 0.0)
         return cls(Feedback(tolerance=config.tolerance, most=rounds, increase=rise, decrease=fall))
 
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> Balance:
+        """Rebuild it from plain JSON."""
+        feedback = stored["feedback"]
+        trace = tuple(Energy(**energy) for energy in feedback["trace"])
+        return cls(Feedback(**{**feedback, "trace": trace}), stored["reference"])
+
     def trace(self) -> list[dict[str, Any]]:
-        """Every round's energies, as plain JSON."""
+        """Return every round's energies, as plain JSON."""
         return [asdict(round_) for round_ in self.feedback.trace]
 
 
 def round_bytes(voxels: int, sites: int, *, channels: int) -> int:
-    """Memory of a round on so many covered voxels: the votes, the solver's arrays, the state
-    before.
+    """Forecast the memory of a round on so many covered voxels: the votes, the solver's arrays, the
+    state before.
     """
     return voxels * (13 * channels + 30) + 16 * sites
 
 
 def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
-    """What a thread takes of a round whose arrays lie in scratch files: some planes, of `plane`
+    """Forecast a thread's memory in a round whose arrays are memory-mapped: some planes, of `plane`
     voxels and `sites` sites.
 
     A plane of sites reads `width` planes of the field; numbers of its energies are added as those
@@ -61,7 +76,7 @@ def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
     return plane * (2 * width * channels + 20 * channels + 60) + 120 * sites
 
 
-def balanced(
+def energy_vote(
     grid: Grid,
     field: np.ndarray,
     match: np.ndarray,
@@ -70,7 +85,9 @@ def balanced(
     *,
     trim: int,
 ) -> tuple[np.ndarray, Balance]:
-    """The votes (C, Z, Y, X) int16 for matches found on `field`, and the balance after them."""
+    """Return the votes (C, Z, Y, X) int16 for matches found on `field`, and the balance
+    after them.
+    """
     candidates = grid.candidates
     where: dict[str, Any] = {
         "shape": candidates.shape,
@@ -80,7 +97,7 @@ def balanced(
     }
     exemplar = candidates.stack.field
     squared, _ = mismatch(
-        wrapped(grid, field), exemplar, match, gradient=False, active=grid.active, **where
+        wrap_field(grid, field), exemplar, match, gradient=False, active=grid.active, **where
     )
     floor = float(len(exemplar) * candidates.basis.width**3)  # one unit of the field per voxel
     reference = balance.reference or math.sqrt(_mean(squared, grid.active) + floor)
@@ -94,19 +111,19 @@ def balanced(
         mu=config.gradient / scale,
         unit=_UNIT,
     )
-    after = mismatch(wrapped(grid, solved), exemplar, match, active=grid.active, **where)
+    after = mismatch(wrap_field(grid, solved), exemplar, match, active=grid.active, **where)
     found = energy(after[0], after[1], weights, mu=config.gradient, unit=scale / _UNIT, **settings)
     return solved, Balance(balance.feedback.after(found), reference)
 
 
 def _mean(squared: np.ndarray, active: np.ndarray) -> float:
-    """Over the sites that are active; 0 where none is."""
+    """Average over the sites that are active; 0 where none is."""
     count = sum_slabs(lambda a, b: np.count_nonzero(active[a:b]), len(active))
     return total(lambda z: squared[z][active[z]], len(squared)) / max(1, count)
 
 
 def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]) -> np.ndarray:
-    """Those of equation (2) in integers; 0 where a site is not active."""
+    """Compute the weights of equation (2) in integers; 0 where a site is not active."""
     weights = memmap.empty(squared.shape, np.int32)
 
     def work(start: int, stop: int) -> None:
@@ -120,8 +137,9 @@ def _weights(squared: np.ndarray, active: np.ndarray, settings: dict[str, float]
 
 def _cast(
     grid: Grid, match: np.ndarray, weights: np.ndarray, where: dict[str, Any], trim: int
-) -> Votes:
+) -> GradientVotes:
+    """Sum the votes for values and gradients."""
     exemplar = grid.candidates.stack.field
-    votes = no_votes(grid.reach, channels=len(exemplar))
+    votes = empty_votes(grid.reach, channels=len(exemplar))
     add_votes(votes, exemplar, match, weights, trim=trim, wraps=grid.region.wraps, **where)
     return votes

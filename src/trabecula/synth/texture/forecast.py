@@ -1,5 +1,5 @@
-"""Memory that a run will take, from the arrays that are held together at the moments that compete
-for its peak.
+"""Memory forecast of a run, from the arrays that exist together at the moments that compete for its
+peak.
 
 Voxels count on what neighbourhoods of the finest level cover, sites are these neighbourhoods;
 coarser levels hold an eighth.
@@ -13,10 +13,10 @@ from math import prod
 
 from trabecula.core.request import Request
 from trabecula.engine.parallel import thread_count
+from trabecula.synth.shared.matching.neighbour_search import search_bytes
+from trabecula.synth.shared.matching.neighbourhoods import block_bytes, planes_together
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.nearest import search_bytes
-from trabecula.synth.shared.neighbourhoods import block_bytes, planes_together
 from trabecula.synth.shared.slabs import AT_ONCE
 from trabecula.synth.texture import energy_rounds, graded
 
@@ -27,28 +27,28 @@ _THREAD = 1 << 18  # bytes that a further thread holds of its own: itself, and c
 
 @dataclass(frozen=True)
 class Moment:
-    """Bytes of arrays that grow with the volume, and of what is worked on beside them."""
+    """Bytes of arrays that grow with the volume, and of temporary arrays beside them."""
 
     arrays: int
     beside: int
 
 
 @dataclass(frozen=True)
-class Run:
-    """What a run is of.
+class TextureForecast:
+    """A run whose memory is forecast.
 
     Attributes
     ----------
     request : Request
     region : Region
-        What is made, before it is covered.
+        The output, before it is covered.
     finest : sequence of Candidates
         The neighbourhoods of the finest level, as they are used.
     distances : bool
         Whether fields are those of labels.
     itemsize : int
         Bytes of a value of the result.
-    exact, energetic, leaning : bool
+    exact, energetic, graded : bool
         Ways of search and vote that hold more.
     repeated : bool
         Whether features are searched more than once, and kept.
@@ -63,29 +63,29 @@ class Run:
     itemsize: int
     exact: bool = False
     energetic: bool = False
-    leaning: bool = False
+    graded: bool = False
     repeated: bool = False
     correcting: int = 0
 
     @property
     def output(self) -> int:
-        """Bytes of arrays that grow with the volume, when most is held."""
+        """Return the bytes of arrays that grow with the volume, at the peak."""
         return self._peak.arrays
 
     @property
     def scratch(self) -> int:
-        """Bytes of what is worked on then, by all threads."""
+        """Return the bytes of temporary arrays then, of all threads."""
         return self._peak.beside + (thread_count() - 1) * _THREAD
 
     @property
     def slab(self) -> int:
-        """Bytes that are needed in memory where arrays lie in scratch files: what is worked on, and
-        the pages of a few planes.
+        """Return the bytes that are needed in memory where arrays are memory-mapped: temporary
+        arrays, and the pages of a few planes.
         """
         beside = max(
             moment.beside for candidates in self.finest for moment in self._moments(candidates)
         )
-        return beside + max(map(self._pages, self.finest))
+        return beside + max(map(self._page_bytes, self.finest))
 
     @property
     def _peak(self) -> Moment:
@@ -93,18 +93,20 @@ class Run:
         return max(moments, key=lambda moment: moment.arrays + moment.beside)
 
     def _moments(self, candidates: Candidates) -> list[Moment]:
-        """Of the rounds with one width, of what goes before them, and of the choice of the values
-        after them.
+        """List the moments of the rounds with one width, of the steps before them, and of the
+        choice of the values after them.
         """
-        channels, request, threads = len(candidates.stack.field), self.request, thread_count()
+        channels, request = len(candidates.stack.field), self.request
+        threads = thread_count()
         shape, grid = self._shape(candidates), self._grid(candidates)
-        voxels, asked, sites = prod(shape), prod(request.shape), prod(grid)
+        voxels, requested = prod(shape), prod(request.shape)
+        sites = prod(grid)
         known, cropped = request.fixed is not None, shape != request.shape
         free = (1 if known else int(request.mask is not None and cropped)) + int(
             known and request.mask is not None
         )
         bounds = 2 * channels * (2 if cropped else 1) if known else 0
-        held = voxels * (free + bounds) * 8 // 7 + (16 * voxels + 4 * sites if self.leaning else 0)
+        held = voxels * (free + bounds) * 8 // 7 + (16 * voxels + 4 * sites if self.graded else 0)
         features = 2 * candidates.features.shape[1] * sites if self.exact or self.repeated else 0
         vote = (
             threads
@@ -114,33 +116,33 @@ class Run:
                 + grid[1] * grid[2]
             )
         )
-        between = threads * min(asked, max(AT_ONCE, request.shape[1] * request.shape[2]))
-        search = threads * self._search(candidates) + (16 + 48 * self.exact) * len(
+        between = threads * min(requested, max(AT_ONCE, request.shape[1] * request.shape[2]))
+        search = threads * self._search_bytes(candidates) + (16 + 48 * self.exact) * len(
             candidates.features
         )
         ranks = (threads + 3) * _RANKS
         moments = [
             Moment(held + voxels * channels + _SITE * sites + features, search),
             Moment(held + voxels * 2 * channels + 9 * sites, vote),
-            Moment(held + voxels * (3 * channels + 8 * self.leaning) + 5 * sites, ranks),
+            Moment(held + voxels * (3 * channels + 8 * self.graded) + 5 * sites, ranks),
             Moment(
-                asked * (2 * channels + self._chosen(channels)),
+                requested * (2 * channels + self._value_bytes(channels)),
                 ranks * (3 if self.distances and channels > 1 else 1),
             ),
         ]
         if cropped:
-            moments.append(Moment(2 * channels * (voxels + asked), between * 2 * channels))
+            moments.append(Moment(2 * channels * (voxels + requested), between * 2 * channels))
         if known:
             moments.append(Moment(held + voxels * (4 * channels + 9) + 5 * sites, between * 16))
             kept = 8 * channels + 16 if self.distances else 11 * channels + 2
             moments.append(
-                Moment(asked * kept, between * (32 if self.distances else 12 * channels))
+                Moment(requested * kept, between * (32 if self.distances else 12 * channels))
             )
         if self.energetic:
             moments.append(
                 Moment(held + energy_rounds.round_bytes(voxels, sites, channels=channels), search)
             )
-        if self.leaning:
+        if self.graded:
             meanwhile = 8 * (thread_count() - 1) * min(voxels, AT_ONCE)
             moments.append(
                 Moment(voxels * graded.BYTES + voxels * (free + bounds) * 8 // 7 + meanwhile, 0)
@@ -151,29 +153,29 @@ class Run:
             )
         return moments
 
-    def _chosen(self, channels: int) -> int:
-        """Bytes of a voxel that the choice of the values takes beside the votes."""
+    def _value_bytes(self, channels: int) -> int:
+        """Return the bytes of a voxel that the choice of the values takes beside the votes."""
         request = self.request
         free = 2 * (request.fixed is not None)
         around = 6 if request.fixed is not None and self.distances else 0
         values = 2 * channels + 1 if self.distances and channels > 1 else self.itemsize
         return free + max(around, values)
 
-    def _search(self, candidates: Candidates) -> int:
-        """By one thread: features, and the sums over blocks that they are made of."""
-        shape, grid, threads = self._shape(candidates), self._grid(candidates), thread_count()
-        basis, channels, depth = (
-            candidates.basis,
-            len(candidates.stack.field),
-            candidates.features.shape[1],
-        )
+    def _search_bytes(self, candidates: Candidates) -> int:
+        """Return one thread's bytes of features, and of the sums over blocks that they
+        are made of.
+        """
+        shape, grid = self._shape(candidates), self._grid(candidates)
+        threads = thread_count()
+        basis, channels = candidates.basis, len(candidates.stack.field)
+        depth = candidates.features.shape[1]
         thick = min(
             planes_together(depth, grid), -(-grid[0] // (4 * threads if threads > 1 else 1))
         )
         planes = min((thick - 1) * candidates.steps[0] + basis.box[0], shape[0] + basis.box[0])
         seen = channels * planes * prod(shape[1:])
         copied = int(channels > 1) + 2 * any(self.region.wraps)
-        made = 2 * depth * thick * grid[1] * grid[2] * (3 if self.leaning else 1)
+        made = 2 * depth * thick * grid[1] * grid[2] * (3 if self.graded else 1)
         opened = search_bytes(len(candidates.features), candidates.k) if self.exact else 0
         return (
             made
@@ -185,7 +187,8 @@ class Run:
             )
         )
 
-    def _pages(self, candidates: Candidates) -> int:
+    def _page_bytes(self, candidates: Candidates) -> int:
+        """Return the bytes of the pages of a few planes, of all threads."""
         shape, grid = self._shape(candidates), self._grid(candidates)
         channels, width = len(candidates.stack.field), candidates.basis.width
         known = 2 * channels + 10 if self.request.fixed is not None else 2
@@ -195,7 +198,7 @@ class Run:
             pages += energy_rounds.slab_bytes(
                 prod(shape[1:]), prod(grid[1:]), width=width, channels=channels
             )
-        if self.leaning:
+        if self.graded:
             pages += graded.slab_bytes(shape)
         return thread_count() * pages
 
@@ -203,4 +206,4 @@ class Run:
         return self.region.grid(box=candidates.basis.box, steps=candidates.steps)
 
     def _shape(self, candidates: Candidates) -> tuple[int, ...]:
-        return self.region.covered(box=candidates.basis.box, steps=candidates.steps).shape
+        return self.region.cover(box=candidates.basis.box, steps=candidates.steps).shape

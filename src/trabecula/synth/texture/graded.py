@@ -1,62 +1,162 @@
-"""A porosity that varies from place to place: what neighbourhoods are guided by, and what the field
-leans to.
+"""Volume fractions that vary from place to place: the target at every voxel on every level, the
+guide of the search, and the shift of the field.
 
-Two means together. The search prefers neighbourhoods from places of the exemplar that are as dense
-as is asked for (one more feature: the share of the phase around them), and after every vote the
-field is shifted, smoothly, until the share around every voxel is the one asked for: struts grow or
-thin where the exemplar holds nothing dense or sparse enough.
+The search prefers neighbourhoods from places of the exemplar that are as dense as the target (one
+more feature: the fraction of the phase around them), and after every vote the field is shifted,
+smoothly, until the fraction around every voxel is that of the target: struts grow or thin where
+the exemplar holds nothing dense or sparse enough. On a coarser level a phase has another fraction
+(thin struts vanish first): the target is carried over along straight lines through (0, 0), (the
+exemplar's fraction, its fraction on that level) and (1, 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trabecula.core.errors import RequestError
+from trabecula.core.request import Request
+from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.box_sums import summed, summed_again, sums
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, with_guide
+from trabecula.synth.shared.box_sums import (
+    replace_by_window_sums,
+    window_sums,
+    window_sums_of_planes,
+)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.texture.volume_fraction import share_in
+from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.pyramid import halve
 
-# voxels a side in which a share is taken: of the finest level, and of any at least
+BEYOND = 0.5
+"""Reach of the shift outside the exemplar's own porosities, with struts that still look like it:
+of the way to 0 and to 1."""
+
+# voxels a side of a window: on the finest level, and on any at least
 _WINDOW, _LEAST = 24, 6
-_WIDE = 64  # where one share is asked for everywhere: it varies within as it does in the exemplar
-_UNIT = 4096  # of a share, in whole numbers
-_PULL = 16_000  # features between a share of 0 and one of 1
+_WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
+_UNIT = 4096  # parts of a fraction, in whole numbers
+_PULL = 16_000  # features between a fraction of 0 and one of 1
 _NEAR = 32  # values of the field that count as near the interface: about a voxel
 _MOST = 40  # by which a field is shifted in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _LAST = 16  # steps at the end
+
 BYTES = 32
-"""Of a voxel: the windows' sums, and what a step takes."""
+"""Bytes of a voxel: the windows' sums, and the arrays of a step."""
+
 _AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
 
 
+def check_phases(present: tuple[int, ...], empty: int) -> None:
+    """Raise where a target porosity does not say how much of each phase there is to be."""
+    if len(present) != 2 or empty not in present:
+        raise RequestError(
+            "a target porosity is honoured for a void and one other phase, the exemplar holds "
+            f"{len(present)} phases: "
+            "merge them (tb.segment with one threshold), or leave the target out"
+        )
+
+
+def target_fractions(request: Request, present: tuple[int, ...], empty: int) -> np.ndarray:
+    """Return the volume fraction that the upper of two phases is to have at every voxel, (Z, Y, X)
+    float32.
+    """
+    fractions = memmap.empty(request.shape, np.float32)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            porosity = np.asarray(_porosity_on(request, slice(z, z + 1)), np.float32)
+            fractions[z] = porosity if present[1] == empty else 1 - porosity
+
+    for_slabs(work, len(fractions))
+    return fractions
+
+
+def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
+    """Return the requested porosity on planes, or everywhere."""
+    target = {
+        name: value[planes] if isinstance(value, np.ndarray) else value
+        for name, value in request.target.items()
+    }
+    requested = porosity_of(target)
+    return 0.0 if requested is None else requested
+
+
+def fractions_by_level(fractions: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
+    """Return fractions at every voxel at the resolution of each stack, finest first."""
+    own = phase_fraction(stacks[0])
+    found: list[np.ndarray] = []
+    for stack in stacks:
+        fractions = halve(fractions[None])[0] if found else fractions
+        found.append(carry_over(fractions, own, phase_fraction(stack)))
+    return found
+
+
+def carry_over(fractions: np.ndarray, own: float, there: float) -> np.ndarray:
+    """Convert fractions to a level where the exemplar's own fraction is `there`."""
+    carried = memmap.empty(fractions.shape, np.float32)
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            carried[z] = np.interp(fractions[z], (0.0, own, 1.0), (0.0, there, 1.0))
+
+    for_slabs(work, len(fractions))
+    return carried
+
+
+def phase_fraction(stack: Stack) -> float:
+    """Return the fraction of the phase in the exemplars' volumes."""
+    inside = sum(
+        np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
+        for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True)
+    )
+    return float(inside / np.prod(stack.sides.astype(np.int64), axis=1).sum())
+
+
+def average_target(request: Request) -> Request:
+    """Return the request with one number as its target: the mean of its field."""
+    if not any(map(np.ndim, request.target.values())):
+        return replace(request, target={"porosity": float(_porosity_on(request, slice(None)))})
+    planes = np.zeros((request.shape[0], 2))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            requested = np.asarray(_porosity_on(request, slice(z, z + 1)))[0]
+            inside = requested if request.mask is None else requested[request.mask[z]]
+            planes[z] = inside.sum(dtype=np.float64), inside.size
+
+    for_slabs(work, len(planes))
+    return replace(request, target={"porosity": math.fsum(planes[:, 0]) / math.fsum(planes[:, 1])})
+
+
 @dataclass(frozen=True)
-class Leaning:
-    """What one level's grid is asked for: the share of the phase around every voxel of its region."""
+class FractionTarget:
+    """Target of one level's grid: the fraction of the phase around every voxel of its region."""
 
     region: Region
     wanted: np.ndarray
-    """(Z, Y, X) int32: sums over the windows of what is asked for, in `_UNIT`."""
+    """(Z, Y, X) int32: sums of the target over the windows, in `_UNIT`."""
     counted: np.ndarray
     """(Z, Y, X) int32: voxels of the windows that count."""
     width: int
     mean: float
-    """The share of all that counts."""
+    """The fraction of all that counts."""
 
     @classmethod
-    def of(cls, region: Region, shares: np.ndarray, width: int) -> Leaning:
-        """For a region that is covered, with shares (z, y, x) float32 of its beginning."""
+    def of(cls, region: Region, fractions: np.ndarray, width: int) -> FractionTarget:
+        """Sum the target of a region that is covered over windows, with fractions (z, y, x) float32
+        of its beginning.
+        """
         places = [
             np.arange(side).clip(max=have - 1)
-            for side, have in zip(region.shape, shares.shape, strict=True)
+            for side, have in zip(region.shape, fractions.shape, strict=True)
         ]
         free, wraps = region.free, region.wraps
 
@@ -66,15 +166,15 @@ class Leaning:
             return everywhere if free is None else free[z]
 
         def whole(z: int) -> np.ndarray:
-            near = shares[places[0][z]][np.ix_(*places[1:])]
+            near = fractions[places[0][z]][np.ix_(*places[1:])]
             return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
 
-        wanted, asked = summed(whole, region.shape, width, wraps)
-        counted, voxels = summed(counts, region.shape, width, wraps)
-        return cls(region, wanted, counted, width, float(asked / max(1, voxels) / _UNIT))
+        wanted, requested = window_sums_of_planes(whole, region.shape, width, wraps)
+        counted, voxels = window_sums_of_planes(counts, region.shape, width, wraps)
+        return cls(region, wanted, counted, width, float(requested / max(1, voxels) / _UNIT))
 
     def guide(self, grid: Grid) -> np.ndarray:
-        """What is asked for around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
+        """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
         box, steps = grid.candidates.basis.box, grid.candidates.steps
         at = [
             (np.arange(count) * step + w // 2) % side
@@ -90,28 +190,28 @@ class Leaning:
         for_slabs(work, len(guide))
         return guide
 
-    def leaned(self, field: np.ndarray) -> np.ndarray:
-        """A field (1, Z, Y, X) int8, shifted towards what is asked for."""
-        leaned = memmap.empty(field.shape, np.int8)
+    def shift_field(self, field: np.ndarray) -> np.ndarray:
+        """Shift a field (1, Z, Y, X) int8 towards the target."""
+        shifted = memmap.empty(field.shape, np.int8)
 
         def add(z: int, shift: np.ndarray) -> None:
-            leaned[0, z] = np.clip(field[0, z] + shift, -127, 127)
+            shifted[0, z] = np.clip(field[0, z] + shift, -127, 127)
 
         self.step(lambda z: field[0, z], add)
-        return leaned
+        return shifted
 
     def step(
         self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
     ) -> None:
-        """A step of Newton's method on the shares around every voxel.
+        """Take a step of Newton's method on the fractions around every voxel.
 
         Parameters
         ----------
         field : callable
             Plane z (Y, X) of the field, in units of an int8 one.
         use : callable
-            Takes z and what has to be added there, (Y, X) int16; called once a plane, when no plane
-            is asked for any more.
+            Takes z and what has to be added there, (Y, X) int16; called once a plane, after the
+            last call of `field`.
         """
         region, width = self.region, self.width
 
@@ -124,11 +224,11 @@ class Leaning:
             near = np.abs(field(z).astype(np.int16)) <= _NEAR
             return np.asarray(near if region.free is None else near & region.free[z])
 
-        near, _ = summed(beside, region.shape, width, region.wraps)
-        missing, _ = summed(inside, region.shape, width, region.wraps)
+        near, _ = window_sums_of_planes(beside, region.shape, width, region.wraps)
+        missing, _ = window_sums_of_planes(inside, region.shape, width, region.wraps)
         # Taken back through the same windows: a step at every voxel for its own window alone would
         # overshoot and swing.
-        summed_again(
+        replace_by_window_sums(
             missing,
             width,
             region.wraps,
@@ -145,34 +245,38 @@ class Leaning:
 
 
 def slab_bytes(shape: tuple[int, ...]) -> int:
-    """What a thread takes where arrays lie in scratch files: some planes, and a row of whole
+    """Forecast a thread's memory where arrays are memory-mapped: some planes, and a row of whole
     columns along z.
     """
     return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
 
 
-def leaning_grid(grid: Grid, shares: np.ndarray, index: int) -> tuple[Grid, Leaning]:
-    """A grid of level `index` whose search is guided, and what its field leans to; shares are those
-    of that level.
+def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:
+    """Return a grid of level `index` whose search is guided, and the target of its field; fractions
+    are those of that level.
     """
-    even = not sum_slabs(lambda a, b: np.count_nonzero(shares[a:b] != shares[0, 0, 0]), len(shares))
+    even = not sum_slabs(
+        lambda a, b: np.count_nonzero(fractions[a:b] != fractions[0, 0, 0]), len(fractions)
+    )
     width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
-    leaning = Leaning.of(grid.region, shares, width)
-    own, mean = share_in(grid.candidates.stack), float(leaning.mean)
-    targets = tuple(Histogram.leaning(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
-    grid = replace(grid, candidates=guided(grid.candidates, width))
-    return replace(grid, targets=targets, guide=leaning.guide(grid)), leaning
+    target = FractionTarget.of(grid.region, fractions, width)
+    own, mean = phase_fraction(grid.candidates.stack), float(target.mean)
+    targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
+    grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
+    return replace(grid, targets=targets, guide=target.guide(grid)), target
 
 
-def guided(candidates: Candidates, width: int) -> Candidates:
-    """Candidates with one more feature: the share of the phase in the window around them."""
+def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
+    """Return candidates with one more feature: the fraction of the phase in the window
+    around them.
+    """
     stack = candidates.stack
     inside = np.zeros(stack.field.shape[1:], np.int32)
     counts = np.zeros_like(inside)
     for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True):
         at = (slice(start, start + z), slice(0, y), slice(0, x))
-        inside[at] = sums(stack.field[0][at] > 0, width, (False,) * 3)
-        counts[at] = sums(np.ones((z, y, x), bool), width, (False,) * 3)
+        inside[at] = window_sums(stack.field[0][at] > 0, width, (False,) * 3)
+        counts[at] = window_sums(np.ones((z, y, x), bool), width, (False,) * 3)
     middle = [
         np.arange(count) * stride + w // 2
         for count, stride, w in zip(
@@ -180,22 +284,24 @@ def guided(candidates: Candidates, width: int) -> Candidates:
         )
     ]
     mesh = np.ix_(*middle)
-    share = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
-    return replace(candidates, features=with_guide(candidates.features >> 1, share.reshape(-1, 1)))
+    fraction = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
+    return replace(
+        candidates, features=append_guide(candidates.features >> 1, fraction.reshape(-1, 1))
+    )
 
 
 def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Sums of shares over windows of some voxels, as a feature."""
+    """Convert sums of fractions over windows of some voxels to a feature."""
     return np.asarray(
         sums_.astype(np.int64) * _PULL // (np.maximum(counts, 1).astype(np.int64) * _UNIT), np.int16
     )
 
 
-def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
-    """The last votes (1, Z, Y, X) int16, shifted until the shares are those asked for."""
+def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
+    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target."""
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
-    _settle(field, leaning)
+    _settle(field, target)
     result = memmap.empty(votes.shape, np.int16)
 
     def end(start: int, stop: int) -> None:
@@ -211,11 +317,11 @@ def settled(votes: np.ndarray, leaning: Leaning) -> np.ndarray:
     return result
 
 
-def _settle(field: np.ndarray, leaning: Leaning) -> None:
-    """Steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
+def _settle(field: np.ndarray, target: FractionTarget) -> None:
+    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 
-    def rounded(z: int) -> np.ndarray:
+    def round_plane(z: int) -> np.ndarray:
         return np.clip((field[z] + 128) >> 8, -127, 127)
 
     def move(z: int, shift: np.ndarray) -> None:
@@ -225,12 +331,12 @@ def _settle(field: np.ndarray, leaning: Leaning) -> None:
         field[z] += moved[z]
 
     for _ in range(_LAST):
-        leaning.step(rounded, move)
+        target.step(round_plane, move)
 
 
 @kernel
 def _miss(wanted, counted, have, start, stop):
-    """What is missing from the share around every voxel, in `_UNIT`, written over what is there."""
+    """Replace the sums by the fraction that is missing around every voxel, in `_UNIT`."""
     for z in range(start, stop):
         for y in range(have.shape[1]):
             for x in range(have.shape[2]):
@@ -240,7 +346,9 @@ def _miss(wanted, counted, have, start, stop):
 
 @kernel
 def _shift(missing, near, counted, shift):
-    """Of a plane: what is missing, averaged over a window, over what a shift by 1 would add."""
+    """Divide the fraction missing in a plane, averaged over a window, by the gain of a
+    shift by 1.
+    """
     for y in range(shift.shape[0]):
         for x in range(shift.shape[1]):
             # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that

@@ -30,7 +30,7 @@ from trabecula.engine.parallel import for_slabs
 
 
 @dataclass(frozen=True)
-class Votes:
+class GradientVotes:
     """Sums over the neighbourhoods that hold a voxel, in integers: any order of adding gives the
     same.
 
@@ -46,9 +46,9 @@ class Votes:
     pairs: np.ndarray
 
 
-def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
-    """Votes of a (Z, Y, X) volume before the first is cast."""
-    return Votes(
+def empty_votes(shape: tuple[int, ...], *, channels: int = 1) -> GradientVotes:
+    """Return the votes of a (Z, Y, X) volume before the first is cast."""
+    return GradientVotes(
         memmap.zeros((channels, *shape), np.int32),
         memmap.zeros(shape, np.int32),
         memmap.zeros((channels, *shape), np.int32),
@@ -57,7 +57,7 @@ def no_votes(shape: tuple[int, ...], *, channels: int = 1) -> Votes:
 
 
 def add_votes(
-    votes: Votes,
+    votes: GradientVotes,
     field: np.ndarray,
     match: np.ndarray,
     weight: np.ndarray,
@@ -100,7 +100,8 @@ def add_votes(
     covered = tuple((count - 1) * step + width for count in match.shape)
     if votes.weights.shape != covered or len(votes.values) != len(field):
         raise InputError(
-            f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} channels on sites that cover "
+            f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} "
+            "channels on sites that cover "
             f"{covered}: make them with no_votes(covered, channels=...)"
         )
     rims = [
@@ -109,36 +110,22 @@ def add_votes(
     ]
     around = _laplacian(field)
 
+    place = (shape, stride, step)
+
     def work(start: int, stop: int) -> None:
-        z, y, x = rims
-        values, gradients = votes.values, votes.gradients
-        _add(
-            field,
-            around,
-            match,
-            weight,
-            shape,
-            stride,
-            step,
-            z,
-            y,
-            x,
-            values,
-            gradients,
-            start,
-            stop,
-        )
+        sums = votes.values, votes.gradients
+        _add(field, around, match, weight, place, tuple(rims), sums, start, stop)
 
     for_slabs(work, covered[0])
     _add_counts(votes, match, weight, rims, step=step)
 
 
-def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
-    """Votes of a volume that repeats every `shape` voxels: what lies beyond is added to where it
+def fold_votes(votes: GradientVotes, shape: tuple[int, ...]) -> GradientVotes:
+    """Fold the votes of a volume that repeats every `shape` voxels: those beyond are added where it
     repeats.
 
     For sites that go once round every periodic axis; give the covered length along the others.
-    Where nothing lies beyond they are the votes themselves.
+    Where there is nothing beyond they are the votes themselves.
 
     Raises
     ------
@@ -152,11 +139,11 @@ def fold_votes(votes: Votes, shape: tuple[int, ...]) -> Votes:
     if votes.weights.shape == tuple(shape):
         return votes
     arrays = [votes.pairs, votes.gradients, votes.weights, votes.values]
-    del votes  # each goes when it is folded, if nobody else holds on to it
-    return Votes(*(_folded(arrays.pop(), shape) for _ in range(4)))
+    del votes  # each is freed once it is folded, if this is its last reference
+    return GradientVotes(*(_fold(arrays.pop(), shape) for _ in range(4)))
 
 
-def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _fold(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     volumes = array.reshape(-1, *array.shape[-3:])
     folded = memmap.empty((*array.shape[:-3], *shape), array.dtype)
     results = folded.reshape(-1, *shape)
@@ -167,15 +154,15 @@ def _folded(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
                 plane = volume[z].copy()
                 for beyond in range(z + shape[0], len(volume), shape[0]):
                     plane += volume[beyond]
-                rows = _turned_back(plane, shape[1])
-                result[z] = _turned_back(rows.T, shape[2]).T
+                rows = _add_beyond(plane, shape[1])
+                result[z] = _add_beyond(rows.T, shape[2]).T
 
     for_slabs(work, shape[0])
     return folded
 
 
-def _turned_back(rows: np.ndarray, period: int) -> np.ndarray:
-    """The first `period` rows, with the others added to them in place."""
+def _add_beyond(rows: np.ndarray, period: int) -> np.ndarray:
+    """Return the first `period` rows, with the others added to them in place."""
     for first in range(period, len(rows), period):
         beyond = rows[first : first + period]
         rows[: len(beyond)] += beyond
@@ -183,8 +170,8 @@ def _turned_back(rows: np.ndarray, period: int) -> np.ndarray:
 
 
 def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
-    """(sites, 2): the first voxel of each neighbourhood that votes along an axis, and the one after
-    the last.
+    """Return (sites, 2): the first voxel of each neighbourhood that votes along an axis, and the
+    one after the last.
     """
     rims = np.tile([trim, width - trim], (count, 1))
     if not wrap:
@@ -193,9 +180,14 @@ def _rims(count: int, *, width: int, trim: int, wrap: bool) -> np.ndarray:
 
 
 def _add_counts(
-    votes: Votes, match: np.ndarray, weight: np.ndarray, rims: list[np.ndarray], *, step: int
+    votes: GradientVotes,
+    match: np.ndarray,
+    weight: np.ndarray,
+    rims: list[np.ndarray],
+    *,
+    step: int,
 ) -> None:
-    """Weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
+    """Add weights and pairs: matrix products along the axes, exact since no sum reaches 2^24."""
     holds, pairs = [], []
     for rim, length in zip(rims, votes.weights.shape, strict=True):
         first, stop = (step * np.arange(len(rim)) + edge for edge in rim.T)
@@ -205,20 +197,20 @@ def _add_counts(
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            cast, held = _summed(holds[0][z], match, weight)
+            cast, held = _sum_planes(holds[0][z], match, weight)
             votes.weights[z] += (holds[1] @ cast @ holds[2].T).astype(np.int32)
             votes.pairs[1, z] += (pairs[1] @ held @ holds[2].T).astype(np.int16)
             votes.pairs[2, z] += (holds[1] @ held @ pairs[2].T).astype(np.int16)
-            _, held = _summed(pairs[0][z], match, weight)
+            _, held = _sum_planes(pairs[0][z], match, weight)
             votes.pairs[0, z] += (holds[1] @ held @ holds[2].T).astype(np.int16)
 
     for_slabs(work, len(votes.weights))
 
 
-def _summed(
+def _sum_planes(
     near: np.ndarray, match: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The weights of sites on planes that are `near`, and how many of them vote, summed across the
+    """Sum the weights of sites on planes that are `near`, and the number that vote, across the
     planes.
     """
     cast, held = np.zeros(match.shape[1:], np.float32), np.zeros(match.shape[1:], np.float32)
@@ -243,27 +235,15 @@ def _laplacian(field: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _add(
-    field,
-    around,
-    match,
-    weight,
-    shape,
-    stride,
-    step,
-    rims_z,
-    rims_y,
-    rims_x,
-    values,
-    gradients,
-    start,
-    stop,
-):
-    """Values and gradients of all sites on the voxel planes start..stop; `around` is the exemplar's
-    Laplacian.
+def _add(field, around, match, weight, place, rims, sums, start, stop):
+    """Add values and gradients of all sites on the voxel planes start..stop; `around` is the
+    exemplar's Laplacian.
 
-    What the Laplacian holds of neighbours beyond the neighbourhood is taken back at its faces.
+    The Laplacian's part from beyond the neighbourhood is taken back at its faces.
     """
+    shape, stride, step = place
+    rims_z, rims_y, rims_x = rims
+    values, gradients = sums
     SZ, SY, SX = match.shape
     for z in range(start, stop):
         for sz in range(SZ):

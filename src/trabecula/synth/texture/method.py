@@ -1,8 +1,9 @@
 """`texture`: fit keeps the exemplars' pyramid, generate makes the output level by level.
 
-With `novelty` the coarsest level is laid out anew (`novel`), without it starts from random patches
-(`plain`); from there both go by rounds of search (nearest neighbourhood of the exemplar for each of
-a sparse grid), vote (robust mean of what overlaps) and histogram matching (`optimise`). The fields
+With `novelty` the coarsest level is laid out anew (`novel_layout`), without it starts from random
+patches (`exemplar_rounds`); from there both go by rounds of search (nearest neighbourhood of the
+exemplar for each of a sparse grid), vote (robust mean of overlapping ones) and histogram matching
+(`shared.coarse_to_fine`). The fields
 of labels are clipped signed distances, so the last threshold is exact.
 """
 
@@ -21,35 +22,35 @@ from trabecula.core.request import Request
 from trabecula.engine.memory import Plan
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
-from trabecula.synth.shared.content import Content, Labels, content_of
-from trabecula.synth.shared.fields import FULL, isotropic_scale, quantise
-from trabecula.synth.shared.matching.levels import levels_for
+from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
+from trabecula.synth.shared.content.fields import FULL, channels_of, isotropic_scale, quantise
+from trabecula.synth.shared.content.kinds import Content, Labels, content_of
+from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.sources import Stack
-from trabecula.synth.shared.neighbourhoods import basis_bytes
-from trabecula.synth.shared.orient import oriented, symmetries
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
+from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
-from trabecula.synth.shared.statistics.correlate import (
-    Correlations,
-    correlations_at,
-    step_bytes,
-    step_slab_bytes,
-)
+from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.exemplar_rounds import Job, Level, level_of, made_plain
-from trabecula.synth.texture.forecast import Run
-from trabecula.synth.texture.volume_fraction import (
+from trabecula.synth.texture.exemplar_rounds import (
+    ExemplarRounds,
+    Level,
+    level_of,
+    make_from_patches,
+)
+from trabecula.synth.texture.forecast import TextureForecast
+from trabecula.synth.texture.graded import (
     BEYOND,
+    average_target,
     check_phases,
-    evened,
-    shares_by_level,
-    shares_of,
+    fractions_by_level,
+    target_fractions,
 )
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
-# positions that a neighbourhood needs along an axis of the exemplar, at least, on any level
-_ROOM = 4
 
 
 class Texture(Method):
@@ -61,16 +62,17 @@ class Texture(Method):
     def learn(self, exemplars: Sequence[Image]) -> TextureModel:
         width = max(self.config.neighbourhood)
         for exemplar in exemplars:
-            if min(exemplar.shape) < width + _ROOM:
+            if min(exemplar.shape) < width + ROOM:
                 raise InputError(
-                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at least {width + _ROOM} "
+                    f"the exemplar is {exemplar.shape}, a neighbourhood of {width} needs at "
+                    f"least {width + ROOM} "
                     "voxels along every axis: give a larger exemplar, or a smaller neighbourhood"
                 )
         return TextureModel(self.config, exemplars)
 
     def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """The principal components, and the finest level's fields and candidates."""
-        channels = _channels(exemplars)
+        """Forecast the principal components, and the finest level's fields and candidates."""
+        channels = channels_of(exemplars)
         shapes = [exemplar.shape for exemplar in exemplars]
         distances = exemplars[0].kind == "labels" and self.config.field == "distance"
         turns = len(symmetries(self.config.orientations, spacing=exemplars[0].spacing))
@@ -78,9 +80,11 @@ class Texture(Method):
         if self.config.novelty_for(distances=distances) and novel_layout.top_for(
             min(min(shape) for shape in shapes)
         ):
-            width, halves, each = novel_layout.WIDTH, 1, 8 + 9 * channels
+            width, halves = novel_layout.WIDTH, 1
+            each = 8 + 9 * channels
         else:  # the second level's neighbourhoods are the ones that are described in full
-            width, halves, each = max(self.config.neighbourhood), 2, 14 + 11 * channels
+            width, halves = max(self.config.neighbourhood), 2
+            each = 14 + 11 * channels
         count = turns * sum(
             int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes
         )
@@ -107,10 +111,18 @@ class TextureModel(Model):
         self.top = novel_layout.top_for(smallest) if self.novelty else 0
         self.stacks, self._own = [], []
         for index in track(
-            range(max(_levels_that_fit(smallest, config), self.top + 1)), "learning the exemplar"
+            range(
+                max(
+                    levels_that_fit(smallest, config.levels, width=max(config.neighbourhood)),
+                    self.top + 1,
+                )
+            ),
+            "learning the exemplar",
         ):
-            own = [self._quantised(field, index) for field in fields]
-            self.stacks.append(Stack.of([oriented(field, turn) for field in own for turn in turns]))
+            own = [self._quantise(field, index) for field in fields]
+            self.stacks.append(
+                Stack.of([apply_symmetry(field, turn) for field in own for turn in turns])
+            )
             self._own.append(own)
             fields = [halve(field) for field in fields]
         self.learnt: list[Level] | None = None
@@ -122,21 +134,24 @@ class TextureModel(Model):
 
     @property
     def levels(self) -> list[Level]:
-        """The neighbourhoods for search and vote from random patches; learnt when first needed."""
+        """Return the neighbourhoods for search and vote from random patches; learnt when first
+        needed.
+        """
         if self.learnt is None:
             self.learnt = self._levels()
         return self.learnt
 
     def _levels(self) -> list[Level]:
         smallest = min(min(exemplar.shape) for exemplar in self.exemplars)
-        stacks = self.stacks[: _levels_that_fit(smallest, self.config)]
+        count = levels_that_fit(smallest, self.config.levels, width=max(self.config.neighbourhood))
+        stacks = self.stacks[:count]
         return [
             level_of(stack, index, self.config, distances=self.content.distances)
             for index, stack in enumerate(stacks)
         ]
 
     def _targets(self) -> list[Correlations]:
-        """The two-point functions of every level."""
+        """Measure the two-point functions of every level."""
         edges = isotropic_scale(self.exemplars[0].spacing)
         return [
             correlations_at(own, index, edges=edges, clip=self.config.clip)
@@ -144,7 +159,7 @@ class TextureModel(Model):
         ]
 
     def _learn_new(self) -> None:
-        """What material that is not copied has to agree with."""
+        """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
         schedule = novel_layout.passes(self.novelty, self.top)
         self.aims = [
@@ -155,9 +170,9 @@ class TextureModel(Model):
         ]
         self.slices = novel_layout.slices_for(self._own[self.top])
 
-    def _quantised(self, field: np.ndarray, index: int) -> np.ndarray:
-        """A field of level `index` in int8: a distance counts in the voxels of its level, a grey
-        value is what it is.
+    def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
+        """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
+        grey value is unchanged.
         """
         if self.content.distances:
             return quantise(field, clip=self.config.clip, unit=2**index)
@@ -166,37 +181,37 @@ class TextureModel(Model):
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         if self._makes_new(request):
             schedule = novel_layout.passes(self.novelty, self.top)
-            votes = novel_layout.made_new(self.aims, self.slices, schedule, request, self.config)
-            told: list[dict[str, Any]] = []
+            votes = novel_layout.make_novel(self.aims, self.slices, schedule, request, self.config)
+            energies: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
-            # Nothing is held by a name here: what is made of it is.
-            votes, told = made_plain(
-                Job(
+            # No array is held by a name here: the run drops what it no longer needs.
+            votes, energies = make_from_patches(
+                ExemplarRounds(
                     self.levels[:used],
-                    regions_of(request, used, self.content.bounds(request), self._quantised),
+                    regions_of(request, used, self.content.bounds(request), self._quantise),
                     request,
                     self.config,
-                    self.content.distances,
-                    self.targets,
-                    self._shares(request, used),
+                    distances=self.content.distances,
+                    targets=self.targets,
+                    fractions=self._fractions(request, used),
                 )
             )
         votes = fit_to(votes, request.shape)
         if request.target and isinstance(self.content, Labels):
-            request = evened(request)
-        return self.content.delivered(votes, request), {"levels": told} if told else {}
+            request = average_target(request)
+        return self.content.to_values(votes, request), {"levels": energies} if energies else {}
 
-    def _shares(self, request: Request, count: int) -> list[np.ndarray]:
-        """What a target asks of each level; empty where there is none."""
+    def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
+        """Return the target's volume fractions on each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
             return []
-        shares = shares_of(request, self.content.present, self.content.empty)
-        return shares_by_level(shares, self.stacks[:count])
+        shares = target_fractions(request, self.content.present, self.content.empty)
+        return fractions_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
-        """Whether there is room to lay out something new; beside known voxels neighbourhoods have
-        to fit them.
+        """Return whether there is room to lay out something new; beside known voxels neighbourhoods
+        have to fit them.
         """
         return (
             self.top > 0
@@ -210,7 +225,8 @@ class TextureModel(Model):
         width = min(self.config.neighbourhood)
         if request.mask is not None and not _has_room(request.mask, width):
             raise RequestError(
-                f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it at a finer spacing, or "
+                f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it "
+                "at a finer spacing, or "
                 "choose a smaller neighbourhood (--set neighbourhood=4)"
             )
 
@@ -224,7 +240,7 @@ class TextureModel(Model):
         return Plan(
             {
                 "interpreter and kernels": _PROCESS,
-                "exemplar": self._held(),
+                "exemplar": self._exemplar_bytes(),
                 "output": run.output,
                 "scratch": run.scratch,
             },
@@ -241,32 +257,38 @@ class TextureModel(Model):
         elif self.targets and request.fixed is None:
             shape = Region(request.shape, request.periodic).shape
             slab = max(slab, step_slab_bytes(shape, self.targets[0], request.periodic))
-        return {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "slab": slab}
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "slab": slab,
+        }
 
-    def _held(self) -> int:
-        """Bytes of the exemplar's fields and neighbourhoods."""
+    def _exemplar_bytes(self) -> int:
+        """Return the bytes of the exemplar's fields and neighbourhoods."""
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if self.config.search == "exact" else 1  # prepared for it, in another order
         fields = sum(stack.field.nbytes for stack in self.stacks)
         return fields + sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
 
-    def _run(self, request: Request) -> Run:
-        """What a forecast is of."""
+    def _run(self, request: Request) -> TextureForecast:
+        """Describe a run for its forecast."""
         new, config = self._makes_new(request), self.config
         labels = isinstance(self.content, Labels)
         itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
         if new:
             region = Region(
-                novel_layout.domain(request.shape, request.periodic, 0, self.top),
+                novel_layout.torus_shape(request.shape, request.periodic, 0, self.top),
                 (True, True, True),
             )
             correlations = self.aims[0].correlations
             step = novel_layout.step_bytes(correlations, request, self.top)
             finest = self.aims[0].candidates
-            return Run(request, region, finest, labels, itemsize, repeated=True, correcting=step)
+            return TextureForecast(
+                request, region, finest, labels, itemsize, repeated=True, correcting=step
+            )
         stepped = bool(self.targets) and request.fixed is None and not request.target
-        return Run(
+        return TextureForecast(
             request,
             Region(request.shape, request.periodic),
             self.levels[0],
@@ -274,7 +296,7 @@ class TextureModel(Model):
             itemsize,
             exact=config.search == "exact",
             energetic=config.energetic,
-            leaning=bool(request.target),
+            graded=bool(request.target),
             repeated=config.sweeps > 1,
             correcting=step_bytes(request.shape, self.targets[0], request.periodic)
             if stepped
@@ -282,25 +304,9 @@ class TextureModel(Model):
         )
 
 
-def _channels(exemplars: Sequence[Image]) -> int:
-    first = exemplars[0]
-    if first.kind != "labels":
-        return 3 if first.kind == "colour" else 1
-    present = len(np.unique(np.concatenate([np.unique(exemplar.values) for exemplar in exemplars])))
-    return 1 if present == 2 else present
-
-
-def _levels_that_fit(smallest: int, config: TextureConfig) -> int:
-    """Resolutions at which the exemplar has room for the widest neighbourhood."""
-    count = 1
-    while count < config.levels and smallest // 2**count >= max(config.neighbourhood) + _ROOM:
-        count += 1
-    return count
-
-
 def _has_room(mask: np.ndarray, width: int) -> bool:
-    """Whether a cube of `width` voxels fits into a mask (one that is thinner along an axis may fill
-    that axis).
+    """Return whether a cube of `width` voxels fits into a mask (one that is thinner along an axis
+    may fill that axis).
     """
     reach = [min(width, side) for side in mask.shape]
     deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside

@@ -16,7 +16,7 @@ from trabecula.core.checks import as_number
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.texture.gradient import Votes
+from trabecula.synth.texture.gradient import GradientVotes
 
 _QUANTUM = 256  # parts of a field's unit in the result
 _MOST = 32767
@@ -24,15 +24,15 @@ _STEPS = 500  # of conjugate gradients at most: mu = 1000 takes some 300
 
 
 def solve_votes(
-    votes: Votes,
+    votes: GradientVotes,
     *,
     mu: float,
     unit: int = 1,
     tolerance: float = 1 / 64,
     start: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The field that fits the voted values and gradients best: equation (1) for fixed matches and
-    weights.
+    """Find the field that fits the voted values and gradients best: equation (1) for fixed matches
+    and weights.
 
     Parameters
     ----------
@@ -64,33 +64,38 @@ def solve_votes(
     result = memmap.empty(votes.values.shape, np.int16)
     for channel in range(len(result)):
         guess = None if start is None else start[channel]
-        field = _begun(votes, channel, guess if mu > 0 else None)
+        field = _initial_field(votes, channel, guess if mu > 0 else None)
         if mu > 0:
             _solve(votes, channel, np.float32(mu * unit), field, tolerance)
-        for_slabs(partial(_rounded, field, result[channel]), len(field))
+        for_slabs(partial(_round, field, result[channel]), len(field))
         del field  # before the next one is made
     return result
 
 
-def _begun(votes: Votes, channel: int, guess: np.ndarray | None) -> np.ndarray:
-    """The guess, or the weighted mean, as (Z, Y, X) float32."""
+def _initial_field(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:
+    """Return the guess, or the weighted mean, as (Z, Y, X) float32."""
     field = memmap.empty(votes.weights.shape, np.float32)
     if guess is None:
-        for_slabs(partial(_weighted_mean, votes.values[channel], votes.weights, field), len(field))
+        for_slabs(partial(_average, votes.values[channel], votes.weights, field), len(field))
     else:
-        for_slabs(partial(_guessed, guess, votes.weights, field), len(field))
+        for_slabs(partial(_copy_guess, guess, votes.weights, field), len(field))
     return field
 
 
-def _guessed(
+def _copy_guess(
     guess: np.ndarray, weights: np.ndarray, field: np.ndarray, start: int, stop: int
 ) -> None:
     field[start:stop] = np.where(weights[start:stop] > 0, guess[start:stop], 0)
 
 
-def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float) -> None:
-    """Conjugate gradients on `field`. Scalar products are summed plane by plane, then over planes."""
-    weights, pairs, planes = votes.weights, votes.pairs, len(field)
+def _solve(
+    votes: GradientVotes, channel: int, mu: np.float32, field: np.ndarray, tolerance: float
+) -> None:
+    """Iterate conjugate gradients on `field`. Scalar products are summed plane by plane, then over
+    planes.
+    """
+    weights, pairs = votes.weights, votes.pairs
+    planes = len(field)
     part = np.empty((planes, 2))
     inverse, rest, along, image = (memmap.empty(field.shape, np.float32) for _ in range(4))
 
@@ -103,7 +108,7 @@ def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolera
     # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err
     # alike, the diagonal overstates
     # what holds a voxel in its place by this ratio.
-    paired, weight, held = sum_slabs(partial(_counted, pairs, weights), planes).tolist()
+    paired, weight, held = sum_slabs(partial(_count_votes, pairs, weights), planes).tolist()
     ratio = 1 + 2 * float(mu) * paired / max(weight, 1)
     enough = (tolerance / ratio) ** 2 * held
     for _ in range(_STEPS):
@@ -117,8 +122,8 @@ def _solve(votes: Votes, channel: int, mu: np.float32, field: np.ndarray, tolera
         old = new
 
 
-def _counted(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Pairs, weights and voxels voted on."""
+def _count_votes(pairs: np.ndarray, weights: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Count pairs, weights and voxels voted on."""
     part = weights[start:stop]
     return np.array(
         [pairs[:, start:stop].sum(dtype=np.int64), part.sum(dtype=np.int64), np.count_nonzero(part)]
@@ -134,7 +139,7 @@ def _sum(values):
 
 
 @kernel
-def _rounded(field, result, start, stop):
+def _round(field, result, start, stop):
     for z in range(start, stop):
         for y in range(field.shape[1]):
             for x in range(field.shape[2]):
@@ -143,7 +148,7 @@ def _rounded(field, result, start, stop):
 
 
 @kernel
-def _weighted_mean(values, weights, mean, start, stop):
+def _average(values, weights, mean, start, stop):
     for z in range(start, stop):
         for y in range(mean.shape[1]):
             for x in range(mean.shape[2]):
@@ -155,7 +160,7 @@ def _weighted_mean(values, weights, mean, start, stop):
 
 @inline
 def _row(weights, pairs, mu, field, z, y, out):
-    """One row of the matrix's product with `field`: W s + mu sum_b n_ab (s_a - s_b)."""
+    """Multiply the matrix by `field`, one row: W s + mu sum_b n_ab (s_a - s_b)."""
     Z, Y, X = field.shape
     below, above, before, after = (
         z - 1 if z > 0 else Z - 1,
@@ -182,8 +187,8 @@ def _row(weights, pairs, mu, field, z, y, out):
 
 @kernel
 def _begin(values, gradients, weights, pairs, mu, field, inverse, rest, along, part, start, stop):
-    """The diagonal's inverse, the first rest and direction; per plane rest . direction and
-    |direction|^2.
+    """Write the diagonal's inverse, the first residual and direction; per plane residual .
+    direction and |direction|^2.
     """
     X = field.shape[2]
     for z in range(start, stop):
@@ -212,7 +217,7 @@ def _begin(values, gradients, weights, pairs, mu, field, inverse, rest, along, p
 
 @inline
 def _dot(a, b):
-    """In float64 and eight interleaved sums: one sum would wait for each addition."""
+    """Multiply in float64 and eight interleaved sums: one sum would wait for each addition."""
     part = np.zeros(8)
     for i in range(0, len(a) - 7, 8):
         for j in range(8):
@@ -233,7 +238,9 @@ def _multiply(weights, pairs, mu, along, image, part, start, stop):
 
 @kernel
 def _advance(step, along, image, inverse, field, rest, part, start, stop):
-    """Along the direction; per plane rest . z and |z|^2 of the preconditioned rest z."""
+    """Advance along the direction; per plane residual . z and |z|^2 of the preconditioned residual
+    z.
+    """
     near = np.empty(field.shape[2], np.float32)
     for z in range(start, stop):
         part[z] = 0

@@ -1,5 +1,5 @@
 """The output's neighbourhoods at one resolution, and the search for the nearest one of the exemplar
-for each.
+to each.
 """
 
 from __future__ import annotations
@@ -12,23 +12,29 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.joints import known_of, mixed_histograms, surroundings
-from trabecula.synth.shared.matching.kernels import count_matches, search, start_matches
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
+from trabecula.synth.shared.matching.kernels import Sweep, count_matches, search, start_matches
+from trabecula.synth.shared.matching.neighbour_search import (
+    best_among,
+    index_histogram,
+    usage_factors,
+)
+from trabecula.synth.shared.matching.neighbourhoods import (
+    grid_reach,
+    planes_together,
+    project_planes,
+)
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
-from trabecula.synth.shared.nearest import best_among, index_histogram, usage_factors
-from trabecula.synth.shared.neighbourhoods import covered_shape, planes_together, project_planes
-from trabecula.synth.shared.slabs import counted, made_by_slabs
+from trabecula.synth.shared.slabs import count_true, make_by_slabs
 
 _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The output's neighbourhoods at one resolution and width: what does not change from round to
-    round.
-    """
+    """The output's neighbourhoods at one resolution and width; constant from round to round."""
 
     candidates: Candidates
     region: Region  # covered
@@ -42,11 +48,11 @@ class Grid:
     def over(
         cls, region: Region, candidates: Candidates, targets: tuple[Histogram, ...] | None = None
     ) -> Grid:
-        """The neighbourhoods of a region, which is continued to what they cover. Targets default to
-        `targets_of` the region.
+        """Lay the neighbourhoods over a region, which is continued to the voxels that they cover.
+        Targets default to `targets_of` the region.
         """
         box, steps = candidates.basis.box, candidates.steps
-        covered, shape = region.covered(box=box, steps=steps), region.grid(box=box, steps=steps)
+        covered, shape = region.cover(box=box, steps=steps), region.grid(box=box, steps=steps)
         active = covered.active(shape, box=box, steps=steps)
         if targets is None:
             targets = targets_of(covered, candidates.stack.histograms, width=candidates.basis.width)
@@ -54,46 +60,48 @@ class Grid:
 
     @cached_property
     def count(self) -> int:
-        """How many sites are active."""
-        return counted(self.active)
+        """Count the active sites."""
+        return count_true(self.active)
 
     @property
     def full(self) -> bool:
-        """Whether all sites are active."""
+        """Return whether all sites are active."""
         return self.count == self.active.size
 
     @property
     def reach(self) -> tuple[int, ...]:
-        """Voxels that the neighbourhoods cover, those beyond an axis that wraps counted again."""
-        return covered_shape(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
+        """Return the voxels that the neighbourhoods cover; those beyond an axis that wraps count
+        again.
+        """
+        return grid_reach(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
 
 
 def targets_of(
     region: Region, histograms: tuple[Histogram, ...], *, width: int
 ) -> tuple[Histogram, ...]:
-    """The histograms that what is made is to have: the exemplar's, and those of the known voxels
-    within `width`, as one.
+    """Return the histograms that the free voxels are to have: the exemplar's and those of the known
+    voxels within `width`, as one.
     """
     if region.free is None or region.low is None or region.high is None:
         return histograms
-    near = surroundings(region.free, known_of(region.free, region.low, region.high), width)
-    return mixed_histograms(histograms, region.low, region.high, near, counted(region.free))
+    near = surroundings(region.free, find_known(region.free, region.low, region.high), width)
+    return pool_histograms(histograms, region.low, region.high, near, count_true(region.free))
 
 
-def wrapped(grid: Grid, field: np.ndarray) -> np.ndarray:
-    """A field (C, Z, Y, X) with its beginning repeated beyond each axis that wraps, as far as
+def wrap_field(grid: Grid, field: np.ndarray) -> np.ndarray:
+    """Repeat the beginning of a field (C, Z, Y, X) beyond each axis that wraps, as far as
     neighbourhoods reach.
     """
     shape = (len(field), *np.maximum(grid.reach, field.shape[1:]).tolist())
     if shape == field.shape:
         return field
-    return made_by_slabs(
+    return make_by_slabs(
         lambda start, stop: _planes(shape[1:], field, start, stop), shape, field.dtype
     )
 
 
 def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Planes start..stop of a field that is repeated to `shape`."""
+    """Return planes start..stop of a field that is repeated to `shape`."""
     part = (
         field[:, start:stop]
         if stop <= field.shape[1]
@@ -108,7 +116,7 @@ def _planes(shape: Sequence[int], field: np.ndarray, start: int, stop: int) -> n
 
 
 def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
-    """The feature vectors of the output's neighbourhoods."""
+    """Return the feature vectors of the output's neighbourhoods."""
     features = memmap.empty((*grid.shape, _depth(grid)), np.int16)
 
     def work(start: int, stop: int) -> None:
@@ -120,8 +128,8 @@ def features_of(grid: Grid, field: np.ndarray) -> np.ndarray:
 
 
 def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """The feature vectors of the neighbourhoods in planes start..stop of the sites, in the caller's
-    thread.
+    """Return the feature vectors of the neighbourhoods in planes start..stop of the sites, in the
+    caller's thread.
     """
     basis, step = grid.candidates.basis, grid.candidates.steps[0]
     features = np.empty((stop - start, *grid.shape[1:], basis.vectors.shape[1]), np.int16)
@@ -131,26 +139,26 @@ def site_features(grid: Grid, field: np.ndarray, start: int, stop: int) -> np.nd
     project_planes(planes, basis, features, step=grid.candidates.step, active=active)
     if grid.guide is None:
         return features
-    return with_guide(features >> 1, grid.guide[start:stop])
+    return append_guide(features >> 1, grid.guide[start:stop])
 
 
-def with_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """Halved features (..., D) int16 followed by others (..., K): halved, squares of all of them
-    together fit into int32.
+def append_guide(features: np.ndarray, guide: np.ndarray) -> np.ndarray:
+    """Append other features (..., K) to halved features (..., D) int16: halved, the squares of all
+    of them fit into int32.
     """
     return np.concatenate([features, guide], axis=-1)
 
 
 def _depth(grid: Grid) -> int:
-    """Components of a feature vector."""
+    """Return the length of a feature vector."""
     return grid.candidates.basis.vectors.shape[1] + (
         0 if grid.guide is None else grid.guide.shape[-1]
     )
 
 
 def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Planes of sites whose features are made at once: a few, so that they are still in the cache
-    when they are looked at.
+    """Yield groups of planes of sites, so few that their features are still in the cache when they
+    are searched.
     """
     thick = planes_together(_depth(grid), grid.shape)
     for first in range(start, stop, thick):
@@ -158,19 +166,20 @@ def _together(grid: Grid, start: int, stop: int) -> Iterator[tuple[int, int]]:
 
 
 def random_matches(grid: Grid, stage: np.uint64) -> np.ndarray:
-    """Random patches: an independent candidate per site."""
+    """Draw an independent candidate for every site."""
     match, numbers = memmap.empty(grid.shape, np.int32), grid.candidates.numbers
     for_slabs(lambda start, stop: start_matches(match, numbers, stage, start, stop), len(match))
     return match
 
 
-def nearest_matches(
+def exact_search(
     grid: Grid, old: np.ndarray, features: np.ndarray, *, index_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Section 4.2: of the k nearest neighbourhoods the best by the modified distance; matches and
-    their distances.
+    """Return the best of the k nearest neighbourhoods by the modified distance (section 4.2):
+    matches and their distances.
     """
-    among, count, active = grid.candidates.prepared, len(grid.candidates.numbers), grid.active
+    among, count = grid.candidates.index, len(grid.candidates.numbers)
+    active = grid.active
     shares = index_histogram(old, len(grid.candidates.features), active)
     factors = usage_factors(shares, weight=index_penalty * count, theta=1 / count)
     match, found = (memmap.empty(old.shape, np.int32, least=0) for _ in range(2))
@@ -189,7 +198,7 @@ def nearest_matches(
     return match, found
 
 
-def swept(
+def coherent_search(
     grid: Grid,
     match: np.ndarray,
     field: np.ndarray,
@@ -200,13 +209,13 @@ def swept(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`count` sweeps of the coherent search on a field, numbered from `first`: new matches and
+    """Do `count` sweeps of the coherent search on a field, numbered from `first`: new matches and
     their distances.
     """
     # In files features are more to write and to read than to make again.
     kept = features_of(grid, field) if count > 1 and not memmap.is_active() else None
     for sweep in range(first, first + count):
-        match, distance = searched(
+        match, distance = search_sweep(
             grid,
             match,
             field,
@@ -219,7 +228,7 @@ def swept(
     return match, distance
 
 
-def searched(
+def search_sweep(
     grid: Grid,
     old: np.ndarray,
     field: np.ndarray,
@@ -230,22 +239,27 @@ def searched(
     tries: int,
     index_penalty: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One sweep of the coherent search: new matches and their distances. Features that are not
-    given are made as it goes.
+    """Do one sweep of the coherent search: new matches and their distances. Features that are not
+    given are computed on the way.
     """
     candidates = grid.candidates
     match, distance = memmap.empty(old.shape, np.int32), memmap.empty(old.shape, np.int32)
-    penalty = penalties(old, grid, index_penalty)
+    penalty = usage_penalties(old, grid, index_penalty)
     # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
     ratio = candidates.step // candidates.stride
     ratios = (0 if candidates.basis.flat else ratio, ratio, ratio)
 
+    settings = Sweep(candidates.shape, ratios, grid.region.wraps, stage, sweep, tries)
+
     def work(start: int, stop: int) -> None:
         for first, last in _together(grid, start, stop):
-            search(
+            rows = (
                 site_features(grid, field, first, last)
                 if features is None
-                else features[first:last],
+                else features[first:last]
+            )
+            search(
+                rows,
                 first,
                 candidates.features,
                 penalty,
@@ -253,12 +267,7 @@ def searched(
                 old,
                 match,
                 distance,
-                candidates.shape,
-                ratios,
-                grid.region.wraps,
-                stage,
-                sweep,
-                tries,
+                settings,
                 first,
                 last,
             )
@@ -267,9 +276,9 @@ def searched(
     return match, distance
 
 
-def penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
-    """w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for one
-    sweep.
+def usage_penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:
+    """Return w_d = 1 + weight * max(0, H / theta - 1), theta = 1 / |E| (section 4.2), frozen for
+    one sweep.
     """
     allowed = grid.candidates.allowed
 

@@ -10,16 +10,44 @@ matter.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
 
 
+class Sweep(NamedTuple):
+    """Geometry and random numbers of one sweep: the extent of E, `ratios`, the output's axes that
+    wrap, the key, the number of the sweep, and pairs of random candidates.
+    """
+
+    shape: tuple[int, ...]
+    ratios: tuple[int, ...]
+    wraps: tuple[bool, ...]
+    key: np.uint64
+    number: int
+    tries: int
+
+
+class CubeLayout(NamedTuple):
+    """Geometry of a vote, (3,) each: the extent and strides of E, the steps of S, the sides and the
+    rims of neighbourhoods, in voxels, and the output's axes that wrap.
+    """
+
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    steps: tuple[int, ...]
+    box: tuple[int, ...]
+    trims: tuple[int, ...]
+    wraps: tuple[bool, ...]
+
+
 @kernel
 def start_matches(match, numbers, key, start, stop):
-    """Random patches: one of the candidates' numbers for every site of planes start..stop, each
-    with the same chance.
+    """Draw one of the candidates' numbers for every site of planes start..stop, each with the same
+    chance.
     """
     for z in range(start, stop):
         for y in range(match.shape[1]):
@@ -30,8 +58,8 @@ def start_matches(match, numbers, key, start, stop):
 
 @kernel
 def count_matches(match, active, counts, start, stop):
-    """How many active sites of planes start..stop are matched with each candidate, added to
-    `counts`.
+    """Add to `counts` the number of active sites of planes start..stop that are matched with each
+    candidate.
     """
     for z in range(start, stop):
         for y in range(match.shape[1]):
@@ -42,8 +70,8 @@ def count_matches(match, active, counts, start, stop):
 
 @inline
 def _distance(a, b, most):
-    """Squared distance, or something above `most` as soon as that is sure: most candidates fail in
-    the first components.
+    """Return the squared distance, or something above `most` as soon as that is sure: most
+    candidates fail in the first components.
     """
     total = np.int32(0)
     first = min(8, a.shape[0])
@@ -59,8 +87,8 @@ def _distance(a, b, most):
 
 
 @inline
-def _moved(match, shape, dz, dy, dx):
-    """The index `dz, dy, dx` cells further in E, or -1 outside."""
+def _neighbour_cell(match, shape, dz, dy, dx):
+    """Return the index `dz, dy, dx` cells further in E, or -1 outside."""
     x = match % shape[2] + dx
     y = (match // shape[2]) % shape[1] + dy
     z = match // (shape[2] * shape[1]) + dz
@@ -71,7 +99,7 @@ def _moved(match, shape, dz, dy, dx):
 
 @inline
 def _around(words, match, shape, radius):
-    """A random cell within `radius` of `match`, clamped to E."""
+    """Draw a random cell within `radius` of `match`, clamped to E."""
     x = match % shape[2] + below(words[3], 2 * radius + 1) - radius
     y = (match // shape[2]) % shape[1] + below(words[2], 2 * radius + 1) - radius
     z = match // (shape[2] * shape[1]) + below(words[1], 2 * radius + 1) - radius
@@ -83,7 +111,7 @@ def _around(words, match, shape, radius):
 
 @inline
 def _better(site, exemplar, penalty, candidate, best, least):
-    """The better of `candidate` and `best`, and its penalised distance."""
+    """Return the better of `candidate` and `best`, and its penalised distance."""
     factor = penalty[candidate]
     d = _distance(site, exemplar[candidate], least / factor)
     value = np.float32(d) * factor
@@ -93,32 +121,16 @@ def _better(site, exemplar, penalty, candidate, best, least):
 
 
 @kernel
-def search(
-    features,
-    first,
-    exemplar,
-    penalty,
-    active,
-    old,
-    match,
-    distance,
-    shape,
-    ratios,
-    wraps,
-    key,
-    sweep,
-    tries,
-    start,
-    stop,
-):
-    """One sweep: the best of the own match, the six neighbours' moved along, and random ones, for
-    sites start..stop.
+def search(features, first, exemplar, penalty, active, old, match, distance, sweep, start, stop):
+    """Search the best of the own match, the six neighbours' moved along, and random ones, for sites
+    start..stop: one sweep.
 
     features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16;
     penalty (N,) float32 factors, infinite where E has a gap; active (Z, Y, X) bool; old, match (Z,
-    Y, X) int32; distance (Z, Y, X) int32, unpenalised; ratios, wraps (3,). Of the `tries` pairs of
+    Y, X) int32; distance (Z, Y, X) int32, unpenalised. Of the `tries` pairs of
     random candidates one is anywhere and one around the best, in a shrinking radius.
     """
+    shape, ratios, wraps, key, number, tries = sweep
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
     count = shape[0] * shape[1] * shape[2]
@@ -145,11 +157,11 @@ def search(
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
                         mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
-                        candidate = _moved(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
+                        candidate = _neighbour_cell(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
                         if candidate >= 0 and candidate != best:
                             best, least = _better(site, exemplar, penalty, candidate, best, least)
                 for k in range(tries):
-                    words = philox(key, z, y, x, (sweep << 8) + k)
+                    words = philox(key, z, y, x, (number << 8) + k)
                     best, least = _better(
                         site, exemplar, penalty, below(words[0], count), best, least
                     )
@@ -161,7 +173,7 @@ def search(
 
 @kernel
 def weigh(distance, active, floor, mean, table, weight, start, stop):
-    """The table's entry for 256 times the ratio of each site's distance to the mean; 0 where a site
+    """Look up 256 times the ratio of each site's distance to the mean in the table; 0 where a site
     is not active.
     """
     for z in range(start, stop):
@@ -172,11 +184,9 @@ def weigh(distance, active, floor, mean, table, weight, start, stop):
 
 
 @kernel
-def vote(
-    field, match, weight, shape, strides, steps, box, trims, wraps, plane, result, start, stop
-):
-    """Weighted mean of the matched neighbourhoods over voxel planes start..stop, times 256, in
-    int16; 0 where none is.
+def vote(field, match, weight, layout, plane, result, start, stop):
+    """Average the matched neighbourhoods with their weights over voxel planes start..stop, times
+    256, in int16; 0 where none is.
 
     field (C, z, y, x) int8, the exemplar; match, weight (Z, Y, X) int32, where a site of weight 0
     does not vote; strides of E, steps of S, box and trims (3,) int in voxels; wraps (3,) bool;
@@ -184,26 +194,14 @@ def vote(
     `trims` voxels of a neighbourhood does not vote, except at a border that does not wrap.
     """
     C, Z, Y, X = result.shape
+    wraps = layout.wraps
     summed = np.empty(match.shape[1:], np.int32)
     for z in range(start, stop):
         plane[:] = 0
         summed[:] = 0
         for turn in range(2 if wraps[0] else 1):
-            _vote_plane(
-                field,
-                match,
-                weight,
-                shape,
-                strides,
-                steps,
-                box,
-                trims,
-                wraps,
-                plane,
-                summed,
-                z + turn * Z,
-            )
-        _spread(summed, plane[C], steps, box, trims, wraps)
+            _vote_plane(field, match, weight, layout, plane, summed, z + turn * Z)
+        _spread(summed, plane[C], layout)
         _fold(plane, Y, X, wraps)
         for c in range(C):
             for y in range(Y):
@@ -216,7 +214,7 @@ def vote(
 
 @inline
 def _fold(plane, Y, X, wraps):
-    """What reaches beyond an axis that wraps, added to its beginning."""
+    """Add the part beyond an axis that wraps to its beginning."""
     for y in range(Y, plane.shape[1] if wraps[1] else 0):
         plane[:, y - Y] += plane[:, y]
     for x in range(X, plane.shape[2] if wraps[2] else 0):
@@ -225,17 +223,16 @@ def _fold(plane, Y, X, wraps):
 
 @inline
 def reach(site, count, width, trim, wrap):
-    """The voxels first .. last of a neighbourhood that vote along an axis."""
+    """Return the voxels first .. last of a neighbourhood that vote along an axis."""
     first = 0 if site == 0 and not wrap else trim
     last = width if site == count - 1 and not wrap else width - trim
     return first, last
 
 
 @inline
-def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, plane, summed, z):
-    """Adds what the sites vote for voxel plane z, weighted, to `plane`, and their weights to
-    `summed`.
-    """
+def _vote_plane(field, match, weight, layout, plane, summed, z):
+    """Add the sites' weighted votes for voxel plane z to `plane`, and their weights to `summed`."""
+    shape, strides, steps, box, trims, wraps = layout
     SZ, SY, SX = match.shape
     C, width, step = field.shape[0], box[2], steps[2]
     weights = np.empty(width, np.int32)
@@ -270,8 +267,9 @@ def _vote_plane(field, match, weight, shape, strides, steps, box, trims, wraps, 
 
 
 @inline
-def _spread(summed, weights, steps, box, trims, wraps):
-    """The weights of a plane's sites, summed over its voxels."""
+def _spread(summed, weights, layout):
+    """Sum the weights of a plane's sites over its voxels."""
+    _, _, steps, box, trims, wraps = layout
     SY, SX = summed.shape
     row = np.empty(SX, np.int32)
     for y in range(weights.shape[0]):

@@ -1,5 +1,5 @@
-"""Where something is made: the output's grid at one resolution, which axes wrap, what is free and
-what is known.
+"""Regions: the output's grid at one resolution, its axes that wrap, its free voxels, and its known
+ones.
 """
 
 from __future__ import annotations
@@ -11,11 +11,17 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.engine import memmap
-from trabecula.synth.shared.content import free_of
-from trabecula.synth.shared.neighbourhoods import Triple, covered_shape, grid_shape
+from trabecula.synth.shared.content.kinds import free_voxels
+from trabecula.synth.shared.matching.neighbourhoods import Triple, grid_reach, grid_shape
 from trabecula.synth.shared.pyramid import halve
-from trabecula.synth.shared.slabs import both, by_pieces, inverse, made_by_slabs
-from trabecula.synth.shared.turned import order_of, turned
+from trabecula.synth.shared.slabs import (
+    axis_order,
+    complement,
+    for_plane_groups,
+    intersection,
+    make_by_slabs,
+    put_axis_first,
+)
 
 
 @dataclass(frozen=True)
@@ -34,48 +40,50 @@ class Region:
     high: np.ndarray | None = None
 
     def grid(self, *, box: Triple, steps: Triple) -> Triple:
-        """Sites along each axis: they cover an open axis, and go once around one that wraps."""
+        """Count the sites along each axis: they cover an open axis, and go once around one that
+        wraps.
+        """
         opened = grid_shape(self.shape, box=box, steps=steps)
         around = (-(-side // step) for side, step in zip(self.shape, steps, strict=True))
         z, y, x = (a if wrap else o for a, o, wrap in zip(around, opened, self.wraps, strict=True))
         return z, y, x
 
-    def covered(self, *, box: Triple, steps: Triple) -> Region:
-        """The region with its open axes continued to what a grid of neighbourhoods covers; what is
-        added is not free.
+    def cover(self, *, box: Triple, steps: Triple) -> Region:
+        """Continue the open axes to the voxels that a grid of neighbourhoods covers; added voxels
+        are not free.
         """
-        reach = covered_shape(self.grid(box=box, steps=steps), box=box, steps=steps)
+        reach = grid_reach(self.grid(box=box, steps=steps), box=box, steps=steps)
         shape = tuple(
             side if wrap else far
             for side, far, wrap in zip(self.shape, reach, self.wraps, strict=True)
         )
 
-        def grown(values: np.ndarray | None, fill: int) -> np.ndarray | None:
-            return None if values is None else _grown(values, shape, fill)
+        def extend(values: np.ndarray | None, fill: int) -> np.ndarray | None:
+            return None if values is None else _extend(values, shape, fill)
 
         return Region(
-            shape, self.wraps, grown(self.free, 0), grown(self.low, -127), grown(self.high, 127)
+            shape, self.wraps, extend(self.free, 0), extend(self.low, -127), extend(self.high, 127)
         )
 
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
-        """The sites whose neighbourhood holds a voxel that is to be made, of a region that is
-        covered.
-        """
+        """Mark the sites whose neighbourhood holds a free voxel, of a region that is covered."""
         free = self.free
 
-        def found(start: int, stop: int) -> np.ndarray | bool:
+        def planes(start: int, stop: int) -> np.ndarray | bool:
             return (
                 True
                 if free is None
-                else np.stack([self._found(free, z, grid, box, steps) for z in range(start, stop)])
+                else np.stack(
+                    [self._active_plane(free, z, grid, box, steps) for z in range(start, stop)]
+                )
             )
 
-        return made_by_slabs(found, grid, bool)
+        return make_by_slabs(planes, grid, bool)
 
-    def _found(
+    def _active_plane(
         self, free: np.ndarray, z: int, grid: Sequence[int], box: Triple, steps: Triple
     ) -> np.ndarray:
-        """One plane of the active sites."""
+        """Mark the active sites of one plane."""
         planes = np.arange(z * steps[0], z * steps[0] + box[0])
         around = free[planes % len(free)] if self.wraps[0] else free[planes[0] : planes[-1] + 1]
         found = np.asarray(around.any(axis=0))
@@ -90,18 +98,17 @@ class Region:
             )
         return found
 
-    def seen(self, axis: int) -> Region:
-        """The region with `axis` first: what its planes across that axis are, one after the other."""
-
-        def view(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else turned(values, axis)
-
-        order = order_of(axis)
+    def view_along(self, axis: int) -> Region:
+        """Return the region with `axis` first, without the bounds."""
+        order = axis_order(axis)
         shape, wraps = tuple(self.shape[a] for a in order), tuple(self.wraps[a] for a in order)
-        return Region(shape, wraps, view(self.free), view(self.low), view(self.high))
+        free = None if self.free is None else put_axis_first(self.free, axis)
+        return Region(shape, wraps, free)
 
-    def halved(self) -> Region:
-        """At half the resolution: free where any of eight voxels is; bounds are not carried over."""
+    def halve(self) -> Region:
+        """Halve the resolution: a voxel is free where any of its eight is; bounds are not carried
+        over.
+        """
         shape = tuple(-(-side // 2) for side in self.shape)
         free = self.free
         if free is None:
@@ -113,11 +120,11 @@ class Region:
             z, y, x = (side // 2 for side in part.shape)
             return np.asarray(part.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5)))
 
-        return Region(shape, self.wraps, made_by_slabs(any_of_eight, shape, bool))
+        return Region(shape, self.wraps, make_by_slabs(any_of_eight, shape, bool))
 
-    def bounded(self, field: np.ndarray) -> np.ndarray:
-        """A field (C, Z, Y, X) that nobody else holds, with what is known put back: written into
-        it.
+    def clip_to_bounds(self, field: np.ndarray) -> np.ndarray:
+        """Clip a field (C, Z, Y, X), which nobody else holds, to the bounds of known voxels, in
+        place.
         """
         low, high = self.low, self.high
         if low is None or high is None:
@@ -127,7 +134,7 @@ class Region:
             planes = (slice(None), slice(start, stop))
             np.clip(field[planes], low[planes], high[planes], out=field[planes])
 
-        by_pieces(work, self.shape)
+        for_plane_groups(work, self.shape)
         return field
 
 
@@ -139,13 +146,13 @@ def regions_of(
     *,
     thin: bool = False,
 ) -> list[Region]:
-    """The request at `count` resolutions, finest first; `bounds` are halved like any field, and
-    `quantised` per level.
+    """Return the request at `count` resolutions, finest first; `bounds` are halved like any field,
+    and `quantised` per level.
 
     With `thin` a coarse voxel of which any part is known is known: a single slice is felt on every
     level. Otherwise it is as free as its freest part, which suits known blocks.
     """
-    region = Region(request.shape, request.periodic, free_of(request))
+    region = Region(request.shape, request.periodic, free_voxels(request))
     known = request.known if thin else None
     regions = []
     for index in range(count):
@@ -156,35 +163,35 @@ def regions_of(
             regions.append(replace(region, low=low, high=high))
         if index == count - 1:
             break
-        region = region.halved()
+        region = region.halve()
         if bounds is not None and known is None:
             bounds = (halve(bounds[0]), halve(bounds[1]))
         elif bounds is not None and known is not None:
             share = _share(known)
             bounds = (
-                _halved_known(bounds[0], known, share),
-                _halved_known(bounds[1], known, share),
+                _halve_known(bounds[0], known, share),
+                _halve_known(bounds[1], known, share),
             )
-            known = made_by_slabs(
+            known = make_by_slabs(
                 lambda a, b, share=share: share[0, a:b] > 0,  # type: ignore[misc]
                 share.shape[1:],
                 bool,
             )
-            region = replace(region, free=both(region.free, inverse(known)))
+            region = replace(region, free=intersection(region.free, complement(known)))
     return regions
 
 
 def _share(known: np.ndarray) -> np.ndarray:
-    """(1, Z, Y, X) float32: which part of a coarser voxel is known."""
-    return halve(made_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
+    """Return the known share of every coarser voxel, (1, Z, Y, X) float32."""
+    return halve(make_by_slabs(lambda a, b: known[a:b], (1, *known.shape), np.float32))
 
 
-def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A bound (C, Z, Y, X) at half the resolution: the mean over the voxels that are known, else
-    what it is anywhere.
+def _halve_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Halve the resolution of a bound (C, Z, Y, X): the mean over the known voxels, elsewhere that
+    of unknown ones.
     """
     sums = halve(
-        made_by_slabs(
+        make_by_slabs(
             lambda a, b: np.where(known[a:b], bound[:, a:b], np.float32(0)), bound.shape, np.float32
         )
     )
@@ -196,11 +203,13 @@ def _halved_known(bound: np.ndarray, known: np.ndarray, share: np.ndarray) -> np
             part > 0, sums[:, start:stop] / np.maximum(part, np.float32(1e-6)), anywhere
         )
 
-    return made_by_slabs(mean, sums.shape, np.float32)
+    return make_by_slabs(mean, sums.shape, np.float32)
 
 
 def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """What a bound is at voxels that are not known, (C, 1, 1, 1): it is the same at all of them."""
+    """Return the bound of voxels that are not known, (C, 1, 1, 1): it is the same at
+    all of them.
+    """
     for z, plane in enumerate(known):
         if not plane.all():
             y, x = np.unravel_index(int(np.argmin(plane)), plane.shape)
@@ -208,8 +217,10 @@ def _first_free(bound: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.zeros((len(bound), 1, 1, 1), np.float32)
 
 
-def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
-    """(..., Z, Y, X), continued by a value to `shape`; itself where there is nothing to add."""
+def _extend(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
+    """Continue (..., Z, Y, X) by a value to `shape`; return it itself where there is nothing to
+    add.
+    """
     have = values.shape[-3:]
     if have == shape:
         return values
@@ -221,14 +232,16 @@ def _grown(values: np.ndarray, shape: tuple[int, ...], fill: int) -> np.ndarray:
         inside = values[..., start : min(stop, have[0]), :, :]
         part[..., : inside.shape[-3], : have[1], : have[2]] = inside
 
-    by_pieces(work, shape)
+    for_plane_groups(work, shape)
     return grown
 
 
 def _in_windows(
     values: np.ndarray, count: int, width: int, step: int, axis: int, *, wrap: bool
 ) -> np.ndarray:
-    """Whether any of a plane (Y, X) bool is True in `count` windows along an axis."""
+    """Mark the windows, `count` along an axis, in which any voxel of a plane (Y, X)
+    bool is True.
+    """
     side = values.shape[axis]
     sums = np.cumsum(values, axis=axis, dtype=np.int32)
     sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)

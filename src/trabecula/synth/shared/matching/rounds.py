@@ -1,4 +1,4 @@
-"""From matches to a field: weights, the vote, what is known beside it, and the histogram."""
+"""From matches to a field: weights, the vote, the joint to known voxels, the histogram."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.histogram import Histogram, match_histogram
-from trabecula.synth.shared.joints import joined
+from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.content.histogram import Histogram, match_histogram
+from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
-from trabecula.synth.shared.matching.kernels import vote, weigh
+from trabecula.synth.shared.matching.kernels import CubeLayout, vote, weigh
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.pyramid import double
-from trabecula.synth.shared.slabs import made_by_slabs
+from trabecula.synth.shared.slabs import make_by_slabs
 
 
-def refined(
+def refine_field(
     field: np.ndarray,
     wraps: tuple[bool, ...],
     *,
     distances: bool,
     shape: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """A field (C, Z, Y, X) int8 at twice the resolution; a distance, which counts in voxels,
+    """Double the resolution of a field (C, Z, Y, X) int8; a distance, which counts in voxels,
     doubles too.
 
     With a `shape` cropped, or continued by its last cells, to that.
@@ -34,11 +35,11 @@ def refined(
 
 
 def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.ndarray:
-    """w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as integers
-    of 1 .. 1023.
+    """Return w_p = d^(r - 2) of the neighbourhood distance d (equation 2 without its trace), as
+    integers of 1 .. 1023.
 
-    Through a table over the ratio to the mean, so that no power function is asked for a bit it
-    might round otherwise. Sites that are not active weigh 0.
+    A table over the ratio to the mean: a power function might round its last bit differently on
+    another machine. Sites that are not active weigh 0.
     """
     # One quantum per voxel keeps an exact match from outvoting everything.
     basis = grid.candidates.basis
@@ -58,61 +59,68 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
     return weights
 
 
-def joined_votes(region: Region, votes: np.ndarray) -> np.ndarray:
-    """Votes without a step beside what is known."""
+def join_to_known(region: Region, votes: np.ndarray) -> np.ndarray:
+    """Return votes without a step beside known voxels."""
     if region.free is None or region.low is None or region.high is None:
         return votes
-    return joined(votes, region.low, region.high, region.free)
+    return spread_offset(votes, region.low, region.high, region.free)
 
 
-def rematched(
+def match_votes(
     region: Region, votes: np.ndarray, targets: tuple[Histogram, ...] | None
 ) -> np.ndarray:
-    """Votes (C, Z, Y, X) int16 as a field in int8, with histograms where there are targets, and
-    what is known put back.
+    """Make votes (C, Z, Y, X) int16 a field in int8, with histograms where there are targets,
+    within the bounds of known voxels.
     """
     if targets is None:
-        return region.bounded(
-            made_by_slabs(lambda start, stop: _rounded(votes[:, start:stop]), votes.shape, np.int8)
+        return region.clip_to_bounds(
+            make_by_slabs(
+                lambda start, stop: round_votes(votes[:, start:stop]), votes.shape, np.int8
+            )
         )
     field = memmap.empty(votes.shape, np.int8)
     for mean, target, channel in zip(votes, targets, field, strict=True):
         match_histogram(mean, target, region.free, out=channel)
-    return region.bounded(field)
+    return region.clip_to_bounds(field)
 
 
-def _rounded(votes: np.ndarray) -> np.ndarray:
-    return np.clip((votes.astype(np.int32) + 128) >> 8, -127, 127).astype(np.int8)
+def round_votes(votes: np.ndarray) -> np.ndarray:
+    """Round votes int16, 256 times a field, to the field in int8."""
+    return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
 
 
-def voted(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
-    """The weighted mean of the matched neighbourhoods, times 256; 0 where no active one reaches."""
+def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
+    """Return the weighted mean of the matched neighbourhoods, times 256; 0 where no active one
+    reaches.
+    """
     candidates, region = grid.candidates, grid.region
     stack = candidates.stack
     votes = memmap.empty((len(stack.field), *region.shape), np.int16)
 
+    layout = CubeLayout(
+        candidates.shape,
+        candidates.strides,
+        candidates.steps,
+        candidates.basis.box,
+        trims_of(grid, trim),
+        region.wraps,
+    )
+
     def work(start: int, stop: int) -> None:
         plane = np.empty((len(votes) + 1, *grid.reach[1:]), np.int32)
-        vote(
-            stack.field,
-            match,
-            weights,
-            candidates.shape,
-            candidates.strides,
-            candidates.steps,
-            candidates.basis.box,
-            trims_of(grid, trim),
-            region.wraps,
-            plane,
-            votes,
-            start,
-            stop,
-        )
+        vote(stack.field, match, weights, layout, plane, votes, start, stop)
 
     for_slabs(work, region.shape[0], anywhere=True)
     return votes
 
 
 def trims_of(grid: Grid, trim: int) -> Triple:
-    """The rim that does not vote along each axis; a flat neighbourhood is one voxel thick."""
+    """Return the rim that does not vote along each axis; a flat neighbourhood is one
+    voxel thick.
+    """
     return (0 if grid.candidates.basis.flat else trim, trim, trim)
+
+
+def equal_weights(active: np.ndarray) -> np.ndarray:
+    """Return the weights int32 of sites (sz, sy, sx) that vote alike: 1, and 0 where not active."""
+    return make_by_slabs(lambda start, stop: active[start:stop], active.shape, np.int32)

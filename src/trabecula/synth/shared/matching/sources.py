@@ -1,4 +1,4 @@
-"""What is copied from: the exemplars at one resolution, stacked along z to one volume, and its
+"""The source of copies: the exemplars at one resolution, stacked along z to one volume, and its
 neighbourhoods as features.
 
 A picture is a volume of one plane, and its neighbourhoods are flat.
@@ -12,22 +12,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.histogram import Histogram
-from trabecula.synth.shared.nearest import Candidates as Nearest
-from trabecula.synth.shared.nearest import candidates
-from trabecula.synth.shared.neighbourhoods import (
-    Basis,
-    Triple,
-    box_of,
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.neighbour_index import NeighbourIndex as Nearest
+from trabecula.synth.shared.matching.neighbour_index import build_index
+from trabecula.synth.shared.matching.neighbourhoods import Basis, Triple, box_of, project, steps_of
+from trabecula.synth.shared.matching.principal_components import (
+    grain_of,
     principal_basis,
-    project,
-    steps_of,
+    variance_in,
 )
 
 _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candidate
@@ -35,7 +34,7 @@ _MANY = 1_200_000  # neighbourhoods above which only every `step`-th is a candid
 
 @dataclass(frozen=True)
 class Stack:
-    """Volumes at one resolution, one above the other; beyond their own sides lies zero.
+    """Volumes at one resolution, one above the other, filled up with zeros.
 
     `field` is (C, z, y, x) int8; `starts` (n,) the first plane of each volume; `sides` (n, 3) its
     extent; `histograms` one per channel, of the volumes themselves.
@@ -48,7 +47,7 @@ class Stack:
 
     @classmethod
     def of(cls, fields: Sequence[np.ndarray]) -> Stack:
-        """From fields (C, z, y, x) int8 of one number of channels."""
+        """Stack fields (C, z, y, x) int8 of one number of channels."""
         sides = np.array([field.shape[1:] for field in fields])
         starts = np.concatenate([[0], np.cumsum(sides[:, 0])])
         whole = np.zeros((len(fields[0]), starts[-1], *sides[:, 1:].max(0)), np.int8)
@@ -60,9 +59,9 @@ class Stack:
         )
         return cls(whole, starts[:-1], sides, histograms)
 
-    def allowed(self, box: Triple) -> np.ndarray:
-        """Whether the neighbourhood with its first corner at a voxel lies within one volume, (gz,
-        gy, gx) bool.
+    def corners_within(self, box: Triple) -> np.ndarray:
+        """Mark the voxels whose neighbourhood, with its first corner there, lies within one volume,
+        (gz, gy, gx) bool.
         """
         within = np.zeros(
             [side - w + 1 for side, w in zip(self.field.shape[1:], box, strict=True)], bool
@@ -71,6 +70,14 @@ class Stack:
             z, y, x = (int(side) - w + 1 for side, w in zip(sides, box, strict=True))
             within[start : start + z, :y, :x] = True
         return within
+
+
+class Cells(NamedTuple):
+    """Extent and strides of the grid of candidates, and the steps of the output's sites."""
+
+    shape: tuple[int, ...]
+    strides: Triple
+    steps: Triple
 
 
 @dataclass(frozen=True)
@@ -92,13 +99,18 @@ class Candidates:
 
     @property
     def steps(self) -> Triple:
-        """How far apart the output's neighbourhoods are along each axis."""
+        """Return the distance between the output's neighbourhoods along each axis."""
         return steps_of(self.step, flat=self.basis.flat)
 
     @property
     def strides(self) -> Triple:
-        """How far apart the cells are along each axis."""
+        """Return the distance between cells along each axis."""
         return steps_of(self.stride, flat=self.basis.flat)
+
+    @property
+    def cells(self) -> Cells:
+        """Return the geometry of the cells and of the sites, for kernels."""
+        return Cells(self.shape, self.strides, self.steps)
 
     @classmethod
     def of(
@@ -109,16 +121,23 @@ class Candidates:
         step: int,
         variance: float,
         most: int,
-        grain: int = 1,
+        smooth: bool = False,
         k: int = 10,
         flat: bool = False,
     ) -> Candidates:
-        """All neighbourhoods, or every `step`-th along each axis where there are more than 1.2
-        million.
+        """Describe all neighbourhoods, or every `step`-th along each axis where there are more than
+        1.2 million.
         """
-        within = stack.allowed(box_of(width, flat=flat))
+        grain = grain_of(width, smooth=smooth)
+        within = stack.corners_within(box_of(width, flat=flat))
         basis = principal_basis(
-            stack.field, within, width=width, variance=variance, most=most, grain=grain, flat=flat
+            stack.field,
+            within,
+            width=width,
+            variance=variance_in(grain, variance),
+            most=most,
+            grain=grain,
+            flat=flat,
         )
         stride = step if np.count_nonzero(within) > _MANY else 1
         every_z, every_y, every_x = steps_of(stride, flat=flat)
@@ -140,19 +159,20 @@ class Candidates:
 
     @cached_property
     def numbers(self) -> np.ndarray:
-        """The allowed candidates, as numbers in the grid."""
+        """List the allowed candidates, as numbers in the grid."""
         return np.flatnonzero(self.allowed)
 
     @cached_property
-    def prepared(self) -> Nearest:
-        """The candidates as the exact search wants them."""
-        return candidates(
+    def index(self) -> Nearest:
+        """Build the index of the exact search."""
+        return build_index(
             self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed
         )
 
     def bounds(self) -> np.ndarray:
-        """(n, 3, 4) int64: of each volume and axis its start in the stack, the last corner of a
-        neighbourhood within it, and the first and last cell of the grid that are allowed."""
+        """Return (n, 3, 4) int64: for each volume and axis its start in the stack, the last corner
+        of a neighbourhood within it, and the first and last cell of the grid that are allowed.
+        """
         most = self.stack.sides - self.basis.box
         start = np.zeros_like(most)
         start[:, 0] = self.stack.starts
@@ -161,61 +181,34 @@ class Candidates:
         return np.stack([start, most, *cells], axis=-1).astype(np.int64)
 
 
-def carried(
+def carry_matches(
     match: np.ndarray, old: Candidates, new: Candidates, grid: tuple[int, ...], *, factor: int
 ) -> np.ndarray:
-    """Matches on another grid: every new neighbourhood takes what the old one at its place was
-    matched with.
+    """Carry matches over to another grid: every new neighbourhood takes the match of the old one at
+    its place.
 
     `factor` is 2 where the new resolution is twice as fine, 1 where only the width changes.
     """
     moved, bounds = memmap.empty(grid, np.int32), new.bounds()
 
     def work(start: int, stop: int) -> None:
-        _carry(
-            match,
-            old.shape,
-            old.strides,
-            old.steps,
-            old.stack.starts,
-            moved,
-            new.shape,
-            new.strides,
-            new.steps,
-            bounds,
-            factor,
-            start,
-            stop,
-        )
+        _carry(match, old.cells, old.stack.starts, moved, new.cells, bounds, factor, start, stop)
 
     for_slabs(work, grid[0])
     return moved
 
 
 @kernel
-def _carry(
-    match,
-    shape,
-    strides,
-    steps,
-    starts,
-    moved,
-    new_shape,
-    new_strides,
-    new_steps,
-    bounds,
-    factor,
-    start,
-    stop,
-):
-    """Matches on another grid, planes start..stop: each site takes what the old one at its place
-    was matched with.
+def _carry(match, cells, starts, moved, new_cells, bounds, factor, start, stop):
+    """Carry matches over to planes start..stop of another grid.
 
     match, moved (Z, Y, X) int32 on sites `steps` and `new_steps` apart, indices into E of `shape`
     and `new_shape` with cells `strides` and `new_strides` apart; starts (n,) the first planes of
     the volumes that E is stacked of; bounds (n, 3, 4) int64 of each volume of the new E its start
     (0 but along z), the last corner within it, and the first and last cell.
     """
+    shape, strides, steps = cells
+    new_shape, new_strides, new_steps = new_cells
     site, corner = np.empty(3, np.int64), np.empty(3, np.int64)
     for z in range(start, stop):
         for y in range(moved.shape[1]):

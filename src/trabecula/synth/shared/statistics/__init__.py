@@ -1,3 +1,3 @@
-"""What a field and an exemplar have in common without a voxel copied: distributions of
-neighbourhoods, two-point functions.
+"""Statistics that a field is brought to without copying a voxel: distributions of neighbourhoods,
+two-point functions, long waves.
 """

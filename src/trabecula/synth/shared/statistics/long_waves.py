@@ -1,5 +1,5 @@
-"""Long waves: how much the local fraction of a phase varies over windows that are wider than
-neighbourhoods see.
+"""Long waves: the variation of the local fraction of a phase over windows that are wider than
+neighbourhoods.
 
 Neighbourhoods know nothing beyond their width, and two-point functions hardly resolve a wave longer
 than their largest distance: a wave of amplitude a adds a^2 / 2 to every distance alike, .0005 for
@@ -7,8 +7,8 @@ one that moves the local fraction by .03. So the field is split into bands by bo
 width, the spread of each band is compared with the exemplar's, and interfaces are shifted,
 smoothly, until it agrees. A phase keeps its overall fraction: bands have no mean.
 
-Sums are whole numbers and their variances are added plane by plane, so threads and scratch files
-change nothing.
+Sums are whole numbers and their variances are added plane by plane, so threads and memory-mapped
+files change nothing.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.box_sums import summed
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.votes import UNIT
+from trabecula.synth.shared.box_sums import window_sums_of_planes
+from trabecula.synth.shared.content.fields import FULL, UNIT
 
 _FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
 _PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side
@@ -59,18 +58,15 @@ class LongWaves:
     bands: np.ndarray
     softness: float
 
-    def extended(self, side: int) -> LongWaves:
+    def extend(self, side: int) -> LongWaves:
         """Return the same for volumes whose shortest side is given: windows up to half of it.
 
         Wider windows than the exemplars have are continued with the ratio of the last two
         variances, which is 1/8 at least (no correlation at such distances) and 1 at most.
         """
         count = sum(2 * width <= side for width in self.widths)
-        variances, bands, widths = (
-            self.variances[:, :count],
-            self.bands[:, :count],
-            list(self.widths[:count]),
-        )
+        variances, bands = self.variances[:, :count], self.bands[:, :count]
+        widths = list(self.widths[:count])
         if not count:
             return LongWaves((), variances, bands, self.softness)
         if count < len(self.widths):
@@ -98,7 +94,7 @@ def long_waves_of(fields: Sequence[np.ndarray], level: int, *, softness: float) 
     variances, bands = (np.zeros((len(fields[0]), len(widths))) for _ in range(2))
     for c in range(len(fields[0])):
         channels, counts = [field[c] for field in fields], sum(field[c].size for field in fields)
-        mean = sum(_summed_soft(channel, softness, _LEAST)[1] for channel in channels) / (
+        mean = sum(_soft_window_sums(channel, softness, _LEAST)[1] for channel in channels) / (
             _FINE * counts
         )
         for n, width in enumerate(widths):
@@ -127,13 +123,13 @@ def adjust_long_waves(
         1 / UNIT of an int8 step.
     target : LongWaves
     matched : callable
-        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: it is whose
-        spread counts. A shift that is less than what lies between two values of a distance changes
+        Makes the field (C, Z, Y, X) int8 of votes, with the exemplars' histogram: its spread
+        counts. A shift that is less than the gap between two values of a distance changes
         the votes' soft indicator, and no label.
     wraps : three bools
-        Axes on which windows go on beyond a face.
+        Axes on which windows continue beyond a face.
     """
-    waves = target.extended(min(votes.shape[1:]))
+    waves = target.extend(min(votes.shape[1:]))
     if not waves.widths:
         return
     for _ in range(_ROUNDS):
@@ -147,17 +143,19 @@ def adjust_long_waves(
 
 
 def adjusting_bytes(shape: Sequence[int]) -> int:
-    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums, and the shift."""
+    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums,
+    and the shift.
+    """
     return 12 * math.prod(shape)
 
 
 def adjusting_slab_bytes(shape: Sequence[int]) -> int:
-    """Return what of that a thread keeps in memory where arrays lie in scratch files."""
+    """Return the part of it that a thread keeps in memory where arrays are memory-mapped."""
     return 60 * shape[1] * shape[2] + shape[0] * 4 * shape[2] + (1 << 16)
 
 
 def _widths(shortest: int, level: int) -> tuple[int, ...]:
-    """Odd widths on a level, for exemplars whose shortest side on it is given."""
+    """Return odd widths on a level, for exemplars whose shortest side on it is given."""
     side = shortest * 2**level
     width, widths = float(min(_FIRST, side / _PARTS)), []
     while 3 * width <= side and width <= _LARGEST:
@@ -167,22 +165,22 @@ def _widths(shortest: int, level: int) -> tuple[int, ...]:
 
 
 def _soft(values: np.ndarray, softness: float) -> np.ndarray:
-    """The soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
+    """Return the soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
     soft = values * np.float32(_FINE / softness) + np.float32(_FINE / 2)
     return np.rint(np.clip(soft, 0, _FINE, out=soft), out=soft).astype(np.int32)
 
 
 def _table(softness: float) -> np.ndarray:
-    """The soft indicator (256,) int32 of every byte of a field."""
+    """Return the soft indicator (256,) int32 of every byte of a field."""
     return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
 
 
-def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
-    """Sums of the soft indicator of (Z, Y, X) int8 over windows, beyond whose faces lies nothing,
-    and that of everything.
+def _soft_window_sums(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
+    """Sum the soft indicator of (Z, Y, X) int8 over windows, with nothing beyond the faces, and
+    over everything.
     """
     table = _table(softness)
-    return summed(
+    return window_sums_of_planes(
         lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False)
     )
 
@@ -190,14 +188,14 @@ def _summed_soft(channel: np.ndarray, softness: float, width: int) -> tuple[np.n
 def _squares_of(
     channel: np.ndarray, softness: float, width: int, wider: int | None, mean: float
 ) -> tuple[float, int, float, int]:
-    """The sum of squares over all windows of a width, and their number; then of the band that ends
+    """Sum the squares over all windows of a width, and count them; then those of the band that ends
     with a wider one.
     """
-    narrow, _ = _summed_soft(channel, softness, width)
+    narrow, _ = _soft_window_sums(channel, softness, width)
     alone = _Band(narrow, None, 1 / (_FINE * width**3), 1.0, mean).squares_within(width)
     if wider is None:
         return *alone, *alone
-    wide, _ = _summed_soft(channel, softness, wider)
+    wide, _ = _soft_window_sums(channel, softness, wider)
     band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
     return *alone, *band.squares_within(wider)
 
@@ -209,8 +207,8 @@ def _adjust(
     bands: np.ndarray,
     wraps: tuple[bool, bool, bool],
 ) -> bool:
-    """One shift of a channel's votes (Z, Y, X) int16 that make `field` int8; whether there was
-    anything to shift.
+    """Shift a channel's votes (Z, Y, X) int16, which make `field` int8, once; return whether there
+    was anything to shift.
     """
     table = _table(waves.softness)
 
@@ -223,13 +221,13 @@ def _adjust(
     if not moving:
         return False
     shift: np.ndarray | None = None
-    narrow, total = summed(soft, field.shape, waves.widths[0], wraps)
+    narrow, total = window_sums_of_planes(soft, field.shape, waves.widths[0], wraps)
     mean = total / (_FINE * field.size)
     for n, width in enumerate(waves.widths):
         wide, wider = None, 1
         if n + 1 < len(waves.widths):
             wider = waves.widths[n + 1]
-            wide, _ = summed(soft, field.shape, wider, wraps)
+            wide, _ = window_sums_of_planes(soft, field.shape, wider, wraps)
         band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
         gain = _gain(bands[n], band.variance())
         if gain:
@@ -238,10 +236,11 @@ def _adjust(
             band.add(shift, np.float32(-gain / moving))
         if wide is not None:
             narrow = wide
-        del band, wide  # nobody holds on to sums that the next windows make room for
+        del band, wide  # free these sums before the next are allocated
     if shift is None:
         return False
-    change, unit, limit = shift, np.float32(UNIT * waves.softness), FULL * UNIT
+    change, unit = shift, np.float32(UNIT * waves.softness)
+    limit = FULL * UNIT
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
@@ -259,7 +258,7 @@ def _moving(soft: np.ndarray) -> int:
 
 
 def _gain(wanted: float, found: float) -> float:
-    """What share of a band is taken away; negative: added to it."""
+    """Return the share of a band that is taken away; negative: added to it."""
     if found <= 0:
         return 0.0
     excess = 1 - math.sqrt(wanted / found)
@@ -283,7 +282,7 @@ class _Band:
     mean: float
 
     def plane(self, z: int) -> np.ndarray:
-        """Plane z (Y, X) float32."""
+        """Return plane z (Y, X) float32."""
         if self.wide is None:
             return (self.narrow[z] * self.scale - self.mean).astype(np.float32)
         return (self.narrow[z] * self.scale - self.wide[z] * self.wider_scale).astype(np.float32)

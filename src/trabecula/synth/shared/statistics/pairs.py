@@ -19,10 +19,9 @@ from trabecula.engine import memmap
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
 
-# What may be written by another process (`anywhere`) lies in a file however small it is: `least` is
-# 0.
+# Arrays that another process may write (`anywhere`) are memory-mapped however small: `least` is 0.
 Planes = Callable[[int], np.ndarray]
-"""Plane z (Y, X) float32 of a field that is nowhere as a whole; asked for by several threads."""
+"""Plane z (Y, X) float32 of a field that never exists as a whole; several threads call it."""
 
 # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 _WORTH = 1 << 19
@@ -31,7 +30,7 @@ _CONE = np.cos(np.pi / 8) ** 2
 
 
 def _enough(values: int) -> int:
-    """Planes of so many values that are worth a thread."""
+    """Count the planes of so many values that are worth a thread."""
     return max(8, _WORTH // values)
 
 
@@ -42,7 +41,7 @@ class Pairs:
 
     `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free`
     (Z, Y, X) bool says which voxels count (None: all). With two `cones` those within 22.5 degrees
-    of their axis are told apart from the others.
+    of their axis have bins of their own.
     """
 
     shape: tuple[int, ...]
@@ -54,7 +53,7 @@ class Pairs:
 
     @cached_property
     def reach(self) -> tuple[int, ...]:
-        """The largest offset along every axis; what wraps is not counted twice."""
+        """Return the largest offset along every axis; axes that wrap are not counted twice."""
         return tuple(
             min(int((self.r_max + 0.5) / edge), (side - 1) // 2 if wrap else side - 1)
             for side, edge, wrap in zip(self.shape, self.edges, self.wraps, strict=True)
@@ -62,7 +61,7 @@ class Pairs:
 
     @cached_property
     def sides(self) -> tuple[int, ...]:
-        """Of the transform: open axes are continued by zeros."""
+        """Return the sides of the transform: open axes are continued by zeros."""
         return tuple(
             side if wrap else fast_side(side + far)
             for side, far, wrap in zip(self.shape, self.reach, self.wraps, strict=True)
@@ -70,20 +69,22 @@ class Pairs:
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
-        """Along z only those that are not negative: the other half mirrors them."""
+        """Return the offsets along every axis; along z only those that are not negative, since the
+        other half mirrors them.
+        """
         z, y, x = self.reach
         return np.arange(z + 1), np.arange(-y, y + 1), np.arange(-x, x + 1)
 
     @property
     def bins(self) -> int:
-        """How many there are: distances 0 .. r_max of pairs that lie nearest to z, then to y, then
-        to x; for each cone.
+        """Count the bins: distances 0 .. r_max of pairs that are nearest to z, then to y, then to
+        x; for each cone.
         """
         return 3 * self.cones * (self.r_max + 1)
 
     @cached_property
     def places(self) -> np.ndarray:
-        """The bin of every offset; `bins` where it is longer than r_max."""
+        """Return the bin of every offset; `bins` where it is longer than r_max."""
         steps = [offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True)]
         z, y, x = np.meshgrid(*steps, indexing="ij", sparse=True)
         rounded = (np.sqrt(z**2 + y**2 + x**2) + 0.5).astype(np.int64)
@@ -95,11 +96,11 @@ class Pairs:
 
     @cached_property
     def fits(self) -> np.ndarray:
-        """How many pairs there are in every bin, (bins,)."""
+        """Count the pairs in every bin, (bins,)."""
         if self.free is not None:
             free = self.free
             spectrum = self.forward(lambda z: free[z].astype(np.float32))
-            return np.maximum(self._by_length(np.rint(self._correlated(spectrum, spectrum))), 0)
+            return np.maximum(self._by_length(np.rint(self._correlate(spectrum, spectrum))), 0)
         z, y, x = (
             np.full(len(offset), float(side)) if wrap else side - np.abs(offset).astype(float)
             for offset, side, wrap in zip(self.offsets, self.shape, self.wraps, strict=True)
@@ -108,36 +109,36 @@ class Pairs:
 
     @property
     def spectrum_bytes(self) -> int:
-        """Of a transform."""
+        """Return the bytes of a transform."""
         depth, height, width = self.sides
         return 8 * depth * height * (width // 2 + 1)
 
     @property
     def kernel_bytes(self) -> int:
-        """Of what `convolved` keeps of its kernel."""
+        """Return the bytes of the kernel in `convolve`."""
         return self.spectrum_bytes // self.sides[0] * (self.reach[0] + 1)
 
     @property
     def table_bytes(self) -> int:
-        """Of the bins of all offsets, which are kept once they are known."""
+        """Return the bytes of the bins of all offsets, which are cached."""
         return 8 * int(np.prod([len(offset) for offset in self.offsets]))
 
     @property
-    def kept_bytes(self) -> int:
-        """Of what `curve` takes meanwhile: lines at the offsets, and a few numbers for each of
-        these.
+    def lines_bytes(self) -> int:
+        """Return the bytes that `curve` takes meanwhile: lines at the offsets, and a few numbers
+        for each of these.
         """
         return self.kernel_bytes + 4 * self.table_bytes
 
     @property
     def slab_bytes(self) -> int:
-        """Of planes and rows on the way, which no scratch file holds."""
+        """Return the bytes of planes and rows that are never memory-mapped."""
         depth, height, width = self.sides
         return (1 << 16) + thread_count() * 64 * max(depth, height) * (width // 2 + 1)
 
     def forward(self, values: np.ndarray | Planes) -> np.ndarray:
-        """The transform of (Z, Y, X) float32, given whole or as a function of z that makes each
-        plane; complex64.
+        """Transform (Z, Y, X) float32, given whole or as a function of z that makes each plane;
+        complex64.
         """
         depth, height, width = self.sides
         count = self.shape[0]
@@ -152,16 +153,15 @@ class Pairs:
         return spectrum
 
     def curve(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """The mean product of two fields over all pairs of each bin, from their transforms: (bins,)
-        float64.
+        """Return the mean product of two fields over all pairs of each bin, from their transforms:
+        (bins,) float64.
         """
-        return self._by_length(self._correlated(first, second)) / np.maximum(self.fits, 1)
+        return self._by_length(self._correlate(first, second)) / np.maximum(self.fits, 1)
 
-    def convolved(
+    def convolve(
         self, spectrum: np.ndarray, weights: np.ndarray, *, shorter_than: int = 0
     ) -> np.ndarray:
-        """The sum of a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X)
-        float32.
+        """Sum a field around every voxel, weighted by bin (weights (bins,)): (Z, Y, X) float32.
 
         Every axis has to wrap. With `shorter_than` its waves longer than about twice so many voxels
         are left out: less its mean, twice over, of boxes of that width.
@@ -185,7 +185,7 @@ class Pairs:
         return values
 
     def _kernel(self, weights: np.ndarray) -> np.ndarray:
-        """The weights by offset, transformed along y and x: planes dz = 0 .. reach, complex64."""
+        """Transform the weights by offset along y and x: planes dz = 0 .. reach, complex64."""
         _, height, width = self.shape
         half = np.append(weights, 0.0).astype(np.float32)[self.places]
         across = np.ix_(self.offsets[1] % height, self.offsets[2] % width)
@@ -199,8 +199,8 @@ class Pairs:
         _flat_transforms(plane, (height, width), kernel)
         return kernel
 
-    def _correlated(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Sums over all pairs of every offset, mean of both orders."""
+    def _correlate(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Sum over all pairs of every offset, mean of both orders."""
 
         def product(y: int) -> np.ndarray:
             a, b = first[:, y], second[:, y]
@@ -218,8 +218,8 @@ class Pairs:
         *,
         anywhere: bool = False,
     ) -> None:
-        """Back from the transform whose plane y is product(y), into `values`: at some places along
-        every axis only.
+        """Transform back from planes product(y), into `values`: at some places along every axis
+        only.
 
         `anywhere` says that values may be written by another process.
         """
@@ -228,12 +228,12 @@ class Pairs:
 
         def lines(start: int, stop: int) -> None:
             for y in range(start, stop):
-                kept[:, y] = _taken(np.fft.ifft(product(y), axis=0), places[0], 0)
+                kept[:, y] = _take(np.fft.ifft(product(y), axis=0), places[0], 0)
 
         def planes(start: int, stop: int) -> None:
             for z in range(start, stop):
-                rows = _taken(np.fft.ifft(kept[z], axis=0), places[1], 0)
-                values[z] = _taken(np.fft.irfft(rows, width, axis=1), places[2], 1)
+                rows = _take(np.fft.ifft(kept[z], axis=0), places[1], 0)
+                values[z] = _take(np.fft.irfft(rows, width, axis=1), places[2], 1)
 
         for_slabs(lines, height, least=_enough(depth * width), anywhere=True)
         for_slabs(planes, len(kept), least=_enough(height * width), anywhere=anywhere)
@@ -249,8 +249,8 @@ class Pairs:
 def _flat_transforms(
     values: np.ndarray | Planes, sides: tuple[int, int], spectra: np.ndarray
 ) -> None:
-    """Transforms of planes along x and y, continued by zeros to `sides`, into `spectra` (n, y, x //
-    2 + 1).
+    """Transform planes along x and y, continued by zeros to `sides`, into `spectra` (n, y, x // 2 +
+    1).
     """
     height, width = sides
 
@@ -263,7 +263,9 @@ def _flat_transforms(
 
 
 def _box_response(side: int, width: int) -> np.ndarray:
-    """The transform of the mean over `width` voxels of a line that wraps, (side,) float32."""
+    """Return the transform of the mean over `width` voxels of a line that wraps,
+    (side,) float32.
+    """
     angle = np.pi * np.fft.fftfreq(side)
     angle[0] = 1.0
     response = np.sin(width * angle) / (max(1, width) * np.sin(angle))
@@ -271,9 +273,9 @@ def _box_response(side: int, width: int) -> np.ndarray:
     return response.astype(np.float32)
 
 
-def _taken(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
-    """The values at places along an axis, which may be negative; the values themselves where that
-    is all in their order.
+def _take(values: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
+    """Take the values at places along an axis, which may be negative; return all themselves where
+    places are all in their order.
     """
     side = values.shape[axis]
     return values if len(places) == side and places[0] == 0 else values.take(places % side, axis)

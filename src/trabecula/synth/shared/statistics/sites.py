@@ -1,4 +1,4 @@
-"""The neighbourhoods of one sliced round: where they begin in a volume, and what becomes of the
+"""The neighbourhoods of one sliced round: their places in a volume, and the replacement of the
 voxels that they hold.
 """
 
@@ -11,17 +11,17 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.neighbourhoods import Triple, covered_shape
-from trabecula.synth.shared.statistics.sliced_kernels import add, draw_starts
-from trabecula.synth.shared.votes import UNIT
+from trabecula.engine.random import below, philox
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.matching.neighbourhoods import Triple, grid_reach
 
 BATCH = 1 << 21
 """Values of neighbourhoods that are put back at a time, if not those of one row of sites are more.
 """
 
-_FEW = 512  # neighbourhoods that are rebuilt at once: what is made of them stays in the cache
+_FEW = 512  # neighbourhoods that are rebuilt at once: their temporary arrays stay in the cache
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Sites:
     active: np.ndarray | None
 
     @classmethod
-    def drawn(
+    def draw(
         cls,
         shape: Sequence[int],
         *,
@@ -51,8 +51,8 @@ class Sites:
         key: np.uint64,
         number: int,
     ) -> Sites:
-        """The grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and goes
-        around what wraps.
+        """Draw the grid of a round in a volume (Z, Y, X): it begins elsewhere in every one, and
+        goes around axes that wrap.
         """
         along = list(zip(shape, box, steps, periodic, strict=True))
         room = [side if wrap and t > 1 else min(t, side - w + 1) for side, w, t, wrap in along]
@@ -62,7 +62,7 @@ class Sites:
             -(-side // t) if wrap else (side - int(start) - w) // t + 1
             for start, (side, w, t, wrap) in zip(starts, along, strict=True)
         )
-        covered = covered_shape((z, y, x), box=box, steps=steps)
+        covered = grid_reach((z, y, x), box=box, steps=steps)
         at = [
             (start + np.arange(reach)) % side
             for start, reach, side in zip(starts, covered, shape, strict=True)
@@ -72,11 +72,11 @@ class Sites:
         return cls((z, y, x), places, box, steps, active)
 
     def holds_any(self) -> bool:
-        """Whether any of them takes part."""
+        """Return whether any site takes part."""
         return self.active is None or any(plane.any() for plane in self.active)
 
     def levels(self, field: np.ndarray) -> np.ndarray:
-        """What all sites cover of votes (C, Z, Y, X), in int8."""
+        """Round the votes (C, Z, Y, X) that the sites cover to int8."""
         across = np.ix_(np.arange(len(field)), *self.places[1:])
         levels = memmap.empty((len(field), *map(len, self.places)), np.int8)
 
@@ -91,8 +91,8 @@ class Sites:
     def rows(
         self, features: np.ndarray, start: int, stop: int, *, few: int
     ) -> Iterator[np.ndarray]:
-        """Features (z, y, x, D) of the sites that take part, of planes start..stop of them, about
-        so many at a time.
+        """Yield features (z, y, x, D) of the sites that take part, of planes start..stop of them,
+        about so many at a time.
         """
         lines = max(1, few // self.counts[2])
         for z in range(start, stop):
@@ -136,8 +136,8 @@ class Sites:
         total: np.ndarray,
         votes: np.ndarray,
     ) -> None:
-        """Of the sites (z, y, x) of some planes and rows, from the `first`: neighbourhoods of
-        `length` values.
+        """Rebuild and add neighbourhoods of `length` values, at the sites (z, y, x) of some planes
+        and rows, from the `first`.
         """
         chosen = features.reshape(-1, features.shape[-1]) if active is None else features[active]
         if not len(chosen):
@@ -149,12 +149,14 @@ class Sites:
         _rebuild(chosen, rebuilt, blocks)
         steps, box = np.array(self.steps), np.array(self.box)
         collect = partial(
-            add, blocks, numbers, np.array(first), steps, box, *self.places, rest, total, votes
+            add, blocks, numbers, np.array(first), steps, box, self.places, rest, total, votes
         )
         for_slabs(collect, votes.shape[1], least=4)
 
     def _batches(self, length: int) -> Iterator[tuple[slice, slice]]:
-        """Planes and rows of sites whose neighbourhoods of `length` values are put back at a time."""
+        """Yield the planes and rows of sites whose neighbourhoods of `length` values are put back
+        at a time.
+        """
         depth, height, width = self.counts
         planes = max(1, BATCH // (height * width * length))
         lines = height if planes > 1 else max(1, BATCH // (width * length))
@@ -177,7 +179,7 @@ def _rebuild(
 def _holding(
     free: np.ndarray, places: Sequence[np.ndarray], counts: Triple, box: Triple, steps: Triple
 ) -> np.ndarray:
-    """Whether the neighbourhood at each site holds a voxel that is free."""
+    """Mark the sites whose neighbourhood holds a free voxel."""
     active = memmap.empty(counts, bool)
     across = np.ix_(*places[1:])
 
@@ -192,3 +194,58 @@ def _holding(
 
     for_slabs(work, counts[0])
     return active
+
+
+@kernel
+def draw_starts(key, number, sides, starts):
+    words = philox(key, number, 0, 0, 1)
+    for axis in range(3):
+        starts[axis] = below(words[axis], sides[axis])
+
+
+@kernel
+def add(blocks, numbers, first, steps, box, places, rest, total, votes, start, stop):
+    """Add neighbourhoods to rows start..stop of total (C, Z, Y, X) and votes (Z, Y, X).
+
+    blocks (n, C * voxels) int32; numbers (sz, sy, sx) the row of each site in it, or -1; first (2,)
+    the number of the first site along z and y; places: the places along an axis of the voxels
+    that all sites cover; rest (C,) is added to each.
+    """
+    places_z, places_y, places_x = places
+    width, voxels = box[2], box[0] * box[1] * box[2]
+    channels = len(total)
+    line = np.empty((channels, len(places_x)), np.int32)
+    count = np.empty(len(places_x), np.int32)
+    low, high = first[0] * steps[0], (first[0] + numbers.shape[0] - 1) * steps[0] + box[0]
+    near, far = first[1] * steps[1], (first[1] + numbers.shape[1] - 1) * steps[1] + box[1]
+    for z in range(low, high):
+        for y in range(near, far):
+            if places_y[y] < start or places_y[y] >= stop:
+                continue
+            line[:] = 0
+            count[:] = 0
+            for sz in range(numbers.shape[0]):
+                dz = z - (first[0] + sz) * steps[0]
+                if dz < 0 or dz >= box[0]:
+                    continue
+                for sy in range(numbers.shape[1]):
+                    dy = y - (first[1] + sy) * steps[1]
+                    if dy < 0 or dy >= box[1]:
+                        continue
+                    at = (dz * box[1] + dy) * width
+                    for sx in range(numbers.shape[2]):
+                        row = numbers[sz, sy, sx]
+                        if row < 0:
+                            continue
+                        x = sx * steps[2]
+                        for c in range(channels):
+                            for dx in range(width):
+                                line[c, x + dx] += blocks[row, at + c * voxels + dx]
+                        for dx in range(width):
+                            count[x + dx] += 1
+            for x in range(len(places_x)):
+                for c in range(channels):
+                    total[c, places_z[z], places_y[y], places_x[x]] += (
+                        line[c, x] + rest[c] * count[x]
+                    )
+                votes[places_z[z], places_y[y], places_x[x]] += count[x]

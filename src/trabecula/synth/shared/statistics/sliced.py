@@ -7,36 +7,44 @@ axes at random, move the values along every axis monotonically so that their his
 exemplar's, turn back; a voxel becomes the mean of the neighbourhoods that hold it. Nothing is
 looked up in the exemplar, so nothing is copied.
 
-Only what the components hold is put back: what they leave out of the output (its noise, at first)
-has to go, or it stays for ever. Along periodic axes every voxel lies in equally many
-neighbourhoods; along open ones those near a face lie in fewer, their mean is noisier, and the rarer
+Only the part on the components is put back: the rest of the output (its noise, at first) has to
+go, or it stays for ever. Along periodic axes every voxel is in equally many neighbourhoods; along
+open ones those near a face are in fewer, their mean is noisier, and the rarer
 phase gathers there.
 
 Everything is a whole number within the range in which products of matrices are exact, so the bits
 do not depend on the BLAS, on threads or on the machine.
 
 From pictures the neighbourhoods are squares in the planes of a view; where a material is seen in
-several views, a voxel becomes the mean over all of them (`sliced_views`).
+several views, a voxel becomes the mean over all of them (`transport_planes`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.engine.parallel import for_slabs
-from trabecula.synth.shared.fields import FULL
-from trabecula.synth.shared.statistics.moved import Round, add_moved
-from trabecula.synth.shared.statistics.slices import Slices
-from trabecula.synth.shared.turned import order_of, put_back, turned, turned_shape
-from trabecula.synth.shared.votes import UNIT
+from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_slabs, one_blas_thread, thread_count
+from trabecula.engine.random import philox
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.matching.neighbourhoods import SCALE, project, steps_of
+from trabecula.synth.shared.slabs import (
+    axis_order,
+    put_axis_first,
+    restore_axis_order,
+    shape_with_axis_first,
+)
+from trabecula.synth.shared.statistics.sites import BATCH, Sites
+from trabecula.synth.shared.statistics.slices import AT_ONCE, BINS, FINE, SliceTarget, Transport
 
 
-def sliced_round(
+def transport_neighbourhoods(
     field: np.ndarray,
-    slices: Slices,
+    slices: SliceTarget,
     *,
     key: np.uint64,
     number: int,
@@ -45,8 +53,8 @@ def sliced_round(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round: every neighbourhood of a grid moves towards the exemplar's distribution, and
-    overlaps are averaged.
+    """Move every neighbourhood of a grid towards the exemplar's distribution, and average overlaps:
+    one round.
 
     Parameters
     ----------
@@ -73,15 +81,15 @@ def sliced_round(
     -------
     (C, Z, Y, X) int16
     """
-    round_ = Round(key, number, step, strength)
+    round_ = SlicedRound(key, number, step, strength)
     total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
-    add_moved(field, slices, round_, periodic, free, total, votes)
-    return _replaced(field, total, votes, free)
+    add_transported(field, slices, round_, periodic, free, total, votes)
+    return _write_means(field, total, votes, free)
 
 
-def sliced_views(
+def transport_planes(
     field: np.ndarray,
-    views: Sequence[tuple[int, Slices]],
+    views: Sequence[tuple[int, SliceTarget]],
     *,
     key: np.uint64,
     number: int,
@@ -90,8 +98,8 @@ def sliced_views(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One round in which every plane of every view moves towards that view's distribution, and all
-    overlaps are averaged.
+    """Move every plane of every view towards that view's distribution, and average all overlaps:
+    one round.
 
     Parameters
     ----------
@@ -101,7 +109,7 @@ def sliced_views(
         The axis across which a view is seen (0 z, 1 y, 2 x) and what it aims at: flat
         neighbourhoods of a picture whose rows lie along the slower of the two other axes.
     key, number, step, strength, periodic, free
-        As in `sliced_round`, of the volume.
+        As in `transport_neighbourhoods`, of the volume.
 
     Returns
     -------
@@ -109,26 +117,29 @@ def sliced_views(
     """
     total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
     for place, (axis, slices) in enumerate(views):
-        round_ = Round(key, number * len(views) + place, step, strength)
-        around = [periodic[a] for a in order_of(axis)]
-        seen, made = turned(field, axis), None if free is None else turned(free, axis)
+        round_ = SlicedRound(key, number * len(views) + place, step, strength)
+        around = [periodic[a] for a in axis_order(axis)]
+        seen, made = (
+            put_axis_first(field, axis),
+            None if free is None else put_axis_first(free, axis),
+        )
         if axis == 0:
-            add_moved(seen, slices, round_, around, made, total, votes)
+            add_transported(seen, slices, round_, around, made, total, votes)
             continue
-        shape = turned_shape(field.shape[1:], axis)
+        shape = shape_with_axis_first(field.shape[1:], axis)
         sums, counts = memmap.zeros((len(field), *shape), np.int32), memmap.zeros(shape, np.int32)
-        add_moved(seen, slices, round_, around, made, sums, counts)
+        add_transported(seen, slices, round_, around, made, sums, counts)
         del seen
-        put_back(sums, axis, total, add=True)
-        put_back(counts, axis, votes, add=True)
+        restore_axis_order(sums, axis, total, add=True)
+        restore_axis_order(counts, axis, votes, add=True)
         del sums, counts  # before the next view's
-    return _replaced(field, total, votes, free)
+    return _write_means(field, total, votes, free)
 
 
-def _replaced(
+def _write_means(
     field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None
 ) -> np.ndarray:
-    """The mean of what was put back wherever there is something, and the voxel is free."""
+    """Replace free voxels by the mean of the neighbourhoods that were put back there."""
     replaced, limit = memmap.empty(field.shape, np.int16, least=0), FULL * UNIT
 
     def work(start: int, stop: int) -> None:
@@ -139,3 +150,96 @@ def _replaced(
 
     for_slabs(work, len(votes), anywhere=True)
     return replaced
+
+
+@dataclass(frozen=True)
+class SlicedRound:
+    """The random key and number of one round, the distance between its neighbourhoods, and the
+    length of their moves.
+    """
+
+    key: np.uint64
+    number: int
+    step: int
+    strength: float
+
+
+def add_transported(
+    field: np.ndarray,
+    slices: SliceTarget,
+    round_: SlicedRound,
+    periodic: Sequence[bool],
+    free: np.ndarray | None,
+    total: np.ndarray,
+    votes: np.ndarray,
+) -> None:
+    """Add the moved neighbourhoods that hold a voxel to total (C, Z, Y, X) int32, and their number
+    to votes (Z, Y, X) int32.
+    """
+    basis, size = slices.basis, slices.features.shape[1]
+    steps = steps_of(round_.step, flat=basis.flat)
+    sites = Sites.draw(
+        field.shape[1:],
+        box=basis.box,
+        steps=steps,
+        periodic=periodic,
+        free=free,
+        key=round_.key,
+        number=round_.number,
+    )
+    if not sites.holds_any():
+        return
+    features = project(sites.levels(field), basis, step=round_.step, active=sites.active)
+    count = features.shape[-1]
+    turn = rotation(round_.key, round_.number, size).astype(np.float32)
+    back = turn.T.astype(np.float64)
+
+    def along(start: int, stop: int) -> Iterator[np.ndarray]:
+        for rows in sites.rows(features, start, stop, few=AT_ONCE):
+            yield rows.astype(np.float32) @ turn[:count]
+
+    with one_blas_thread():
+        transport = Transport.between(along, len(features), slices.features @ turn)
+
+    def rebuilt(rows: np.ndarray) -> np.ndarray:
+        # Turned back it is size**2 too large.
+        moved = transport.moves(rows.astype(np.float32) @ turn[:count]) @ back
+        moved *= round_.strength / size**2
+        np.rint(moved, out=moved)
+        moved[:, :count] += rows
+        blocks = moved @ slices.back
+        blocks *= UNIT / (SCALE * FINE)
+        return np.rint(blocks, out=blocks)
+
+    sites.put_back(features, rebuilt, slices.rest.astype(np.int32), total, votes)
+
+
+def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
+    """Draw a random rotation of `size` axes (a power of two) times `size`, in whole numbers:
+    Hadamard's matrix twice, with random signs before, between and behind.
+    """
+    matrix: np.ndarray = np.ones((1, 1))
+    while len(matrix) < size:
+        matrix = np.block([[matrix, matrix], [matrix, -matrix]])
+    signs = np.empty(3 * size)
+    draw_signs(key, number, signs)
+    first, second, third = signs.reshape(3, size)
+    with one_blas_thread():
+        return np.asarray((first[:, None] * matrix * second) @ matrix * third)
+
+
+def round_bytes(slices: SliceTarget) -> int:
+    """Forecast the memory of a round whatever the volume: features of the exemplars, and
+    neighbourhoods that are put back.
+    """
+    size, (components, length) = slices.features.shape[1], slices.back.shape
+    threads = thread_count()
+    batch = 4 * BATCH + BATCH // length * (2 * components + 40)
+    of_a_thread = AT_ONCE * (20 * size + 8 * length) + 24 * size * BINS
+    return slices.features.nbytes + batch + 40 * size * BINS + threads * of_a_thread
+
+
+@kernel
+def draw_signs(key, number, signs):
+    for i in range(len(signs)):
+        signs[i] = 1.0 - 2.0 * np.float64(philox(key, number, i, 0, 2)[0] & np.uint64(1))

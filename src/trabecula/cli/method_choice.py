@@ -1,0 +1,56 @@
+"""The method of an exemplar where none is named, and the error where a named one cannot learn from
+it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from trabecula.cli import options as shared
+from trabecula.core.errors import InputError
+
+
+def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
+    """Return the method that `inspect` recommends, and a line that reports it, empty where there is
+    nothing to report.
+
+    Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
+    by `texture`: so they were meant before there was a choice.
+
+    Raises
+    ------
+    InputError
+        No method can learn from the exemplar.
+    """
+    from trabecula.exemplar.margins import crop_margins
+    from trabecula.report.recommend import recommend
+    from trabecula.synth.api.registry import method
+
+    preset, settings = shared.preset_and_settings(options)
+    plain = preset is None and not settings
+    if not plain and exemplars[0].ndim == 3:
+        return method("texture", preset=preset, **settings), ""
+    found = recommend(crop_margins(exemplars[0]))
+    if found.method is None:
+        raise InputError(f"no method was named, and none fits: {found.reason}")
+    if plain:
+        preset, settings = found.preset, dict(found.settings)
+    with_preset = f" --preset {preset}" if plain and preset else ""
+    line = f"method {found.method}{with_preset} (recommended: {found.reason})"
+    return method(found.method, preset=preset, **settings), line
+
+
+def check_fits(method: Any, exemplars: list[Any]) -> None:
+    """Raise where a method that was named cannot learn from an exemplar, and name one that can."""
+    from trabecula.report.recommend import misfit
+
+    for image in exemplars:
+        why = misfit(
+            image,
+            method.capabilities.name,
+            method.capabilities.exemplar,
+            flat="picture" in method.capabilities.makes,
+        )
+        if why is not None:
+            raise InputError(why)

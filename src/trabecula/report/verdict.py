@@ -1,0 +1,130 @@
+"""The certificate: figures, verdict and reasons, as JSON, text and page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trabecula.core.image import Image, describe_fields
+from trabecula.report.metrics import Metric, all_passed, group_verdicts
+from trabecula.report.page import page, summary_html, write_page
+from trabecula.report.summary_text import summary, table
+
+IN_SPACE = ("connectivity", "physics")
+"""Groups that are about three dimensions: no picture can pass them."""
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """The findings of `verify` about one image."""
+
+    metrics: Mapping[str, Metric]
+    """By name, in the order of the table of figures."""
+    notes: tuple[str, ...] = ()
+    """Facts to know before believing the figures."""
+    name: str = "image"
+    curves: Mapping[str, Any] = field(default_factory=dict)
+    """By "exemplar", "image", "baseline" and "parts" (a list): the curves that were compared, by
+    name.
+    """
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """Shape, spacing, unit, phases and recipe of "exemplar" and "image"; "level"; "physics" of both
+    at level "full".
+    """
+    baseline: Mapping[str, Metric] | None = None
+    """The same figures of a thresholded Gaussian field with the exemplar's fraction and two-point
+    function: what a method has to beat. `None` where none was made."""
+    undecided: tuple[str, ...] = ()
+    """Why nothing can be passed even where nothing fails: an exemplar that is too small or not
+    stationary, figures that noise passes as well, limits of a picture, parts that were not
+    examined."""
+    local_fractions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across
+    that axis.
+    """
+
+    @property
+    def passed(self) -> bool | None:
+        """Return the verdict: False where a metric failed, None where none did and `undecided` says
+        why that proves nothing, else True.
+        """
+        verdict = all_passed(self.metrics.values())
+        return None if verdict and self.undecided else verdict
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict as a word: "pass", "fail" or "not decided"."""
+        return {True: "pass", False: "fail", None: "not decided"}[self.passed]
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Return the names of the metrics that failed."""
+        return tuple(name for name, metric in self.metrics.items() if metric.passed is False)
+
+    @property
+    def groups(self) -> dict[str, bool | None]:
+        """Return the verdict of each group of figures that was measured: "two-point", "shape", ...
+        None where none was judged; slices that match a picture decide nothing about connections in
+        space."""
+        found = group_verdicts(self.metrics)
+        pictures = "planes" in self.about
+        return {
+            name: None if pictures and name in IN_SPACE and passed else passed
+            for name, passed in found.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON: metrics with value, real_band and pass; the verdict, whole and by
+        group; the baseline's metrics; notes."""
+        return {
+            "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
+            "verdict": self.verdict,
+            "passed": self.passed,
+            "undecided": list(self.undecided),
+            "groups": self.groups,
+            "baseline": None
+            if self.baseline is None
+            else {n: m.to_json() for n, m in self.baseline.items()},
+            "level": self.about.get("level"),
+            "notes": list(self.notes),
+        }
+
+    def __repr__(self) -> str:
+        return summary(self)
+
+    def _repr_html_(self) -> str:
+        return summary_html(self)
+
+    def to_table(self) -> str:
+        """Return a table for a terminal."""
+        return table(self)
+
+    def to_html(
+        self,
+        path: str | Path | None = None,
+        *,
+        pictures: Iterable[tuple[str, str | Path | bytes]] = (),
+    ) -> str:
+        """Build one self-contained page; write it to `path` where one is given.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+        pictures : iterable of (caption, PNG file or its bytes), optional
+            Shown side by side, and kept in the page.
+
+        Returns
+        -------
+        html : str
+        """
+        html = page([self], pictures=pictures)
+        if path is not None:
+            write_page(html, path)
+        return html
+
+
+def about_image(image: Image) -> dict[str, Any]:
+    """Return shape and fields of an image, as plain JSON."""
+    return {"shape": list(image.shape), **describe_fields(image)}

@@ -1,0 +1,1 @@
+"""The content of images as fields that can be averaged, and fields as images again."""

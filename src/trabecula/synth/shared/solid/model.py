@@ -1,0 +1,180 @@
+"""Solid texture from pictures by search and vote on the planes of up to three views, the model of
+`kopf` and `chen`.
+
+From coarse to fine, on every level: each view searches for the squares in its planes the nearest
+ones in its picture; all squares of all views that overlap in a voxel vote. The votes become the
+next field in each method's own way (`SolidRounds.cast`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import prod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.core.progress import track
+from trabecula.core.request import Request
+from trabecula.engine.memory import Plan
+from trabecula.exemplar.views import View, spacing_of
+from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
+from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import Content, content_of
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
+from trabecula.synth.shared.pictures import PictureModel
+from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.solid.config import SolidConfig
+from trabecula.synth.shared.solid.forecast import SolidForecast
+from trabecula.synth.shared.solid.method import PROCESS
+from trabecula.synth.shared.solid.run import SolidRounds
+from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
+
+
+@dataclass(frozen=True)
+class SolidLevel:
+    """The pictures at one resolution: the neighbourhoods of every view, and the histograms of all
+    of them together.
+    """
+
+    views: tuple[tuple[int, Candidates], ...]
+    histograms: tuple[Histogram, ...]
+    correlations: Correlations | None  # where rounds step towards them
+
+
+class SolidModel(PictureModel):
+    """Pictures as pyramids of fields with the neighbourhoods of every level."""
+
+    spills: ClassVar[bool] = True
+    rounds_type: ClassVar[type[SolidRounds]] = SolidRounds
+    config: Any
+
+    def __init__(
+        self, config: SolidConfig, exemplars: Sequence[Image], views: tuple[View, ...]
+    ) -> None:
+        super().__init__(config, exemplars, views)
+        unit = mean_edge(spacing_of(views))
+        pictures = [view.image for view in views]
+        self.content: Content = content_of(pictures, histogram=config.histogram, unit=unit)
+        # Views of the same picture share all that is learnt from it.
+        self.numbers = [
+            next(n for n, other in enumerate(pictures) if other is picture) for picture in pictures
+        ]
+        fields = {n: self.content.fields(pictures[n]) for n in sorted(set(self.numbers))}
+        count = levels_that_fit(
+            min(min(picture.shape) for picture in pictures),
+            config.levels,
+            width=config.neighbourhood,
+        )
+        self.levels: list[SolidLevel] = []
+        for index in track(range(count), "learning the picture"):
+            own = {n: self.quantise_level(field, index) for n, field in fields.items()}
+            made = {n: self._learn_picture(field, index, pictures[n]) for n, field in own.items()}
+            stacks = [made[n].stack.histograms for n in self.numbers]
+            histograms = tuple(Histogram.pool(channel) for channel in zip(*stacks, strict=True))
+            seen = tuple((view.axis, made[n]) for view, n in zip(views, self.numbers, strict=True))
+            target = None
+            if self.content.distances and any(config.corrections):
+                deep = [
+                    np.moveaxis(own[n], 1, 1 + view.axis)
+                    for view, n in zip(views, self.numbers, strict=True)
+                ]
+                target = correlations_at(
+                    deep, index, edges=[e / unit for e in spacing_of(views)], clip=config.clip
+                )
+            self.levels.append(SolidLevel(seen, histograms, target))
+            fields = {n: halve(field) for n, field in fields.items()}
+
+    def _learn_picture(self, field: np.ndarray, index: int, picture: Image) -> Candidates:
+        """Learn the neighbourhoods of one picture (C, 1, y, x) int8 on one level."""
+        config = self.config
+        turns = symmetries(config.orientations, ndim=2, spacing=picture.spacing)
+        stack = Stack.of([apply_symmetry(field[:, 0], turn)[:, None] for turn in turns])
+        return Candidates.of(
+            stack,
+            width=config.neighbourhood,
+            step=config.step,
+            variance=config.variance,
+            most=config.components,
+            smooth=index == 0 and self.content.distances,
+            k=config.nearest,
+            flat=True,
+        )
+
+    def quantise_level(self, field: np.ndarray, index: int) -> np.ndarray:
+        """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
+        grey value is unchanged.
+        """
+        if self.content.distances:
+            return quantise(field / np.float32(2**index), clip=self.config.clip)
+        return quantise(field, clip=FULL)
+
+    def make(self, request: Request) -> np.ndarray:
+        rounds = self.rounds_type(self, request)
+        rounds.run()
+        return self._to_values(rounds, request)
+
+    def _to_values(self, rounds: SolidRounds, request: Request) -> np.ndarray:
+        """Return the result's values from the last votes."""
+        return self.content.to_values(fit_to(rounds.votes, request.shape), request)
+
+    def _plan(self, request: Request) -> Plan:
+        run = self._forecast(request)
+        return Plan(
+            memory={
+                "interpreter and kernels": PROCESS,
+                "exemplar": self._exemplar_bytes(),
+                "output": run.output,
+                "scratch": run.scratch,
+            },
+            disk=prod(request.shape) * run.itemsize,
+        )
+
+    def _plan_spilled(self, request: Request) -> dict[str, int]:
+        run, target = self._forecast(request), self.levels[0].correlations
+        slab = run.slab
+        if run.correcting and target is not None:
+            slab = max(slab, step_slab_bytes(run.shape, target, request.periodic))
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "slab": slab,
+        }
+
+    def _exemplar_bytes(self) -> int:
+        """Return the bytes of the pictures' fields and neighbourhoods."""
+        # Views of one picture share its candidates; the exact search holds their features once
+        # more, in another order.
+        candidates = {id(c): c for level in self.levels for _, c in level.views}.values()
+        own = 3 if self.config.search == "exact" else 1
+        return sum(
+            own * c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes
+            for c in candidates
+        )
+
+    def _forecast(self, request: Request) -> SolidForecast:
+        target = self.levels[0].correlations
+        run = SolidForecast(
+            request,
+            Region(request.shape, request.periodic),
+            self.levels[0].views,
+            distances=self.content.distances,
+            itemsize=self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1),
+            chosen=self._chooses,
+            exact=self.config.search == "exact",
+            repeated=at_level(self.config.sweeps, 0) > 1,
+        )
+        if target is None or request.fixed is not None or not at_level(self.config.corrections, 0):
+            return run
+        return replace(run, correcting=step_bytes(run.shape, target, request.periodic))
+
+    @property
+    def _chooses(self) -> bool:
+        """Return whether voxels become pixels of the pictures."""
+        return False

@@ -1,0 +1,160 @@
+"""Two-point functions of the soft indicators of fields: 0 to 1 over a few voxels around an
+interface, so that a small move of it changes them a little.
+
+Pairs are binned by their distance and by the nearest axis: of distance alone, a material that
+is longer along one axis would come out longer still.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.engine.parallel import sum_slabs
+from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.statistics.long_waves import LongWaves
+from trabecula.synth.shared.statistics.pairs import Pairs
+
+_SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
+# farthest distance in voxels of the finest level, and at least so many of a level's own
+_REACH, _NEAR = 30, 6
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Target of the steps: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's
+    soft indicator, of pairs nearest to z, then to y, then to x.
+
+    `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
+    voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
+    leave alone waves longer than twice their largest window.
+    """
+
+    curves: np.ndarray
+    softness: float
+    edges: tuple[float, ...]
+    held: np.ndarray
+    waves: LongWaves | None = None
+
+    @property
+    def r_max(self) -> int:
+        """Return the largest distance."""
+        return self.curves.shape[1] // 3 - 1
+
+
+def correlations_of(
+    fields: Sequence[np.ndarray],
+    *,
+    softness: float,
+    r_max: int,
+    edges: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Correlations:
+    """Measure the two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all
+    pairs of them counted alike.
+
+    A picture is a volume of one plane across the axis that it is seen across: it says nothing of
+    pairs along that axis.
+
+    Parameters
+    ----------
+    fields : sequence of arrays
+    softness : float
+        Width of the soft step in int8 steps of the field: FULL / clip is one voxel.
+    r_max : int
+        Largest distance, in the unit of `edges`.
+    edges : three floats
+        Sides of a voxel.
+    """
+    steps = (float(edges[0]), float(edges[1]), float(edges[2]))
+    sums = np.zeros((len(fields[0]), 3 * (r_max + 1)))
+    fits = np.zeros(3 * (r_max + 1))
+    for field in fields:
+        pairs = Pairs(field.shape[1:], r_max, edges=steps)
+        fits += pairs.fits
+        for c, channel in enumerate(field):
+            spectrum = pairs.forward(Soft.of(channel, softness).plane)
+            sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
+    return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
+
+
+def correlations_at(
+    fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
+) -> Correlations:
+    """Measure the target of one level (0 the finest) of a pyramid, with the softness and the reach
+    that suit it.
+
+    `clip` is the distance in voxels of the level at which its int8 fields saturate.
+    """
+    # a picture has no depth
+    shortest = min(side for field in fields for side in field.shape[1:] if side > 1)
+    reach = min(_REACH, shortest * 2**level // 2 - 1)
+    softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
+    return correlations_of(
+        fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges
+    )
+
+
+def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
+    """Return 0 .. 1 in float32 of a field in int8."""
+    return _table(softness)[field.astype(np.int16) & 255]
+
+
+@dataclass(frozen=True)
+class Soft:
+    """The soft indicator of a field (Z, Y, X) int8, 0 where it is not free; nowhere as a whole.
+
+    `table` (256,) float32 is its value by the byte of the field; `free` (Z, Y, X) bool, None for
+    everywhere.
+    """
+
+    field: np.ndarray
+    table: np.ndarray
+    free: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, field: np.ndarray, softness: float, free: np.ndarray | None = None) -> Soft:
+        """Take a field with the width of the soft step in its int8 steps."""
+        return cls(field, _table(softness), free)
+
+    def plane(self, z: int) -> np.ndarray:
+        """Return plane z (Y, X) float32."""
+        return self._look_up(self.table, z)
+
+    def interface(self, z: int) -> np.ndarray:
+        """Mark the voxels of plane z (Y, X) that are neither 0 nor 1, bool."""
+        return self._look_up((self.table > 0) & (self.table < 1), z)
+
+    def centre(self, mean: np.float32, z: int) -> np.ndarray:
+        """Return plane z less the mean, where it is free."""
+        soft = self.plane(z)
+        return np.subtract(soft, mean, out=soft, where=True if self.free is None else self.free[z])
+
+    def mean_and_moving(self) -> tuple[np.float32, int]:
+        """Return the mean over the free voxels, and count the voxels of the interface."""
+        counts = sum_slabs(self._counts, len(self.field))
+        total = math.fsum((counts * self.table.astype(np.float64)).tolist())
+        moving = counts[(self.table > 0) & (self.table < 1)].sum()
+        return np.float32(total / max(1, int(counts.sum()))), int(moving)
+
+    def _look_up(self, table: np.ndarray, z: int) -> np.ndarray:
+        found = table[self.field[z].view(np.uint8)]
+        return found if self.free is None else found * self.free[z]
+
+    def _counts(self, start: int, stop: int) -> np.ndarray:
+        """Count each byte in free voxels of these planes, (256,) int64."""
+        counts = np.zeros(256, np.int64)
+        for z in range(start, stop):
+            plane = self.field[z].view(np.uint8)
+            counts += np.bincount(
+                (plane if self.free is None else plane[self.free[z]]).ravel(), minlength=256
+            )
+        return counts
+
+
+def _table(softness: float) -> np.ndarray:
+    """Return the soft indicator (256,) float32 of every byte of a field."""
+    steps = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
+    return np.clip(steps / softness + 0.5, 0, 1).astype(np.float32)
