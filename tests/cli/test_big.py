@@ -255,13 +255,13 @@ import sys, time
 from trabecula.cli.main import main
 from trabecula.engine import blocks
 
-real = blocks.do
+real = blocks.do_task
 
 def slow(*words, **more):
     time.sleep(0.05)
     real(*words, **more)
 
-blocks.do = slow
+blocks.do_task = slow
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -272,13 +272,13 @@ import sys, time
 from trabecula.cli.main import main
 from trabecula.engine import blocks
 
-real = blocks.do
+real = blocks.do_task
 
 def slow(*words, **more):
     time.sleep(0.2)
     real(*words, **more)
 
-blocks.do = slow
+blocks.do_task = slow
 sys.exit(main(sys.argv[1:]))
 """
 

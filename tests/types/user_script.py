@@ -11,7 +11,7 @@ import trabecula as tb
 from trabecula.core.image import Image
 from trabecula.finish import PrintCheck
 from trabecula.mesh.base import Mesh
-from trabecula.report.metric import Certificate, Metric
+from trabecula.report.verdict import Certificate, Metric
 from trabecula.synth.api.method import Capabilities, Method, Model
 
 

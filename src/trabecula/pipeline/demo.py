@@ -12,7 +12,7 @@ from trabecula.io import files
 from trabecula.pipeline.certificate_page import write_page
 from trabecula.pipeline.outputs import check_folder, export
 from trabecula.report.certificate import verify
-from trabecula.report.metric import Certificate
+from trabecula.report.verdict import Certificate
 from trabecula.synth.api.registry import method
 from trabecula.view.slices import montage
 from trabecula.view.still import render
