@@ -14,7 +14,7 @@ from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
 from trabecula.measure.blockwise import count_slabs, describe_slabs, forecast, names_without_slabs
 from trabecula.measure.labelling import label_components
-from trabecula.measure.streaming import ConfigurationCounts, ComponentTally
+from trabecula.measure.streaming import ComponentTally, ConfigurationCounts
 
 SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
 
@@ -70,7 +70,9 @@ def test_slabs_describe_a_volume_as_the_whole_does(values, extra, names, depth, 
 @settings(max_examples=60)
 @given(values=volumes(), depth=st.integers(1, 9), connectivity=st.sampled_from([6, 18, 26]))
 def test_components_of_slabs_are_those_of_the_whole(values, depth, connectivity):
-    found = in_pieces(as_slabs(tb.Image(values, "labels")), ComponentTally(connectivity), depth).result()
+    found = in_pieces(
+        as_slabs(tb.Image(values, "labels")), ComponentTally(connectivity), depth
+    ).result()
     assert found.sizes().tolist() == component_sizes(values, connectivity=connectivity).tolist()
     assert found.components == len(found.sizes()) and found.voxels == values.sum()
     for axis in range(3):

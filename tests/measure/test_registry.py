@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.engine.lazy_volume import as_slabs
 from trabecula.measure import describe, describe_physics, describe_slabs, registry
 from trabecula.measure.describe import SIZE_KEYS, describe_curves, describe_numbers
 from trabecula.measure.each_phase import measure_numbers
@@ -65,12 +66,6 @@ def test_levels_and_streams_are_as_declared(foam):
             if one.name in found and one.source != registry.PHASES:
                 assert (found[one.name] is not None) == one.is_measured(level), one.name
                 assert (slabs[one.name] is not None) == (one.streams and one.is_measured(level))
-
-
-def slabs_of(image):
-    from trabecula.engine.lazy_volume import as_slabs
-
-    return as_slabs(image)
 
 
 def test_units_are_words():

@@ -91,7 +91,9 @@ def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, 
     image = tb.read(interrupted)
     assert digest(image.values) == done.sha256
     assert image.recipe.to_json() == tb.read(whole).recipe.to_json()
-    assert np.array_equal(tb.read(interrupted, level=1).values, halve_resolution(image.values, labels=True))
+    assert np.array_equal(
+        tb.read(interrupted, level=1).values, halve_resolution(image.values, labels=True)
+    )
     assert objects() == {
         f"foam.zarr/{path.relative_to(whole).as_posix()}"
         for path in whole.rglob("*")
@@ -216,7 +218,9 @@ def test_a_volume_made_at_once_appears_whole_and_is_not_replaced(bucket, objects
     again = tb.read(place)
     assert np.array_equal(again.values, block.values)
     assert (again.spacing, again.unit, again.phases) == (block.spacing, block.unit, block.phases)
-    assert np.array_equal(tb.read(place, level=1).values, halve_resolution(block.values, labels=True))
+    assert np.array_equal(
+        tb.read(place, level=1).values, halve_resolution(block.values, labels=True)
+    )
     before = objects()
     with pytest.raises(
         FileError, match="something is there, and an object store cannot replace it"

@@ -28,7 +28,7 @@ from trabecula.measure.effective_properties import PHYSICS, describe_physics, ph
 from trabecula.measure.phases import indicator
 from trabecula.measure.registry import CURVES, DESCRIPTORS, LEVELS, select
 from trabecula.measure.runs import RUN_BYTES
-from trabecula.measure.streaming import SolidNumbers, ComponentSizes
+from trabecula.measure.streaming import ComponentSizes, SolidNumbers
 from trabecula.measure.streaming.pairs import pairs_bytes
 from trabecula.measure.streaming.phases import CurveTally, PhaseTallies
 
@@ -172,7 +172,7 @@ def count_slabs(
         "two_point": curves.two_point(),
         "lineal_path": curves.lineal_path(),
     }
-    return found | (each.result() if each is not None else {}), numbers.pieces()
+    return found | (each.result() if each is not None else {}), numbers.component_sizes()
 
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from trabecula.core.image import Image
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.io import files
 from trabecula.pipeline.outputs import check_folder
-from trabecula.report.verdict import Certificate
 from trabecula.report.page import page
 from trabecula.report.page import write_page as write_html
+from trabecula.report.verdict import Certificate
 from trabecula.view.slices import montage
 from trabecula.view.still import render
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.numerics.transforms import sums_by_offset
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
+from trabecula.numerics.transforms import sums_by_offset
 
 BOX = {2: 512, 3: 128}
 """Edge of the centre box, voxels, that the covariance of every offset is measured in: about a
