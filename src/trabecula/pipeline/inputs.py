@@ -232,7 +232,9 @@ def load_mask(
     else:
         both = has_length(surface.unit) and has_length(exemplar.unit)
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
-        surface = scale_mesh(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
+        surface = scale_mesh(
+            surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit
+        )
     form = voxelise(surface, spacing=edges, shape=shape)
     if scale is not None or shape is None:
         _report_units(os.fspath(source), stated, exemplar.unit, scale)
