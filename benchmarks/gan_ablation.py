@@ -46,8 +46,8 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
 }
 """Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in
 percent, D2 (not of this package's scale), components / floating. The paper's discriminators at
-width 16; generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no sliced
-distributions after the warm-up."""
+width 16; generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no
+sliced distributions after the warm-up."""
 
 _FIGURES = (
     "porosity_error",
