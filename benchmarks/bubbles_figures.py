@@ -19,7 +19,7 @@ from PIL import ImageDraw
 import trabecula as tb
 from common import SCANS, busy, pictures, table
 from trabecula.core.seeds import generator
-from trabecula.mesh.voxels import fitted
+from trabecula.mesh.voxels import fit_mesh
 from trabecula.synth.bubbles.flow import FlowConfig, flow_of
 from trabecula.view.picture import font
 
@@ -169,7 +169,7 @@ def form(name: str, side: int) -> np.ndarray:
     """A mesh of the data folder in a cube of voxels."""
     mesh = tb.read_mesh(SCANS / f"mesh_{name}.ply")
     return tb.voxelise(
-        fitted(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side
+        fit_mesh(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side
     ).values.astype(bool)
 
 
@@ -180,7 +180,7 @@ def drawn(labels: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
 
 
 def cropped(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The part of a picture that holds the form, the right way up: y of the meshes points upwards."""
+    """Crop a picture to the form, with y of the meshes upwards."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1][::-1]
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.seeds import generator
-from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.api.method import Method, Model
+from trabecula.synth.api import Capabilities, Method, Model
 
 CAPABILITIES = Capabilities(
     name="coin",

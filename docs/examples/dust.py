@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from trabecula.core.seeds import generator
-from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.api.method import Method, Model
+from trabecula.synth.api import Capabilities, Method, Model
 
 CAPABILITIES = Capabilities(
     name="dust",

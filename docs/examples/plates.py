@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.api.method import Method
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api import Capabilities, Method, WindowModel
 
 CAPABILITIES = Capabilities(
     name="plates",
