@@ -40,11 +40,15 @@ _ROOMS = {
 }
 # Names that public functions return or take, and that are no names of `trabecula` itself.
 _ALSO = {
-    "synth.api.capabilities": ("Capabilities",),
-    "synth.api.method": ("Method",),
-    "synth.api.model": ("Model", "ModelState"),
-    "synth.api.windows": ("WindowModel",),
-    "synth.api.exemplar_info": ("ExemplarInfo",),
+    "synth.api": (
+        "Capabilities",
+        "Method",
+        "Model",
+        "ModelState",
+        "WindowModel",
+        "ExemplarInfo",
+        "register",
+    ),
     "report.verdict": ("Certificate",),
     "report.metrics": ("Metric",),
     "report.inspection": ("Inspection",),
