@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from trabecula.synth.bubbles.config import BubblesConfig
-from trabecula.synth.bubbles.growth_law import SWALLOWED, counts_of, law_of
+from trabecula.synth.bubbles.growth_law import ABSORBED, counts_of, law_of
 
 
 def drawn(side, *, seed=1, ndim=3, periodic=False, **settings):
@@ -80,7 +80,7 @@ def test_slow_bubbles_in_front_of_fast_ones_are_swallowed():
         ratio = max(brakes[i], brakes[j]) / min(brakes[i], brakes[j])
         if ratio > 1:
             off = np.linalg.norm(places[i] - places[j])
-            assert off * ratio / (ratio**2 - 1) >= SWALLOWED * 10 - 0.01
+            assert off * ratio / (ratio**2 - 1) >= ABSORBED * 10 - 0.01
 
 
 def test_the_same_bubbles_on_any_grid():

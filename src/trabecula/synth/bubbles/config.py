@@ -32,8 +32,9 @@ _OPTIONAL = {
 
 @dataclass(frozen=True)
 class BubblesConfig(FlowConfig):
-    """Settings of `bubbles`. L stands for the mean distance between bubbles: as many of them as
-    cubes of edge L.
+    """Settings of `bubbles`.
+
+    L stands for the mean distance between bubbles: there are as many of them as cubes of edge L.
     """
 
     density: float | None = None
@@ -116,10 +117,11 @@ class BubblesConfig(FlowConfig):
                 )
         if self.time is not None and self.porosity is not None:
             raise InputError(
-                f"time={self.time} and porosity={self.porosity} both say when growth stops: give one of them"
+                f"time={self.time} and porosity={self.porosity} both say when growth stops: give "
+                "one of them"
             )
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """Settings that make a preset."""
+        """Return the settings of a preset."""
         return dict(PRESETS[name])

@@ -114,7 +114,8 @@ class NoiseConfig:
             raise InputError(f"thickness and {other} both say how much is solid: give one of them")
         if self.invert and self.kind not in _TURNED:
             raise InputError(
-                f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, set porosity instead"
+                f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, "
+                "set porosity instead"
             )
         if self.covariance != "auto" and self.kind != "gaussian":
             raise InputError(

@@ -1,23 +1,15 @@
-"""From a phase's two-point function to the filter that makes a Gaussian field of it.
-
-Cut at t = Phi^-1(1 - phi), a Gaussian field of covariance rho(r) gives a phase of fraction phi with
-the two-point function
-
-    S2(r) = phi^2 + 1 / (2 pi) * integral from 0 to arcsin rho(r) of exp(-t^2 / (1 + sin a)) da
-
-(Berk 1987, doi:10.1103/PhysRevLett.58.2718; for t = 0 it is 1/4 + arcsin(rho) / (2 pi)). It rises
-with rho, so S2 at every offset gives rho at every offset (Quiblier 1984,
-doi:10.1016/0021-9797(84)90481-8).
-"""
+"""C"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
-from trabecula.numerics.transforms import sums_by_offset
+from trabecula.numerics.transforms import fast_side, sums_by_offset
+from trabecula.synth.noise.config import NoiseConfig
 
 _ANGLES = 1 << 13
 _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less and less
@@ -63,7 +55,7 @@ def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
     return np.rint(sums_by_offset(inside, reach))
 
 
-def averaged(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
+def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
     """S2 as a mean over directions, at every offset -reach .. reach; beyond the longest that is
     known, its last value.
 
@@ -82,7 +74,7 @@ def averaged(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.
     )
 
 
-def fitted_filter(
+def fit_filter(
     two_point: np.ndarray, fraction: float, *, corrections: int, isotropic: bool = False
 ) -> Filter:
     """The filter for S2 at every offset (odd sides, offset 0 in the middle).
@@ -153,3 +145,97 @@ def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
 def _weight(shape: tuple[int, ...]) -> np.ndarray:
     z, y, x = _axes(shape)
     return (1 + (z**2 + y**2 + x**2) / _NEAR**2) ** -1.5
+
+
+_NAMED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], float]] = {
+    "exponential": (lambda r: np.exp(-r), 4.0),
+    "matern32": (lambda r: (1 + 3**0.5 * r) * np.exp(-(3**0.5) * r), 3.0),
+    "matern52": (lambda r: (1 + 5**0.5 * r + 5 / 3 * r**2) * np.exp(-(5**0.5) * r), 2.6),
+    "gaussian": (lambda r: np.exp(-(r**2)), 2.0),
+    "wave": (lambda r: np.sinc(2 * r) * np.exp(-(r**2) / 2), 3.0),
+}
+"""Covariances of the distance over the length, each with the distance that its filter reaches."""
+
+_PARTS = 1 << 18
+
+MOST_REACH = 100
+"""Voxels that a filter reaches at most."""
+
+
+def reach_of(shape: Sequence[int], config: NoiseConfig, *, flat: bool) -> tuple[int, ...]:
+    """Offsets of an exemplar's two-point function that are followed along every axis."""
+    reach = tuple(min(config.reach, (side - 1) // 2) for side in shape)
+    # In a flat exemplar, what it does not show along its normal is what it shows across.
+    return (
+        (min(far for far in reach if far),) * 3
+        if config.isotropic and any(reach) and not flat
+        else reach
+    )
+
+
+def fit_filters(
+    values: np.ndarray, present: Sequence[int], config: NoiseConfig, *, flat: bool
+) -> list[Filter]:
+    """A filter per phase but the last, each for the phase within what the ones before left."""
+    reach, left, filters = (
+        reach_of(values.shape, config, flat=flat),
+        np.ones(values.shape, bool),
+        [],
+    )
+    for label in present[:-1]:
+        inside = values == label
+        filters.append(_fit_phase(inside, left, reach, config))
+        left &= ~inside
+    return filters
+
+
+def _fit_phase(
+    inside: np.ndarray, left: np.ndarray, reach: tuple[int, ...], config: NoiseConfig
+) -> Filter:
+    fraction = float(np.count_nonzero(inside) / np.count_nonzero(left))
+    if fraction > 0.5:
+        # Either side of the threshold tells the covariance. The rarer does so far better: the
+        # chance surplus of a phase
+        # at some offset is in proportion to its fraction.
+        inside, fraction = left & ~inside, 1 - fraction
+    seen = tuple(min(far, side - 1) for far, side in zip(reach, left.shape, strict=True))
+    pairs = counts_by_offset(left, seen)
+    hits = counts_by_offset(inside, seen)
+    if config.isotropic:
+        hits = radial_mean(hits, pairs, reach)
+    else:
+        hits /= np.maximum(pairs, 1)
+        hits[pairs < 1] = fraction**2
+    return fit_filter(hits, fraction, corrections=config.corrections, isotropic=config.isotropic)
+
+
+def covariance_reach(name: str, lengths: Sequence[float], *, flat: bool) -> tuple[int, ...]:
+    """Offsets that the filter of a named covariance has, for lengths in voxels."""
+    far = _NAMED[name][1]
+    return tuple(
+        0 if flat and axis == 0 else max(1, int(np.ceil(far * length)))
+        for axis, length in enumerate(lengths)
+    )
+
+
+def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Filter:
+    """The filter of a named covariance, for lengths in voxels.
+
+    It is found on a torus half as wide again as the filter, so that the covariance has faded where
+    it meets itself: an edge there would roughen the field along the axes.
+    """
+    reach = covariance_reach(name, lengths, flat=flat)
+    sides = [fast_side(3 * far + 1) for far in reach]
+    offsets = np.ix_(*(np.minimum(np.arange(side), side - np.arange(side)) for side in sides))
+    distance = np.sqrt(
+        sum((part / length) ** 2 for part, length in zip(offsets, lengths, strict=True))
+    )
+    power = np.maximum(np.fft.rfftn(_NAMED[name][0](distance)).real, 0)
+    whole = np.fft.irfftn(np.sqrt(power), sides, (0, 1, 2))
+    for axis, far in enumerate(reach):
+        whole = np.take(whole, np.arange(-far, far + 1), axis)
+    # In whole parts, so that the last bit of an exponential, which machines disagree about, is
+    # gone.
+    return Filter(
+        (np.rint(whole / np.sqrt((whole**2).sum()) * _PARTS) / _PARTS).astype(np.float32), 0.0
+    )

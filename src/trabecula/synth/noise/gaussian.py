@@ -1,15 +1,9 @@
-"""Gaussian random fields: white noise convolved with a filter a phase, of an exemplar's covariance
-or of a named one.
-
-White noise and filters are whole numbers, so that their convolution is one as well. The Fourier
-transform finds it with an error far below one half: any cut of the volume, and any machine, gives
-the same voxels.
-"""
+"""G"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise, product
 from statistics import NormalDist
 
@@ -17,13 +11,120 @@ import numpy as np
 
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
-from trabecula.engine.gaussian_random import quantiles
+from trabecula.engine.compile import kernel
+from trabecula.engine.gaussian_random import normal_line, quantiles
 from trabecula.engine.memory import Array, Stage, Workspace
-from trabecula.engine.parallel import thread_count
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
-from trabecula.synth.noise.convolve import ROWS, WHITE, Use, back, folded, transform_planes, white
 from trabecula.synth.noise.covariance import Filter
-from trabecula.synth.noise.periodic_domain import Domain
+from trabecula.synth.noise.periodic_domain import Domain, Use
+
+
+@kernel
+def white_plane(plane, key, z, corner, periods, table):
+    """Independent normal numbers in the table's units, of the voxels from (z, *corner) on, (Y, X)
+    float64; periods 0: endless.
+    """
+    for y in range(plane.shape[0]):
+        row = corner[0] + y
+        if periods[0] > 0:
+            row = row % periods[0]
+        normal_line(plane[y], key, z, row, corner[1], periods[1], table)
+
+
+WHITE = 256
+"""What stands for one standard deviation of the white noise, as a whole number."""
+
+ROWS = 4
+"""Rows of columns along z that are transformed at once."""
+
+
+def white_noise_planes(
+    around: tuple[int, ...], corner: Sequence[int], domain: Domain, stage: np.uint64
+) -> Callable[[int], np.ndarray]:
+    """What makes a plane of white noise of the box that starts at `corner`."""
+    periods = [
+        side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
+    ]
+    inside, across = np.array(corner[1:], np.int64), np.array(periods[1:], np.int64)
+
+    def plane_at(z: int) -> np.ndarray:
+        plane = np.empty(around[1:])
+        place = corner[0] + z
+        white_plane(
+            plane,
+            stage,
+            place % periods[0] if periods[0] else place,
+            inside,
+            across,
+            quantiles(WHITE),
+        )
+        return plane
+
+    return plane_at
+
+
+def fold_filter(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | None:
+    """Plane z of the filter in the box, offset 0 at its origin, wrapped around where the box is the
+    smaller.
+    """
+    middle = [side // 2 for side in values.shape]
+    offsets = np.flatnonzero((np.arange(len(values)) - middle[0]) % box[0] == z)
+    if not len(offsets):
+        return None
+    rows, columns = (
+        (np.arange(side) - mid) % width
+        for side, mid, width in zip(values.shape[1:], middle[1:], box[1:], strict=True)
+    )
+    plane = np.zeros(box[1:])
+    np.add.at(plane, (rows[:, None], columns), values[offsets].sum(0))
+    return plane
+
+
+def transform_planes(
+    plane_at: Callable[[int], np.ndarray | None], spectrum: np.ndarray
+) -> np.ndarray:
+    """Write the Fourier transform of planes that are made one at a time (None: a plane of zeros)
+    into `spectrum`, (Z, Y, X // 2 + 1) complex128; return it.
+    """
+
+    def planes(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            plane = plane_at(z)
+            spectrum[z] = 0 if plane is None else np.fft.fft(np.fft.rfft(plane, axis=1), axis=0)
+
+    for_slabs(planes, len(spectrum))
+    _along_z(spectrum, np.fft.fft)
+    return spectrum
+
+
+def _along_z(spectrum: np.ndarray, transform: Callable[..., np.ndarray]) -> None:
+    def columns(start: int, stop: int) -> None:
+        for y in range(start, stop, ROWS):
+            rows = spectrum[:, y : min(y + ROWS, stop)]
+            rows[:] = transform(rows, axis=0)
+
+    for_slabs(columns, spectrum.shape[1])
+
+
+def inverse_transform(
+    spectrum: np.ndarray,
+    box: tuple[int, ...],
+    first: tuple[int, ...],
+    piece: tuple[slice, ...],
+    use: Use,
+) -> None:
+    """The way back, of what starts at `first` in the box and is a piece of the result."""
+    _along_z(spectrum, np.fft.ifft)
+    depth, height, width = (cut.stop - cut.start for cut in piece)
+
+    def planes(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            lines = np.fft.ifft(spectrum[first[0] + z], axis=0)[first[1] : first[1] + height]
+            use(piece, z, np.fft.irfft(lines, box[2], axis=1)[:, first[2] : first[2] + width])
+
+    for_slabs(planes, depth)
+
 
 PIECE = 256
 """Voxels along an axis that are made at once, at most: 12 bytes a voxel of it and of the reach
@@ -74,15 +175,15 @@ class GaussianField:
                 start + cut.start - far
                 for (start, _), cut, far in zip(box, piece, reach, strict=True)
             ]
-            transform_planes(white(around, corner, domain, stage), spectrum)
+            transform_planes(white_noise_planes(around, corner, domain, stage), spectrum)
             spectrum *= response
-            back(spectrum, around, reach, piece, use)
+            inverse_transform(spectrum, around, reach, piece, use)
 
     def level(self, number: int, share: float) -> float:
         """Between the two whole numbers above which the field has the share."""
         table = quantiles(WHITE).astype(np.float64)
         spread = math.sqrt(
-            float((whole(self.filters[number]) ** 2).sum()) * float(np.mean(table**2))
+            float((integer_filter(self.filters[number]) ** 2).sum()) * float(np.mean(table**2))
         )
         return math.floor(NormalDist().inv_cdf(1 - share) * spread) + 0.5
 
@@ -108,9 +209,9 @@ class GaussianField:
         if kept is None or kept[0] != (number, around):
             kept = None  # freed before the next one is made
             work.enter("response")
-            weights = work.adopt("weights", whole(self.filters[number]))
+            weights = work.adopt("weights", integer_filter(self.filters[number]))
             spectrum = work.empty("spectrum")
-            transform_planes(lambda z: folded(weights, around, z), spectrum)
+            transform_planes(lambda z: fold_filter(weights, around, z), spectrum)
             response = work.empty("response")
             response[...] = spectrum.real
             kept = ((number, around), response)
@@ -134,7 +235,7 @@ def _pieces(side: int) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 
-def whole(part: Filter) -> np.ndarray:
+def integer_filter(part: Filter) -> np.ndarray:
     """A filter in whole numbers, even to the last of them: a real transform says all of it."""
     found = np.rint(part.values * np.float64(_GAIN))
     flat = found.reshape(-1)

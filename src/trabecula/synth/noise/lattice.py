@@ -1,8 +1,4 @@
-"""Cells of a lattice under the voxels: positions in whole numbers, and a point in every cell.
-
-An edge of a cell is `CELL` steps. Positions, points and what is counted from them are whole numbers
-of steps, so that every box, every cut of it and every processor finds the same.
-"""
+"""L"""
 
 from __future__ import annotations
 
@@ -11,8 +7,46 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.synth.noise.lattice_kernels import place_points
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.random import philox
 from trabecula.synth.noise.periodic_domain import Domain
+
+
+@inline
+def wrap(cell, period):
+    """A cell's number, taken round an axis that repeats (period above 0)."""
+    return cell if period == 0 else cell % period
+
+
+@kernel
+def place_points(place, word, key, first, counts, periods, around, flat, jitter):
+    """A point in every cell, `jitter` / 2 steps from its middle at most, and its random word; in
+    the order of the cells.
+    """
+    at = 0
+    for z in range(counts[0]):
+        for y in range(counts[1]):
+            for x in range(counts[2]):
+                cz = wrap(first[0] + z - around[0], periods[0])
+                cy = wrap(first[1] + y - around[1], periods[1])
+                cx = wrap(first[2] + x - around[2], periods[2])
+                w = philox(key, cz, cy, cx, 0)
+                place[at, 0] = (
+                    0
+                    if flat
+                    else (z - around[0]) * 4096 + _inside(w[0] & np.uint64(0xFFFF), jitter)
+                )
+                place[at, 1] = (y - around[1]) * 4096 + _inside(w[0] >> np.uint64(16), jitter)
+                place[at, 2] = (x - around[2]) * 4096 + _inside(w[1] & np.uint64(0xFFFF), jitter)
+                word[at] = np.int64(w[2] >> np.uint64(8))
+                at += 1
+
+
+@inline
+def _inside(bits, jitter):
+    """Steps from the corner of a cell."""
+    return 2048 + (((np.int64(bits) - 32768) * jitter) >> 16)
+
 
 CELL = 4096
 """Steps along an edge of a cell."""
@@ -61,7 +95,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Grid:
+class VoxelGrid:
     """Voxels on lattices.
 
     Attributes
@@ -89,7 +123,7 @@ class Grid:
         """Voxels along every axis."""
         return tuple(len(place) for place in self.places)
 
-    def part(self, cuts: Sequence[slice]) -> Grid:
+    def part(self, cuts: Sequence[slice]) -> VoxelGrid:
         """Some of the voxels."""
         return replace(
             self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True))
@@ -114,12 +148,12 @@ def shortest(edges: Sequence[float], *, flat: bool) -> float:
 
 def grid_of(
     domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]
-) -> Grid:
+) -> VoxelGrid:
     """The voxels of a box."""
     periods = tuple(
         side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
     )
-    return Grid(
+    return VoxelGrid(
         tuple(np.arange(start, stop) for start, stop in box),
         tuple(step),
         tuple(edges),
@@ -128,9 +162,9 @@ def grid_of(
     )
 
 
-def scattered(
+def scatter_grid(
     step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool
-) -> Grid:
+) -> VoxelGrid:
     """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other):
     many cells for few voxels.
     """
@@ -138,7 +172,7 @@ def scattered(
         np.floor(np.arange(count) * max(1.0, APART / width)).astype(np.int64)
         for count, width in zip(counts, step, strict=True)
     )
-    return Grid(places, tuple(step), tuple(edges), (0, 0, 0), flat)
+    return VoxelGrid(places, tuple(step), tuple(edges), (0, 0, 0), flat)
 
 
 def _axis(place: np.ndarray, width: float, period: int, finer: int) -> Axis:

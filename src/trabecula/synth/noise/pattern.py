@@ -1,6 +1,4 @@
-"""Patterns on a lattice: made brick by brick in threads, cut at a level that a trial finds or a
-thickness gives.
-"""
+"""P"""
 
 from __future__ import annotations
 
@@ -10,18 +8,59 @@ from itertools import product
 
 import numpy as np
 
+from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
+from trabecula.engine.compile import kernel
 from trabecula.engine.memory import Stage
 from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.random import philox
 from trabecula.synth.noise.config import WALLED, NoiseConfig
-from trabecula.synth.noise.convolve import Use
-from trabecula.synth.noise.lattice import APART, CELL, Grid, grid_of, scattered, shortest
-from trabecula.synth.noise.periodic_domain import Domain
+from trabecula.synth.noise.lattice import (
+    APART,
+    CELL,
+    Axis,
+    VoxelGrid,
+    grid_of,
+    scatter_grid,
+    shortest,
+)
+from trabecula.synth.noise.periodic_domain import Domain, Use
 from trabecula.synth.noise.perlin import perlin
 from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_edges, worley
-from trabecula.synth.noise.white import white
 
-Fill = Callable[[np.ndarray, Grid, int, NoiseConfig, float], None]
+
+@kernel
+def cube_words(values, key, cz, cy, cx):
+    """Random whole numbers 0 .. 2**31 - 1 of the cubes that the voxels are in, four a draw: (Z, Y,
+    X) int32.
+    """
+    for z in range(values.shape[0]):
+        for y in range(values.shape[1]):
+            group = np.int64(-1) << np.int64(40)
+            w = philox(key, 0, 0, 0, 0)
+            row = values[z, y]
+            for x in range(len(row)):
+                cell = cx[x]
+                if cell >> 2 != group:
+                    group = cell >> 2
+                    w = philox(key, cz[z], cy[y], group, 0)
+                at = cell & 3
+                word = w[0] if at == 0 else w[1] if at == 1 else w[2] if at == 2 else w[3]
+                row[x] = np.int32(word >> np.uint64(1))
+
+
+def white(values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float) -> None:
+    """A random number of every cube, 0 .. 2**31 - 1, (Z, Y, X) int32."""
+    cube_words(values, key(seed, "noise/white"), *(_cube_numbers(axis) for axis in grid.axes()))
+
+
+def _cube_numbers(axis: Axis) -> np.ndarray:
+    """The cube that every voxel is in, round an axis that repeats."""
+    cells = axis.first + axis.cell
+    return cells % axis.period if axis.period else cells
+
+
+Fill = Callable[[np.ndarray, VoxelGrid, int, NoiseConfig, float], None]
 """Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a
 seed.
 
@@ -54,7 +93,7 @@ _POINT = {
 }  # bytes a point in a brick and around it
 
 
-class Lattice:
+class LatticePattern:
     """One pattern.
 
     Parameters
@@ -84,7 +123,7 @@ class Lattice:
         def slab(start: int, stop: int) -> None:
             for brick in _bricks((stop - start, *whole.shape[1:]), sides):
                 piece = (slice(start + brick[0].start, start + brick[0].stop), *brick[1:])
-                values = _filled(self.config, whole.part(piece), domain.seed, most)
+                values = _fill(self.config, whole.part(piece), domain.seed, most)
                 for z, plane in enumerate(values):
                     use(piece, z, plane)
 
@@ -102,7 +141,7 @@ class Lattice:
             )
         if self._choices:
             return round((1 - share) * self._choices) - 0.5
-        return tried_level(self.config, self.step, self.edges, share, flat=self.flat)
+        return trial_level(self.config, self.step, self.edges, share, flat=self.flat)
 
     def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
         """Return the stages of making a box (Z, Y, X): bricks, and the trial that finds a level."""
@@ -118,7 +157,7 @@ class Lattice:
 
 
 @lru_cache(maxsize=64)
-def tried_level(
+def trial_level(
     config: NoiseConfig,
     step: tuple[float, ...],
     edges: tuple[float, ...],
@@ -127,15 +166,15 @@ def tried_level(
     flat: bool,
 ) -> float:
     """The level above which a pattern has the share: from many cells, always the same ones."""
-    grid, values = scattered(step, edges, _TRIAL[flat], flat=flat), []
+    grid, values = scatter_grid(step, edges, _TRIAL[flat], flat=flat), []
     for brick in _bricks(grid.shape, _sides(config, [max(width, APART) for width in step])):
-        values.append(_filled(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
+        values.append(_fill(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
     found = np.concatenate(values)
     place = min(max(round((1 - share) * len(found)), 1), len(found) - 1)
     return float(np.partition(found, place)[place]) - 0.5
 
 
-def _filled(config: NoiseConfig, grid: Grid, seed: int, most: float) -> np.ndarray:
+def _fill(config: NoiseConfig, grid: VoxelGrid, seed: int, most: float) -> np.ndarray:
     values = np.empty(grid.shape, np.int32)
     PATTERNS[config.kind][0](values, grid, seed, config, most)
     return values

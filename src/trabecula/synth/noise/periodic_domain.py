@@ -1,9 +1,11 @@
-"""What is filled: a request's box in three axes, whether it is a volume or a picture."""
+"""D"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from trabecula.core.request import Request
 
@@ -38,6 +40,10 @@ def domain_of(request: Request) -> Domain:
     )
 
 
-def lifted(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+def lift_box(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
     """A box in three axes."""
     return ((0, 1),) * (3 - len(box)) + tuple(box)
+
+
+Use = Callable[[tuple[slice, ...], int, np.ndarray], None]
+"""Gets a piece of the result, a plane of it by its number, and what was found there."""

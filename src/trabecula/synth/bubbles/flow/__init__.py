@@ -1,7 +1,7 @@
-"""Where bubbles are pushed to, and where they may grow: dynamical systems, outlines, crusts
-(section 3.4 of the paper).
+"""Flow that bubbles follow, and room in which they grow (section 3.4 of the paper).
 
-The names are looked up when they are used, since the registry asks for the presets alone.
+It has dynamical systems, outlines and crusts. The names are loaded when they are used, since the
+registry asks for the presets alone.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ __all__ = ["Flow", "FlowConfig", "flow_of"]
 
 
 def __getattr__(name: str) -> Any:
+    """Load a name of this package when it is used."""
     if name == "FlowConfig":
         from trabecula.synth.bubbles.flow.config import FlowConfig
 
