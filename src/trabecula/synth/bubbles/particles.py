@@ -316,10 +316,9 @@ class _ParticleField:
             np.empty(count * len(self.steps), np.int64),
             np.empty(count * len(self.steps), np.int32),
         )
-        new = spread_contours(
-            positions, bubbles, won, self.directions, self.allowed, threshold, self.steps, self.sides, self.wraps, self.air,
-            words, found, owner,
-        )  # fmt: skip
+        lattice = (self.steps, self.sides, self.wraps, self.air)
+        flow = (self.directions, self.allowed, threshold)
+        new = spread_contours(positions, bubbles, won, *flow, *lattice, words, found, owner)
         lost = keep & ~won
         return count, (
             np.concatenate([positions[lost], found[:new]]),

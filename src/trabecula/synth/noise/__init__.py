@@ -6,10 +6,11 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="noise",
-    summary=("procedural noise: a Gaussian field with the scan's two-point function (the baseline "
-        "that others must beat), ")
-    "Perlin, Worley, Voronoi, white",
-    paper="Quiblier (1984), A new three-dimensional modeling technique for studying porous media",
+    summary=(
+        "procedural noise: a Gaussian field with the scan's two-point function (the baseline that "
+        "others must beat), Perlin, Worley, Voronoi, white"
+    ),
+    paper=("Quiblier (1984), A new three-dimensional modeling technique for studying porous media"),
     learns_from=("volume", "picture", "settings"),
     makes=("volume", "picture"),
     kinds=("labels",),
