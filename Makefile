@@ -6,7 +6,7 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test test-learn test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
+.PHONY: demo test test-learn test-types test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -16,6 +16,10 @@ test: $(VENV)/dev.stamp             ## the test suite
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
 	$(BIN)/python -m pytest tests/synth/gan tests/contract -k gan
+
+test-types: $(VENV)/dev.stamp $(VENV)/types.stamp   ## mypy and Pyright over a user's script
+	$(BIN)/python -m pytest tests/types
+	$(BIN)/basedpyright --pythonpath $(BIN)/python --project tests/types/pyrightconfig.json
 
 test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need Dask, which `make test` skips where it is not installed
 	$(BIN)/python -m pytest tests/engine/test_cluster.py
@@ -63,6 +67,10 @@ $(VENV)/dev.stamp: $(VENV)/base.stamp requirements/dev.txt
 
 $(VENV)/learn.stamp: $(VENV)/base.stamp requirements/learn.txt
 	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/learn.txt
+	touch $@
+
+$(VENV)/types.stamp: $(VENV)/base.stamp requirements/types.txt
+	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/types.txt
 	touch $@
 
 $(VENV)/cluster.stamp: $(VENV)/base.stamp requirements/cluster.txt

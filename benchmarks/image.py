@@ -224,7 +224,8 @@ def own_spread(images: Sequence[tb.Image]) -> Likeness:
                 )
             ]
             found += [
-                likeness(SlicePlane(here, (), ""), [there]) for here, there in (halves, halves[::-1])
+                likeness(SlicePlane(here, (), ""), [there])
+                for here, there in (halves, halves[::-1])
             ]
     return _mean(found)
 

@@ -18,8 +18,8 @@ from descriptors import scans
 from trabecula.core.seeds import generator
 from trabecula.report.descriptors import LabelDescriptors
 from trabecula.report.evenness import choose_windows
-from trabecula.report.verdict import Metric
 from trabecula.report.reference import Reference
+from trabecula.report.verdict import Metric
 from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.view.slices import montage

@@ -70,7 +70,7 @@ def view_page() -> None:
     """
     import chromium
 
-    if chromium.found() is None:
+    if chromium.find_browser() is None:
         tell(chromium.MISSING)
         return
     tell("volume", "MB", "first frame, s", "memory / volume")

@@ -20,7 +20,7 @@ class Output:
 
     @property
     def lines(self) -> list[str]:
-        """Lines on standard error, apart from the notice that kernels are being compiled."""
+        """Return the lines on standard error, without the notice that kernels are compiled."""
         return [
             line
             for line in self.err.splitlines()
@@ -29,7 +29,7 @@ class Output:
 
     @property
     def sha256(self) -> str:
-        """The digest that generate and rerun print last."""
+        """Return the digest that generate and rerun print last."""
         word, digest = self.out.splitlines()[-1].split()
         assert word == "sha256"
         return digest
@@ -63,7 +63,7 @@ def refused(*words: object) -> str:
 
 
 def contents(folder) -> dict[str, bytes]:
-    """Every file below a folder, hidden ones too."""
+    """Read every file below a folder, hidden ones too."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")

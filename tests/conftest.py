@@ -14,13 +14,13 @@ DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 @pytest.fixture(autouse=True)
 def small_work_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where there are other processes they get the small arrays of tests as well."""
+    """Send the small arrays of tests to other processes as well, where there are any."""
     monkeypatch.setattr(memmap, "WORTH_SENDING", 0)
 
 
 @pytest.fixture
 def data() -> Path:
-    """The folder of real scans; tests that need it are skipped where it is not there."""
+    """Return the folder of real scans; skip tests that need it where it is not there."""
     if not DATA.is_dir():
         pytest.skip("the folder of real scans (../shared/data) is not here")
     return DATA
@@ -28,7 +28,7 @@ def data() -> Path:
 
 @pytest.fixture(scope="session")
 def bone() -> tb.Image:
-    """The package's own sample, made once."""
+    """Return the package's own sample, made once."""
     return tb.sample("bone")
 
 

@@ -8,14 +8,14 @@ import pytest
 import trabecula as tb
 from trabecula.core.recipe import Recipe, digest
 from trabecula.errors import FileError, InputError, NotReproducedError, UnknownNameError
-from trabecula.pipeline import demo, inputs
+from trabecula.pipeline import demo, inputs, outputs, replay
 
 SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, bone):
-    """A working folder with a small scan, and a sample that costs nothing."""
+    """Make a working folder with a small scan, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
     for room in (demo, inputs):
         monkeypatch.setattr(room, "sample", lambda name: bone)
@@ -72,12 +72,12 @@ def test_load_refuses_what_has_no_meaning(place):
 
 def test_what_states_nothing_takes_the_exemplars_meaning(place, bone):
     exemplar = tb.Image(np.load("scan.npy"), "labels", 40, "um", ("marrow", "bone"))
-    plain = demo.load_like("scan.npy", exemplar)
+    plain = inputs.load_like("scan.npy", exemplar)
     assert (plain.spacing, plain.unit, plain.phases) == ((40.0,) * 3, "um", ("marrow", "bone"))
     tb.write(tb.Image(plain.values, "labels", 2, "mm", ("pore", "bone")), "own.zarr")
-    own = demo.load_like("own.zarr", exemplar)
+    own = inputs.load_like("own.zarr", exemplar)
     assert (own.spacing, own.unit, own.phases) == ((2.0,) * 3, "mm", ("pore", "bone"))
-    assert demo.load_like("grey.npy", exemplar).kind == "labels"
+    assert inputs.load_like("grey.npy", exemplar).kind == "labels"
 
 
 def test_export_chooses_by_the_suffix(place):
@@ -91,13 +91,13 @@ def test_export_chooses_by_the_suffix(place):
 
 def test_targets(place):
     for good in ("x.zarr", "deep/er/x.npy", "x.nii.gz", "slices/", "./x.TIF"):
-        demo.check_target(good)
-    demo.check_target("x.stl", surfaces=True)
+        outputs.check_target(good)
+    outputs.check_target("x.stl", surfaces=True)
     for bad in ("x.stl", "x", "x.gz", "x.zarr.txt"):
         with pytest.raises(UnknownNameError):
-            demo.check_target(bad)
+            outputs.check_target(bad)
     with pytest.raises(FileError, match=r"about 1048576 MiB are needed, \d+ MiB are free"):
-        demo.check_target("x.npy", size=1 << 40)
+        outputs.check_target("x.npy", size=1 << 40)
     assert not (place / "deep").exists()
 
 
@@ -125,8 +125,8 @@ def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     assert set(_WHAT) == names
 
 
-def made(place):
-    """A recipe with every verb in it, as JSON."""
+def full_recipe(place):
+    """Make a recipe with every verb in it, as JSON."""
     exemplar = tb.load("grey.npy", crop=22, threshold="auto")
     material = tb.method("texture", **SETTINGS).fit(exemplar).generate(16, seed=1)
     part = tb.finish.connect(material)
@@ -134,10 +134,10 @@ def made(place):
 
 
 def test_replay_does_every_step(place):
-    recipe = Recipe.from_json(made(place))
+    recipe = Recipe.from_json(full_recipe(place))
     assert [step["verb"] for step in recipe.steps] == ["generate", "finish", "render"]
     assert [step["verb"] for step in recipe.steps[0]["exemplars"][0]] == ["read", "segment", "crop"]
-    assert digest(demo.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
+    assert digest(replay.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
 
 
 def test_every_step_is_compared(place):
@@ -146,10 +146,10 @@ def test_every_step_is_compared(place):
         lambda steps: steps[1],
         lambda steps: steps[0]["exemplars"][0][1],
     ):
-        steps = made(place)
+        steps = full_recipe(place)
         change(steps)["sha256"] = "0" * 64
         with pytest.raises(NotReproducedError, match=f"step '{change(steps)['verb']}'"):
-            demo.replay(Recipe.from_json(steps), folder=place)
+            replay.replay(Recipe.from_json(steps), folder=place)
 
 
 @pytest.mark.parametrize(
@@ -189,26 +189,26 @@ def test_every_step_is_compared(place):
     ],
 )
 def test_damaged_recipes_are_told(place, damage, says):
-    steps = made(place)
+    steps = full_recipe(place)
     damage(steps)
     with pytest.raises((InputError, NotReproducedError), match=says):
-        demo.replay(Recipe.from_json(steps), folder=place)
+        replay.replay(Recipe.from_json(steps), folder=place)
 
 
 def test_a_missing_exemplar_is_told(place):
-    steps = made(place)
+    steps = full_recipe(place)
     (place / "grey.npy").unlink()
     with pytest.raises(
         FileError,
         match=r"the recipe starts from grey\.npy, which is not here: give its place with --exempl",
     ):
-        demo.replay(Recipe.from_json(steps), folder=place)
+        replay.replay(Recipe.from_json(steps), folder=place)
     with pytest.raises(FileError, match=r"there is no file grye\.npy"):
-        demo.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
+        replay.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
 
 
 def test_a_target_field_is_found_again(tmp_path, monkeypatch):
-    """The recipe of a field stands in that of the result."""
+    """Find a field by its recipe, which stands in that of the result."""
 
     class Method:
         def fit(self, exemplar):
@@ -224,9 +224,9 @@ def test_a_target_field_is_found_again(tmp_path, monkeypatch):
     step = {"method": "any", "settings": {}, "exemplars": [exemplar.recipe.to_json()]}
     request = tb.Request(3, target={"porosity": field})
     recipe = tb.Recipe().then("generate", values, request=request.to_json(), **step)
-    assert np.array_equal(demo.replay(recipe, folder=tmp_path).values, values)
+    assert np.array_equal(replay.replay(recipe, folder=tmp_path).values, values)
     (tmp_path / "field.npy").rename(tmp_path / "moved.npy")
     with pytest.raises(FileError, match="--target"):
-        demo.replay(recipe, folder=tmp_path)
-    again = demo.replay(recipe, folder=tmp_path, target=tmp_path / "moved.npy")
+        replay.replay(recipe, folder=tmp_path)
+    again = replay.replay(recipe, folder=tmp_path, target=tmp_path / "moved.npy")
     assert np.array_equal(again.values, values)

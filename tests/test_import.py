@@ -10,29 +10,38 @@ import pytest
 HEAVY = ("numba", "zarr", "PIL", "tifffile", "nibabel", "nrrd", "scipy", "torch")
 
 
-def loaded(code, watched):
-    """Which of `watched` a fresh interpreter has loaded after `code`."""
-    script = f"{code}\nimport sys\nsys.stderr.write(' '.join(name for name in {watched!r} if name in sys.modules))"
+def modules_after(code, watched):
+    """List which of `watched` a fresh interpreter has loaded after `code`."""
+    script = (
+        f"{code}\nimport sys\n"
+        f"sys.stderr.write(' '.join(name for name in {watched!r} if name in sys.modules))"
+    )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     return done.stderr.split()
 
 
+def command(words):
+    """Return code that runs a command line."""
+    run = f"try:\n    main({words!r})\nexcept SystemExit:\n    pass"
+    return f"from trabecula.cli.main import main\n{run}"
+
+
 def test_importing_the_package_loads_nothing():
-    assert loaded("import trabecula", ("numpy", *HEAVY)) == []
+    assert modules_after("import trabecula", ("numpy", *HEAVY)) == []
 
 
 def test_every_public_name_is_there():
-    assert loaded(
+    assert modules_after(
         "import trabecula as tb\nfor name in tb.__all__: getattr(tb, name)",
-        ("trabecula.pipeline.demo",),
-    ) == ["trabecula.pipeline.demo"]
+        ("trabecula.pipeline.outputs",),
+    ) == ["trabecula.pipeline.outputs"]
 
 
 def test_the_nouns_need_numpy_alone():
     assert (
-        loaded(
+        modules_after(
             "import trabecula as tb; tb.Image([[0, 1]], 'labels'); tb.Recipe(); tb.Request(3)",
             HEAVY,
         )
@@ -42,8 +51,7 @@ def test_the_nouns_need_numpy_alone():
 
 @pytest.mark.parametrize("words", [["--help"], [], ["--version"], ["generat"], ["--bogus"]])
 def test_help_and_typing_errors_need_no_numpy(words):
-    code = f"from trabecula.cli.main import main\ntry:\n    main({words!r})\nexcept SystemExit:\n    pass"
-    assert not {"numpy", *HEAVY} & set(loaded(code, ("numpy", *HEAVY)))
+    assert not {"numpy", *HEAVY} & set(modules_after(command(words), ("numpy", *HEAVY)))
 
 
 @pytest.mark.parametrize(
@@ -62,8 +70,7 @@ def test_help_and_typing_errors_need_no_numpy(words):
     ],
 )
 def test_help_of_a_verb_loads_nothing_heavy(verb):
-    code = f"from trabecula.cli.main import main\ntry:\n    main([{verb!r}, '--help'])\nexcept SystemExit:\n    pass"
-    assert loaded(code, ("numpy", *HEAVY)) == []
+    assert modules_after(command([verb, "--help"]), ("numpy", *HEAVY)) == []
 
 
 def test_the_public_names_are_those_of_the_plan():

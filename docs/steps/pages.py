@@ -40,7 +40,8 @@ _ROOMS = {
 # What public functions return or take, and is no name of `trabecula` itself.
 _ALSO = {
     "synth.base": ("Method", "Model", "Spec"),
-    "report.metric": ("Certificate", "Metric"),
+    "report.verdict": ("Certificate",),
+    "report.metrics": ("Metric",),
     "report.inspection": ("Inspection",),
     "report.recommend": ("Recommendation",),
     "measure.margins": ("Margins",),
@@ -263,6 +264,15 @@ def measures_page() -> str:
         "(../howto/transport.md), [copying](../howto/copying.md), [the certificate](../howto/certificate.md).\n\n"
         f"{table(('section', 'measure', 'what it is'), rows)}\n"
     ]
+    parts.append(
+        "## Descriptors\n\n"
+        "The figures that `describe` and the certificate report, in the order of the certificate. "
+        "An axis (`diffusivity_z`), a phase (`components_void`) or two (`contact_active_binder`) "
+        "may follow a name. How each is judged: *inside* its band, *at least* or *at most* an end "
+        "of it; a *distance* is 0 for the exemplar and passes up to the upper end; a *count* is "
+        "scaled to the volume and fails above the band.\n\n"
+        f"{descriptors_table()}\n"
+    )
     for title, homes in sections.items():
         parts.append(f"## {title}\n")
         for home, names in homes.items():
@@ -270,6 +280,27 @@ def measures_page() -> str:
             shown = [f"trabecula.measure.{name}" for name in names]
             parts.append(f"{about}\n\n{directives(shown + _returned(names))}")
     return "\n".join(parts)
+
+
+def descriptors_table() -> str:
+    """Return the table of all descriptors, from their registry."""
+    from trabecula.measure.registry import DESCRIPTORS, GROUPS
+
+    rows = [
+        (
+            f"`{one.name}`",
+            f"{one.title}. {one.meaning}",
+            one.unit,
+            ", ".join(one.kinds),
+            one.level,
+            ", ".join((*one.each, *(("axis",) if one.by_axis else ()))),
+            "yes" if one.streams else "",
+            f"{one.rule} ({GROUPS[one.group].lower()})" if one.group else "",
+        )
+        for one in DESCRIPTORS.values()
+    ]
+    head = ("name", "meaning", "unit", "image", "from level", "also of each", "in slabs", "judged")
+    return table(head, rows)
 
 
 def _measures_by_section() -> dict[str, dict[str, dict[str, str]]]:
@@ -309,8 +340,8 @@ def _returned(names: Iterable[str]) -> list[str]:
 def api_page() -> str:
     """Every public name of the package, by room."""
     rooms: dict[str, list[str]] = {room: [] for room in _ROOMS}
-    for name, home in trabecula._HOMES.items():
-        rooms.setdefault(home.partition(".")[0], []).append(f"trabecula.{name}")
+    for name, home in trabecula._NAMES.items():
+        rooms.setdefault(home.split(".")[1], []).append(f"trabecula.{name}")
     for home, names in _ALSO.items():
         rooms.setdefault(home.partition(".")[0], []).extend(
             f"trabecula.{home}.{name}" for name in names

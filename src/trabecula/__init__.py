@@ -17,56 +17,57 @@ from trabecula.core import display
 
 __version__ = "0.1.0"
 
-# public name -> the module that holds it
-_HOMES = {
-    "Image": "core.image",
-    "labels": "core.image",
-    "Request": "core.request",
-    "Recipe": "core.recipe",
-    "threads": "engine.parallel",
-    "kept_at": "engine.checkpoint",
-    "read": "io.files",
-    "write": "io.files",
-    "open_slabs": "io.lazy",
-    "crop": "exemplar.crop",
-    "find_margins": "exemplar.margins",
-    "crop_margins": "exemplar.margins",
-    "read_mesh": "mesh.files",
-    "voxelise": "mesh.voxels",
-    "segment": "exemplar.segment",
-    "sample": "exemplar.samples",
-    "samples": "exemplar.samples",
-    "describe": "measure",
-    "method": "synth.api.registry",
-    "methods": "synth.api.registry",
-    "load_model": "synth.api.serialize",
-    "load": "pipeline.demo",
-    "export": "pipeline.demo",
-    "rerun": "pipeline.demo",
-    "render": "view.still",
-    "verify": "report.certificate",
-    "inspect": "report.inspection",
-    "print_check": "finish.printing",
+# Public name -> the module that holds it. `__init__.pyi` says the same to type checkers:
+# `python tests/types/public_stub.py` writes it from these two tables.
+_NAMES = {
+    "Image": "trabecula.core.image",
+    "labels": "trabecula.core.image",
+    "Request": "trabecula.core.request",
+    "Recipe": "trabecula.core.recipe",
+    "threads": "trabecula.engine.parallel",
+    "kept_at": "trabecula.engine.checkpoint",
+    "read": "trabecula.io.files",
+    "write": "trabecula.io.files",
+    "open_slabs": "trabecula.io.lazy",
+    "crop": "trabecula.exemplar.crop",
+    "find_margins": "trabecula.exemplar.margins",
+    "crop_margins": "trabecula.exemplar.margins",
+    "read_mesh": "trabecula.mesh.files",
+    "voxelise": "trabecula.mesh.voxels",
+    "segment": "trabecula.exemplar.segment",
+    "sample": "trabecula.exemplar.samples",
+    "samples": "trabecula.exemplar.samples",
+    "describe": "trabecula.measure",
+    "method": "trabecula.synth.api.registry",
+    "methods": "trabecula.synth.api.registry",
+    "load_model": "trabecula.synth.api.serialize",
+    "load": "trabecula.pipeline.inputs",
+    "export": "trabecula.pipeline.outputs",
+    "rerun": "trabecula.pipeline.replay",
+    "render": "trabecula.view.still",
+    "verify": "trabecula.report.certificate",
+    "inspect": "trabecula.report.inspection",
+    "print_check": "trabecula.finish.printing",
 }
-_ROOMS = {
-    "errors": "errors",
-    "measure": "measure",
-    "finish": "finish",
-    "mesh": "mesh",
-    "fields": "fields",
-    "view": "view",
+_MODULES = {
+    "errors": "trabecula.errors",
+    "measure": "trabecula.measure",
+    "finish": "trabecula.finish",
+    "mesh": "trabecula.mesh",
+    "fields": "trabecula.fields",
+    "view": "trabecula.view",
 }
 
 display.html = "trabecula.view.notebook:as_html"
 
-__all__ = ["__version__", *sorted({*_HOMES, *_ROOMS})]
+__all__ = ["__version__", *sorted({*_NAMES, *_MODULES})]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ROOMS:
-        value: Any = importlib.import_module(f"trabecula.{_ROOMS[name]}")
-    elif name in _HOMES:
-        value = getattr(importlib.import_module(f"trabecula.{_HOMES[name]}"), name)
+    if name in _MODULES:
+        value: Any = importlib.import_module(_MODULES[name])
+    elif name in _NAMES:
+        value = getattr(importlib.import_module(_NAMES[name]), name)
     else:
         raise AttributeError(f"module 'trabecula' has no attribute {name!r}")
     globals()[name] = value

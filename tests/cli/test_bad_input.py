@@ -20,7 +20,7 @@ TARGETS = ("new.zarr", "old.npy", "old.zarr", "new.tif")
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory, bone):
-    """A folder of files that are bad in every way, beside two good ones."""
+    """Make a folder of files that are bad in every way, beside two good ones."""
     folder = tmp_path_factory.mktemp("scans")
     good = tb.crop(bone, 24).values
     np.save(folder / "scan.npy", good)
@@ -67,7 +67,7 @@ def scans(tmp_path_factory, bone):
 
 @pytest.fixture
 def place(scans, monkeypatch):
-    """The folder of scans as the working folder; after the test it holds what it held before."""
+    """Work in the folder of scans; check afterwards that it holds what it held before."""
     monkeypatch.chdir(scans)
     before, names = contents(scans), sorted(str(path) for path in scans.rglob("*"))
     yield scans
@@ -207,7 +207,8 @@ def test_shapes(place, words, says):
         (("--periodic", "w"), "--periodic w: name axes among z, y, x"),
         (
             ("--mehtod", "texture"),
-            "unrecognized arguments: --mehtod texture; did you mean --method? (see trabecula generate",
+            "unrecognized arguments: --mehtod texture; did you mean --method? (see trabecula "
+            "generate",
         ),
         (("--treads=2",), "did you mean --threads?"),
         (("--meth", "texture"), "unrecognized arguments"),
@@ -433,7 +434,7 @@ def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(
 
 
 def test_a_shape_beyond_memory_is_refused_before_anything_is_made(place, monkeypatch):
-    for home in ("engine.plan", "making"):
+    for home in ("engine.plan", "pipeline.plan"):
         monkeypatch.setattr(f"trabecula.{home}.available_memory", lambda: 1 << 28)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("usage", "free")(1 << 60))
     monkeypatch.setattr(
@@ -529,7 +530,7 @@ def test_a_bad_environment_is_told(place, monkeypatch):
 
 
 def test_names_that_no_terminal_shows(tmp_path, scans):
-    """A name of stray bytes is read, written and printed, escaped."""
+    """Read, write and print a name of stray bytes, escaped."""
     shutil.copy(scans / "scan.npy", tmp_path / os.fsdecode(b"knochen-\xff.npy"))
     for words in (
         [b"export", b"knochen-\xff.npy", b"--out", b"teil-\xff.npy"],

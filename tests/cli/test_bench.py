@@ -17,8 +17,8 @@ sys.exit(3)
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder that looks as if the package were installed from it, with benchmarks that only say
-    what they were given.
+    """Make a folder like a checkout that the package is installed from, with benchmarks that only
+    print their arguments.
     """
     (tmp_path / "benchmarks").mkdir()
     (tmp_path / "benchmarks" / "run.py").write_text(_SCRIPT)
@@ -57,8 +57,11 @@ def test_cases_and_folder_are_passed_on_and_the_status_comes_back(checkout, capf
 
 
 def test_parts_of_a_case_are_passed_on(checkout, monkeypatch, capfd):
-    """By name, so that a case need not be run whole."""
-    script = "import json, os; print(json.dumps({k[16:]: v for k, v in os.environ.items() if k.startswith('TRABECULA_BENCH_')}))"
+    """Pass them by name, so that a case need not be run whole."""
+    script = (
+        "import json, os; print(json.dumps({name[16:]: value for name, value in os.environ.items() "
+        "if name.startswith('TRABECULA_BENCH_')}))"
+    )
     (checkout / "benchmarks" / "run.py").write_text(script)
     monkeypatch.delenv("TRABECULA_BENCH_OUT", raising=False)
     attempt("bench", "image", "--only", "bread 2", "rods", "--methods", "mrf:fast", "--side", 32)

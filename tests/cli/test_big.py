@@ -1,4 +1,4 @@
-"""Runs in blocks as a user types them: killed and gone on with, cut in any way, forecast, refused."""
+"""Runs in blocks as a user types them: killed and resumed, divided, forecast, refused."""
 
 import importlib.util
 import json
@@ -25,7 +25,7 @@ ASKED = ("scan.npy", "--method", "noise", *REACH, "--shape", 150, 40, 90, "--see
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """A folder with a scan, a model of it, and the volume that all these runs make."""
+    """Make a folder with a scan, a model of it, and the volume that all these runs make."""
     folder = tmp_path_factory.mktemp("big")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -37,7 +37,7 @@ def home(tmp_path_factory):
 
 @pytest.fixture
 def place(home, tmp_path, monkeypatch):
-    """A copy to work in."""
+    """Work in a copy."""
     shutil.copytree(home[0], tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return home[1]
@@ -45,7 +45,7 @@ def place(home, tmp_path, monkeypatch):
 
 @pytest.fixture
 def interrupted(place, monkeypatch):
-    """The same run in blocks of 32, stopped by Ctrl-C after two of them."""
+    """Start the same run in blocks of 32, and stop it by Ctrl-C after two of them."""
     with monkeypatch.context() as patch:
         real, count = blocks.do_task, []
 
@@ -143,10 +143,7 @@ def test_the_blocks_of_another_run_are_not_lost(interrupted):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ("nothing.zarr",),
-            "nothing to go on from: no run that makes nothing.zarr was interrupted",
-        ),
+        (("nothing.zarr",), "nothing to resume: no run that makes nothing.zarr was interrupted"),
         (("big.zarr", "--shape", "9"), "--shape beside --resume"),
         (("big.zarr", "--seed", "0"), "--seed beside --resume"),
         (("big.zarr", "--set", "reach=4"), "--set beside --resume"),
@@ -159,7 +156,7 @@ def test_what_cannot_be_gone_on_with(interrupted, words, message):
 
 
 def test_an_exemplar_beside_resume_is_told_its_option(interrupted):
-    assert "--exemplar tells where it lies now" in refused(
+    assert "--exemplar gives its place now" in refused(
         "generate", "scan.npy", "--resume", "big.zarr"
     )
     assert "--exemplar is for --resume" in refused(
@@ -172,7 +169,7 @@ def test_a_part_that_says_nothing_is_left_alone(place):
     for make in (lambda path: path.write_bytes(b"mine"), lambda path: path.mkdir()):
         part = Path("x.zarr.part")
         make(part)
-        assert "does not tell what run left it" in refused("generate", "--resume", "x.zarr")
+        assert "does not say which run left it" in refused("generate", "--resume", "x.zarr")
         assert part.exists()
         shutil.rmtree(part) if part.is_dir() else part.unlink()
 
@@ -258,20 +255,22 @@ import sys, time
 from trabecula.cli.main import main
 from trabecula.engine import blocks
 
-real = blocks.do
+real = blocks.do_task
 
 def slow(*words, **more):
     time.sleep(0.05)
     real(*words, **more)
 
-blocks.do = slow
+blocks.do_task = slow
 sys.exit(main(sys.argv[1:]))
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_killed_at_random_moments_and_gone_on_with_by_the_command(place):
-    """Of 30 blocks and what is coarser; the first command is typed once, then only --resume."""
+    """Kill runs of 30 blocks and coarser levels; the first command is typed once, then only
+    --resume.
+    """
     rng = np.random.default_rng(1)
     words = ["generate", *map(str, ASKED), "--out", "big.zarr", "--chunks", "32"]
     part, kills = Path("big.zarr.part"), 0

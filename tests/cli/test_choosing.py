@@ -32,7 +32,7 @@ def there(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
-def chosen(output) -> list[str]:
+def choice(output) -> list[str]:
     return [line.split("(")[0].strip() for line in output.lines if "(recommended: " in line]
 
 
@@ -96,7 +96,7 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
 
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
-    assert chosen(made) == ["trabecula: method kopf"]
+    assert choice(made) == ["trabecula: method kopf"]
     same = trabecula(
         "generate",
         "picture.png",
@@ -109,14 +109,14 @@ def test_a_micrograph_works_at_once():
         "--out",
         "same.zarr",
     )
-    assert chosen(same) == [] and same.sha256 == made.sha256
+    assert choice(same) == [] and same.sha256 == made.sha256
     assert {**method_of("more.zarr"), "versions": 0} == {**method_of("same.zarr"), "versions": 0}
     assert trabecula("rerun", "more.zarr").sha256 == made.sha256
 
 
 def test_a_volume_stays_texture():
     made = trabecula("generate", "scan.tif", "--shape", 16, "--out", "volume.zarr")
-    assert chosen(made) == ["trabecula: method texture"]
+    assert choice(made) == ["trabecula: method texture"]
     named = trabecula(
         "generate", "scan.tif", "--method", "texture", "--shape", 16, "--out", "named.zarr"
     )
@@ -124,25 +124,25 @@ def test_a_volume_stays_texture():
     assert method_of("named.zarr")["settings"] == method_of("volume.zarr")["settings"]
     # Settings without a method are those of texture, as they were before there was a choice.
     assert (
-        chosen(trabecula("generate", "scan.tif", "--shape", 16, "--out", "small.zarr", *SMALL))
+        choice(trabecula("generate", "scan.tif", "--shape", 16, "--out", "small.zarr", *SMALL))
         == []
     )
 
 
 def test_layers_get_the_preset_that_keeps_order():
     made = trabecula("generate", "layers.tif", "--shape", 24, "--out", "layered.zarr")
-    assert chosen(made) == ["trabecula: method texture --preset best"]
+    assert choice(made) == ["trabecula: method texture --preset best"]
     assert method_of("layered.zarr")["settings"]["novelty"] == 0
     own = trabecula(
         "generate", "layers.tif", "--preset", "fast", "--shape", 24, "--out", "fast.zarr"
     )
-    assert method_of("fast.zarr")["settings"]["first_rounds"] == 14 and chosen(own) == []
+    assert method_of("fast.zarr")["settings"]["first_rounds"] == 14 and choice(own) == []
 
 
 def test_plan_and_fit_choose_as_well():
-    assert chosen(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf"]
+    assert choice(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf"]
     fitted = trabecula("fit", "picture.png", "--out", "picture.model")
-    assert chosen(fitted) == ["trabecula: method kopf"] and "a model of kopf" in fitted.out
+    assert choice(fitted) == ["trabecula: method kopf"] and "a model of kopf" in fitted.out
     assert tb.load_model("picture.model").capabilities.name == "kopf"
     assert "name one, as --method gan" in refused(
         "fit", "scan.tif", "--minutes", 1, "--out", "gan.model"

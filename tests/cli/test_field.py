@@ -1,4 +1,4 @@
-"""`trabecula field`: what it writes is what the functions make, and is taken as a target at once."""
+"""Target fields, and a material that follows one, as a user makes them."""
 
 import json
 
@@ -37,8 +37,8 @@ def test_a_ramp_becomes_a_target(place, suffix):
         tb.read(f"ramp{suffix}").values, fields.ramp((24, 16, 16), start=0.15, end=0.3).values
     )
     trabecula(
-        "generate", "sample:bone", "--crop", 32, "--shape", 24, 16, 16, "--target", f"volume_fraction=ramp{suffix}",
-        "--seed", 1, "--out", "made.npy", *SMALL,
+        "generate", "sample:bone", "--crop", 32, "--shape", 24, 16, 16,
+        "--target", f"volume_fraction=ramp{suffix}", "--seed", 1, "--out", "made.npy", *SMALL,
     )  # fmt: skip
     made = tb.read("made.npy").values
     assert made.mean() == pytest.approx(0.225, abs=0.001)

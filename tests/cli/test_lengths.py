@@ -13,8 +13,8 @@ from commands import SMALL, refused, trabecula
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, bone):
-    """A volume that states no size, a form of a cow's two legs, and the scan that it is filled
-    from.
+    """Make a volume without a size, a form of a cow's two legs, and the scan that it is filled
+    with.
     """
     monkeypatch.chdir(tmp_path)
     tb.write(tb.crop(bone, 28).values, "plain.tif")

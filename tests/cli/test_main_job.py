@@ -21,7 +21,7 @@ SHAPE = (32, 30, 34)
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
-    """Every command of the main job on the real sample, and what each printed."""
+    """Run every command of the main job on the real sample, and keep what each printed."""
     folder = tmp_path_factory.mktemp("job")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -171,7 +171,7 @@ def test_nothing_else_is_left_behind(job):
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, bone):
-    """A working folder, and a sample that costs nothing."""
+    """Make a working folder, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("trabecula.pipeline.demo.sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 28).values)
@@ -191,7 +191,7 @@ def exemplar_steps(image):
 
 @pytest.fixture
 def grey(place, bone):
-    """A noisy grey scan of the sample."""
+    """Make a noisy grey scan of the sample."""
     noise = np.random.default_rng(0).normal(0, 12, (28,) * 3)
     values = np.clip(np.rint(60 + 110.0 * tb.crop(bone, 28).values + noise), 0, 255).astype(
         np.uint8
@@ -232,7 +232,7 @@ def test_the_two_thresholds_are_found_and_recorded(grey):
 
 @pytest.fixture
 def electrode(place, bone):
-    """Three phases: solid, a coat on one side of it, pore."""
+    """Make three phases: solid, a coat on one side of it, pore."""
     solid = tb.crop(bone, 28).values == 1
     values = np.where(
         solid, 1, np.where(np.roll(solid, 2, axis=2) | np.roll(solid, 1, axis=2), 2, 0)

@@ -1,4 +1,4 @@
-"""Margins of a scan on the command line: said wherever figures come from, and cropped where asked."""
+"""Margins of a scan on the command line: reported with every figure, and cropped by an option."""
 
 import json
 
@@ -9,7 +9,10 @@ import trabecula as tb
 from commands import SMALL, refused, trabecula
 from trabecula.core.progress import listen
 
-NOTE = "the first plane along z holds void alone: crop them (--crop auto, tb.crop_margins), or they count as material"
+NOTE = (
+    "the first plane along z holds void alone: crop them (--crop auto, tb.crop_margins), or they "
+    "count as material"
+)
 
 
 @pytest.fixture(scope="module")
@@ -25,17 +28,17 @@ def scan(tmp_path_factory):
     return folder
 
 
-def said(output) -> bool:
+def notices(output) -> bool:
     return any(NOTE in line for line in output.lines)
 
 
 def test_whoever_makes_or_measures_says_it(scan, monkeypatch):
     monkeypatch.chdir(scan)
-    assert said(trabecula("generate", "scan.tif", "--shape", 24, "--out", "a.tif", *SMALL))
-    assert said(trabecula("fit", "scan.tif", "--method", "noise", "--out", "a.model"))
-    assert said(trabecula("plan", "scan.tif", "--shape", 24, *SMALL))
+    assert notices(trabecula("generate", "scan.tif", "--shape", 24, "--out", "a.tif", *SMALL))
+    assert notices(trabecula("fit", "scan.tif", "--method", "noise", "--out", "a.model"))
+    assert notices(trabecula("plan", "scan.tif", "--shape", 24, *SMALL))
     measured = trabecula("measure", "scan.tif", "--quick", "--json")
-    assert said(measured) and NOTE in json.loads(measured.out)["notes"][0]
+    assert notices(measured) and NOTE in json.loads(measured.out)["notes"][0]
 
 
 def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
@@ -43,9 +46,10 @@ def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
     made = trabecula(
         "generate", "scan.tif", "--crop", "auto", "--shape", 24, "--out", "b.tif", *SMALL
     )
-    assert not said(made)
+    assert not notices(made)
     assert made.lines == [
-        "trabecula: scan.tif: the first plane along z holds void alone; cropped to 39 x 40 x 40 at (1, 0, 0)"
+        "trabecula: scan.tif: the first plane along z holds void alone; cropped to 39 x 40 x 40 at "
+        "(1, 0, 0)"
     ]
     (step,) = tb.read("b.tif").recipe.steps
     assert [inner["verb"] for inner in step["exemplars"][0]] == ["read", "crop"]

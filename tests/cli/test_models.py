@@ -16,7 +16,7 @@ REACH = ("--set", "reach=10", "--set", "corrections=2")
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """A folder with a scan, a model of it, and what was printed when it learned."""
+    """Make a folder with a scan, a model of it, and what was printed when it learned."""
     folder = tmp_path_factory.mktemp("home")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -9,7 +9,8 @@ import pytest
 import trabecula as tb
 from commands import SMALL, refused, trabecula
 from trabecula.finish import OPERATIONS
-from trabecula.pipeline.demo import load_mask, replay
+from trabecula.pipeline.inputs import load_mask
+from trabecula.pipeline.replay import replay
 
 
 def ball(side):
@@ -18,7 +19,7 @@ def ball(side):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, bone):
+def scan_and_ball(tmp_path_factory, bone):
     """A scan of 28 voxels of 40 um, a ball as a surface of 16 voxels across in several units, and
     volumes.
     """
@@ -43,9 +44,9 @@ def made(tmp_path_factory, bone):
 
 
 @pytest.fixture
-def place(made, tmp_path, monkeypatch):
-    """A copy to work in."""
-    shutil.copytree(made, tmp_path / "place")
+def place(scan_and_ball, tmp_path, monkeypatch):
+    """Work in a copy."""
+    shutil.copytree(scan_and_ball, tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return tmp_path / "place"
 
@@ -55,7 +56,7 @@ def generate(*words, exemplars=("scan.zarr",), out="made.zarr"):
     return tb.read(out), output
 
 
-def asked(image):
+def request_of(image):
     return image.recipe.steps[0]["request"]
 
 
@@ -73,8 +74,8 @@ def test_a_surface_is_scaled_to_the_shape(place, name):
     ("name", "scale"), [("ball.stl", 1), ("ball.ply", 1), ("plain.obj", 40), ("ball.stl", 1.5)]
 )
 def test_a_surface_without_a_shape_keeps_its_size(place, name, scale):
-    """The same ball in millimetres, in micrometres, and in numbers that --mask-scale takes for the
-    exemplar's unit.
+    """Fill the same ball in millimetres, in micrometres, and in numbers that --mask-scale takes for
+    the scan's unit.
     """
     image, _ = generate("--mask", name, *(("--mask-scale", scale) if scale != 1 else ()))
     assert image.shape == ((24,) * 3 if scale == 1.5 else (16,) * 3)
@@ -92,7 +93,7 @@ def test_a_volume_is_a_mask_as_it_is(place):
     assert (
         image.shape == (18, 20, 20) and not image.values[~mask].any() and image.values[mask].any()
     )
-    assert [step["verb"] for step in asked(image)["mask"]] == ["read"]
+    assert [step["verb"] for step in request_of(image)["mask"]] == ["read"]
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
@@ -142,8 +143,8 @@ def test_a_mask_that_moved_or_changed_is_told(place):
         (lambda mask: mask[0].update(sha256="0"), "step 'voxelise' .* gives other voxels"),
     ],
 )
-def test_damaged_recipes_of_a_mask_are_told(made, monkeypatch, damage, says):
-    monkeypatch.chdir(made)
+def test_damaged_recipes_of_a_mask_are_told(scan_and_ball, monkeypatch, damage, says):
+    monkeypatch.chdir(scan_and_ball)
     exemplar = tb.read("scan.zarr")
     mask = load_mask("ball.ply", exemplar)
     request = tb.Request(None, mask=mask)
@@ -159,15 +160,15 @@ def test_damaged_recipes_of_a_mask_are_told(made, monkeypatch, damage, says):
     steps[0]["exemplars"] = [exemplar.recipe.to_json()]
     damage(steps[0]["request"]["mask"])
     with pytest.raises(tb.errors.TrabeculaError, match=says):
-        replay(tb.Recipe.from_json(steps), folder=made)
+        replay(tb.Recipe.from_json(steps), folder=scan_and_ball)
 
 
 def test_a_scan_is_continued_from_its_corner(place):
     image, output = generate("--fixed", "scan.zarr", "--at", 0, 2, 4, "--shape", 28, 32, 40)
     np.testing.assert_array_equal(image.values[:, 2:30, 4:32], tb.read("scan.zarr").values)
     assert image.values[:, :, 33:].any()
-    assert [step["verb"] for step in asked(image)["known"]] == ["block"]
-    assert asked(image)["fixed"][-1]["corner"] == [0, 2, 4]
+    assert [step["verb"] for step in request_of(image)["known"]] == ["block"]
+    assert request_of(image)["fixed"][-1]["corner"] == [0, 2, 4]
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
@@ -196,7 +197,7 @@ def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     ("words", "axes"), [(("--at", 12, 0, 2), "yx"), (("--at", 3, 12, 0, "--view", "xz"), "xz")]
 )
 def test_a_picture_is_a_slice(place, words, axes):
-    """A larger one is cut at the shape's end, and says so."""
+    """Crop a larger one at the shape's end, and report it."""
     picture = tb.read("scan.zarr").values[5]
     image, output = generate("--fixed", "picture.png", *words, "--shape", 24, 24, 26)
     slab = image.values[12, :, 2:] if axes == "yx" else image.values[3:, 12].T
@@ -217,7 +218,7 @@ def test_a_picture_is_a_slice(place, words, axes):
 )
 def test_periodic_axes(place, words, axes):
     image, output = generate("--shape", 16, "--periodic", *words)
-    assert asked(image)["periodic"] == axes
+    assert request_of(image)["periodic"] == axes
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
@@ -319,15 +320,15 @@ BAD = [
 @pytest.mark.parametrize(
     ("words", "says"), BAD, ids=[" ".join(map(str, words)) or "nothing" for words, _ in BAD]
 )
-def test_what_cannot_be_is_refused(made, monkeypatch, words, says):
-    monkeypatch.chdir(made)
+def test_what_cannot_be_is_refused(scan_and_ball, monkeypatch, words, says):
+    monkeypatch.chdir(scan_and_ball)
     for verb in (("plan",), ("generate", "--out", "new.zarr")):
         assert says in refused(verb[0], "scan.zarr", *words, *verb[1:], *SMALL)
-    assert not (made / "new.zarr").exists()
+    assert not (scan_and_ball / "new.zarr").exists()
 
 
-def test_a_method_that_cannot_honour_a_part_says_so(made, monkeypatch):
-    monkeypatch.chdir(made)
+def test_a_method_that_cannot_honour_a_part_says_so(scan_and_ball, monkeypatch):
+    monkeypatch.chdir(scan_and_ball)
     for words, part in (
         (("--mask", "ball.stl"), "mask"),
         (("--fixed", "scan.zarr", "--at", 0, 0, 0, "--shape", 40), "fixed"),
@@ -390,14 +391,14 @@ def test_finish_does_its_operations_in_one_order(place):
         (("--prune", "--like", "missing.zarr"), "there is no file missing.zarr"),
     ],
 )
-def test_finish_refuses(made, monkeypatch, words, says):
-    monkeypatch.chdir(made)
+def test_finish_refuses(scan_and_ball, monkeypatch, words, says):
+    monkeypatch.chdir(scan_and_ball)
     assert says in refused("finish", "scan.zarr", *words, "--out", "new.zarr")
-    assert not (made / "new.zarr").exists()
+    assert not (scan_and_ball / "new.zarr").exists()
 
 
-def test_check_prints_a_table_or_json(made, monkeypatch):
-    monkeypatch.chdir(made)
+def test_check_prints_a_table_or_json(scan_and_ball, monkeypatch):
+    monkeypatch.chdir(scan_and_ball)
     found = tb.print_check(tb.read("scan.zarr"), printer="fdm")
     assert trabecula("check", "scan.zarr", "--printer", "fdm").out == found.to_table() + "\n"
     plain = json.loads(trabecula("check", "scan.zarr", "--printer", "fdm", "--json").out)
@@ -423,8 +424,8 @@ def test_check_prints_a_table_or_json(made, monkeypatch):
         (("missing.zarr",), "there is no file missing.zarr"),
     ],
 )
-def test_check_refuses(made, monkeypatch, words, says):
-    monkeypatch.chdir(made)
+def test_check_refuses(scan_and_ball, monkeypatch, words, says):
+    monkeypatch.chdir(scan_and_ball)
     assert says in refused("check", *words)
 
 

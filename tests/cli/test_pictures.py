@@ -1,4 +1,4 @@
-"""From a picture to a volume, as a user types it: what is read, what is asked for, what is refused."""
+"""From a picture to a volume as a user types it: files, requests, refusals."""
 
 import json
 import shutil
@@ -14,7 +14,7 @@ METHOD = ("--method", "kopf", "--preset", "fast", "--set", "first_rounds=2", "--
 
 
 def blobs(seed, side=48, *, share=0.35):
-    """A picture of round blobs."""
+    """Make a picture of round blobs."""
     rng = np.random.default_rng(seed)
     y, x = np.indices((side, side))
     field = sum(
@@ -25,7 +25,7 @@ def blobs(seed, side=48, *, share=0.35):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Pictures good and bad, and a form."""
+    """Make pictures good and bad, and a form."""
     folder = tmp_path_factory.mktemp("pictures")
     picture = blobs(0)
     tb.write(tb.Image(picture, "labels", 4, "um"), folder / "picture.tif")
@@ -55,7 +55,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def place(made, tmp_path, monkeypatch):
-    """A copy to work in."""
+    """Work in a copy."""
     shutil.copytree(made, tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return tmp_path / "place"

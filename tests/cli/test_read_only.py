@@ -43,7 +43,7 @@ COMMANDS = {
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A working folder with a volume, and a folder with results in it that is going to be closed."""
+    """Make a working folder with a volume, and a folder with results that will be closed."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "closed").mkdir()
     values = (np.random.default_rng(1).random((40, 40, 40)) < 0.6).astype(np.uint8)
@@ -54,14 +54,14 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture(params=[errno.EROFS, errno.EACCES], ids=errno.errorcode.get)
-def closed(place, request, monkeypatch):
-    """Nothing can be made or changed in that folder, which the system only tells when it is tried,
-    as of network drives.
+def closed_folder(place, request, monkeypatch):
+    """Let nothing be made or changed in that folder, which the system reports only when it is
+    tried.
     """
     folder = place / "closed"
 
-    def guarded(real, writes=lambda *words, **more: True):
-        def tried(path, *words, **more):
+    def guard(real, writes=lambda *words, **more: True):
+        def attempt_it(path, *words, **more):
             inside = (
                 isinstance(path, (str, os.PathLike)) and folder in (place / os.fspath(path)).parents
             )
@@ -69,18 +69,18 @@ def closed(place, request, monkeypatch):
                 raise OSError(request.param, os.strerror(request.param), os.fspath(path))
             return real(path, *words, **more)
 
-        return tried
+        return attempt_it
 
     for_writing = lambda mode="r", *words, **more: bool(set(mode) & set("wax+"))  # noqa: E731
     for module in (builtins, io):
-        monkeypatch.setattr(module, "open", guarded(module.open, for_writing))
+        monkeypatch.setattr(module, "open", guard(module.open, for_writing))
     monkeypatch.setattr(
         os,
         "open",
-        guarded(os.open, lambda flags, *words, **more: bool(flags & (os.O_RDWR | os.O_WRONLY))),
+        guard(os.open, lambda flags, *words, **more: bool(flags & (os.O_RDWR | os.O_WRONLY))),
     )
     for name in ("mkdir", "replace", "rename", "unlink", "remove", "rmdir"):
-        monkeypatch.setattr(os, name, guarded(getattr(os, name)))
+        monkeypatch.setattr(os, name, guard(getattr(os, name)))
     return os.strerror(request.param)
 
 
@@ -110,17 +110,17 @@ def test_a_folder_without_the_right_to_write(place, command):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_refuses_when_it_is_written(place, closed, command):
+def test_a_folder_that_refuses_when_it_is_written(place, closed_folder, command):
     before = contents(place)
     told = attempt(*COMMANDS[command])
-    assert told.status == 2 and closed in told.lines[-1], told.err
+    assert told.status == 2 and closed_folder in told.lines[-1], told.err
     assert "cannot write" in told.lines[-1] and f"closed{os.sep}" in told.lines[-1]
     assert "Traceback" not in told.err
     assert contents(place) == before
 
 
 @pytest.mark.parametrize("where", ["target", "scratch"])
-def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
+def test_what_is_finished_in_slabs(place, closed_folder, monkeypatch, where):
     # As if the whole took more memory than there is, and no array were too small for a file.
     monkeypatch.setattr("trabecula.finish.slabs.in_core_bytes", lambda *words: 1 << 60)
     monkeypatch.setattr("trabecula.engine.memmap.SMALLEST", 1)
@@ -131,9 +131,9 @@ def test_what_is_finished_in_slabs(place, closed, monkeypatch, where):
         else ("--out", "new.zarr", "--scratch", "closed")
     )
     told = attempt("finish", "in.zarr", "--connect", *words)
-    assert told.status == 2 and "cannot write" in told.lines[-1] and closed in told.lines[-1], (
-        told.err
-    )
+    assert (
+        told.status == 2 and "cannot write" in told.lines[-1] and closed_folder in told.lines[-1]
+    ), told.err
     assert ("--scratch" in told.lines[-1]) == (where == "scratch")
     assert contents(place) == before
 

@@ -117,7 +117,7 @@ def test_a_turntable_is_a_moving_picture(place):
 
 @pytest.fixture
 def large(place):
-    """A store of three levels, the finest of which takes some 2 MiB to draw."""
+    """Make a store of three levels, the finest of which takes some 2 MiB to draw."""
     values = np.zeros((600, 20, 20), np.uint8)
     values[:, 4:16, 4:16] = np.random.default_rng(3).random((600, 12, 12)) < 0.7
     tb.write(tb.Image(values, "labels", 2.0, "um"), place / "large.zarr")

@@ -48,7 +48,7 @@ def test_the_examples_keep_the_contract(name, class_name):
     [
         ({"deterministic": True}, "seed: deterministic, and another seed gives other voxels"),
         ({"large": "box"}, 'capabilities: large="box" and a Model'),
-        ({"large": "memmap"}, "capabilities: large=.* needs the hook mapped_memory"),
+        ({"large": "memmap"}, "capabilities: large=.* needs the hook resident_memory"),
         ({"honours": frozenset({"mask"})}, "parts: mask: labels .* are outside of the form"),
     ],
 )

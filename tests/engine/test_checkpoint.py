@@ -18,7 +18,6 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
 from trabecula.engine.checkpoint import kept_at, offer, resume, running
-from trabecula.engine.memory import Plan
 from trabecula.synth.api import registry
 from trabecula.synth.api.method import Capabilities, Method, Model
 from trabecula.synth.noise.config import NoiseConfig
@@ -67,30 +66,25 @@ def walk(request, *, stop=None, told=None, pause=0.0):
     return field
 
 
-class Walk(Method):
-    capabilities = Capabilities(
-        "walk", "for tests", "nobody", "2d", ("labels",), "whole", "", presets=()
-    )
-    config_type = NoiseConfig
-
-    def _plan_fit(self, exemplars):
-        return Plan()
-
-    def learn(self, exemplars):
-        return Walked(self.config, exemplars)
+WALK = Capabilities(
+    "walk", "for tests", "nobody", method="test_checkpoint:Walk", learns_from=("picture",)
+)
 
 
 class Walked(Model):
-    capabilities = Walk.capabilities
-
-    def _plan(self, request):
-        return Plan()
+    capabilities = WALK
 
     def make(self, request):
         return (walk(request, pause=float(os.environ.get("WALK_PAUSE", "0"))) % 2).astype(np.uint8)
 
     def _result_fields(self):
         return {"kind": "labels", "spacing": (1.0,) * 3}
+
+
+class Walk(Method):
+    capabilities = WALK
+    config_type = NoiseConfig
+    model_type = Walked
 
 
 def whole(request):

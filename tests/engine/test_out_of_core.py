@@ -12,7 +12,8 @@ from trabecula.core.errors import ClusterError, FileError
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.engine import checkpoint, memmap
-from trabecula.pipeline.demo import generate_to, resume
+from trabecula.pipeline.generate import generate_to
+from trabecula.pipeline.resume import resume
 from trabecula.synth.texture.method import TextureModel
 
 REQUEST = tb.Request((34, 40, 38), seed=4)
@@ -172,7 +173,7 @@ def test_a_disk_that_fills_keeps_the_state(model, sha256, tmp_path, monkeypatch)
     monkeypatch.setattr(memmap, "SMALLEST", 256)
     with monkeypatch.context() as patch:
         patch.setattr(memmap, "_allocate", full)
-        with pytest.raises(FileError, match=r"No space left.*--scratch; the same run goes on"):
+        with pytest.raises(FileError, match=r"No space left.*--scratch; the same run resumes"):
             generate_to(model, REQUEST, path, chunks=16)
     assert "state" in names(tmp_path / "x.zarr.scratch")
     assert not list((tmp_path / "x.zarr.scratch").glob("*.raw"))

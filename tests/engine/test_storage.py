@@ -23,7 +23,8 @@ from trabecula.engine.storage.location import (
     path_or_remote,
 )
 from trabecula.errors import FileError, MemoryBudgetError, MissingExtraError
-from trabecula.pipeline.generate import generate_to, plan_to
+from trabecula.pipeline.generate import generate_to
+from trabecula.pipeline.plan import plan_to
 
 SHAPE = (70, 33, 40)
 FIELDS = {

@@ -10,7 +10,7 @@ import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.finish import OPERATIONS, connect
 from trabecula.measure import components, label_components
-from trabecula.pipeline.demo import load_mask
+from trabecula.pipeline.inputs import load_mask
 
 
 def blocks(gap: int) -> np.ndarray:

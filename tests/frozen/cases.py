@@ -25,12 +25,12 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from trabecula.flow import generate_to
 
 import trabecula as tb
 from trabecula.__main__ import main
 from trabecula.core.progress import listen
-from trabecula.engine import checkpoint, scratch
+from trabecula.engine import checkpoint, memmap
+from trabecula.pipeline.generate import generate_to
 
 FILES = Path(__file__).parent / "files"
 SHAPE = (16, 18, 20)
@@ -438,7 +438,7 @@ def options_of(settings: Mapping[str, Any]) -> list[str]:
 
 def in_blocks(method: str, *words: str) -> tb.Image:
     """Generate into a store in blocks of 16 voxels, with every array in a scratch file."""
-    with new_folder(), patch.object(scratch, "LEAST", 256):
+    with new_folder(), patch.object(memmap, "SMALLEST", 256):
         tb.write(exemplar_of(method), "exemplar.tif")
         size = ("--shape", "16", "18", "20", "--seed", "3", "--chunks", "16")
         chosen = ("--method", method, *options_of(QUICK[method]))
@@ -501,7 +501,7 @@ def _texture_resumed_in_blocks() -> tb.Image:
             raise KeyboardInterrupt
 
     often = patch.multiple(checkpoint, EVERY=0.0, _SHARE=0)
-    with new_folder(), often, patch.object(scratch, "LEAST", 256):
+    with new_folder(), often, patch.object(memmap, "SMALLEST", 256):
         tb.write(bone(24), "exemplar.tif")
         learned = tb.method("texture", **QUICK["texture"]).fit(tb.read("exemplar.tif"))
         request = tb.Request((18, 20, 34), seed=3)
@@ -615,7 +615,7 @@ def _finish_command() -> tb.Image:
 
 @case("finish-in-slabs")
 def _finish_in_slabs() -> tb.Image:
-    with new_folder(), patch.object(scratch, "LEAST", 256):
+    with new_folder(), patch.object(memmap, "SMALLEST", 256):
         tb.write(rough(), "rough.zarr")
         slabs = tb.open_slabs("rough.zarr")
         tb.finish.finish_slabs(slabs, "part.zarr", [("connect", {}), ("fill_trapped", {})])

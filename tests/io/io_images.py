@@ -27,7 +27,7 @@ EDGES = st.floats(1e-6, 1e6, allow_subnormal=False)
 
 @st.composite
 def images(draw, *, ndim=(2, 3), kinds=("labels", "grey", "colour"), greys=GREYS):
-    """An Image of any kind, type, anisotropic spacing and unit, with a recipe of its own."""
+    """Draw an Image of any kind, type, anisotropic spacing and unit, with a recipe of its own."""
     axes = draw(st.sampled_from(ndim))
     shape = tuple(draw(st.integers(1, 6)) for _ in range(axes))
     spacing = tuple(draw(EDGES) for _ in range(axes))
@@ -67,7 +67,7 @@ def _integers(rng, dtype, shape):
 
 
 def same(one: Image, other: Image) -> None:
-    """Assert that nothing differs."""
+    """Check that nothing differs."""
     assert one.values.dtype == other.values.dtype
     np.testing.assert_array_equal(one.values, other.values)
     assert (one.kind, one.spacing, one.unit, one.phases) == (
@@ -80,6 +80,6 @@ def same(one: Image, other: Image) -> None:
 
 
 def grey_ramp(dtype="uint16"):
-    """A volume whose every voxel and every axis differs: z steps 100, y steps 10, x steps 1."""
+    """Make a volume whose voxels and axes all differ: z steps 100, y steps 10, x steps 1."""
     z, y, x = np.ogrid[:3, :4, :5]
     return Image((100 * z + 10 * y + x).astype(dtype), "grey", spacing=(2.5, 0.1, 0.3), unit="um")

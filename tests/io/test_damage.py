@@ -83,9 +83,7 @@ def test_truncated_anywhere(case, tmp_path):
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.startswith("labels")])
 def test_any_byte_changed(case, tmp_path):
-    """A wrong byte may change a voxel or the meaning; it never brings a library's exception
-    through.
-    """
+    """Change one byte: a voxel or the meaning may differ, but no library's exception comes out."""
     image, name = CASES[case]
     path = f"{tmp_path}/{name}"
     tb.write(image, path)
@@ -184,8 +182,10 @@ def nii():
 
 
 VTI = (
-    '<VTKFile type="ImageData" byte_order="LittleEndian"><ImageData WholeExtent="{0}"><Piece Extent="{0}"><CellData>'
-    '<DataArray type="Float64" format="binary">AAAA</DataArray></CellData></Piece></ImageData></VTKFile>'
+    '<VTKFile type="ImageData" byte_order="LittleEndian"><ImageData WholeExtent="{0}"><Piece '
+    'Extent="{0}"><CellData>'
+    '<DataArray type="Float64" '
+    'format="binary">AAAA</DataArray></CellData></Piece></ImageData></VTKFile>'
 )
 SIDES = b"100000 100000 100000"
 HUGE = {
@@ -199,21 +199,22 @@ HUGE = {
     "x.mha": b"NDims = 3\nDimSize = "
     + SIDES
     + b"\nElementType = MET_SHORT\nCompressedData = True\nElementDataFile = LOCAL\nxx",
-    "y.mha": b"NDims = 3\nDimSize = 100 100 100\nElementType = MET_SHORT\nElementDataFile = LOCAL\nxx",
+    "y.mha": b"NDims = 3\nDimSize = 100 100 100\nElementType = MET_SHORT\nElementDataFile = "
+    b"LOCAL\nxx",
     "x.vti": VTI.format("0 100000 0 100000 0 100000").encode(),
 }
 
 
 @pytest.mark.parametrize("name", HUGE)
 def test_huge_by_its_header(name, tmp_path, monkeypatch):
-    """Refused before anything of that size is asked for."""
+    """Refuse it before anything of that size is allocated."""
 
-    def asked(shape, *args, **options):
+    def record(shape, *args, **options):
         raise AssertionError(f"allocated {shape}")
 
     (tmp_path / name).write_bytes(HUGE[name])
-    monkeypatch.setattr(np, "empty", asked)
-    monkeypatch.setattr(np, "zeros", asked)
+    monkeypatch.setattr(np, "empty", record)
+    monkeypatch.setattr(np, "zeros", record)
     with pytest.raises((FileError, MemoryBudgetError), match=r"claims|greater than file size"):
         tb.read(tmp_path / name)
 

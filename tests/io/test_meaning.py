@@ -1,4 +1,6 @@
-"""What is read without being told: colour, labels or grey; and what the arguments of `read` change."""
+"""Kinds of image without an argument: colour, labels or grey; and the effect of arguments of
+`read`.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from trabecula.core.errors import InputError, UnknownNameError
 from trabecula.io import units
 
 
-def saved(tmp_path, array, name="x.npy"):
+def save(tmp_path, array, name="x.npy"):
     np.save(tmp_path / name, array)
     return tmp_path / name
 
@@ -25,19 +27,20 @@ def saved(tmp_path, array, name="x.npy"):
     ],
 )
 def test_content_decides(array, kind, tmp_path):
-    image = tb.read(saved(tmp_path, array))
+    image = tb.read(save(tmp_path, array))
     assert image.kind == kind and image.shape == array.shape
 
 
 def test_float_labels_ask(tmp_path):
-    path = saved(tmp_path, np.array([[0.0, 1.0], [2.0, 1.0]]))
+    path = save(tmp_path, np.array([[0.0, 1.0], [2.0, 1.0]]))
     with pytest.raises(InputError, match="kind='labels' or kind='grey'"):
         tb.read(path)
     assert tb.read(path, kind="labels").values.tolist() == [[0, 1], [2, 1]]
     assert tb.read(path, kind="grey").values.dtype == np.float64
-    assert tb.read(
-        saved(tmp_path, np.zeros((4, 5, 3), np.uint8), "c.npy"), kind="colour"
-    ).shape == (4, 5)
+    assert tb.read(save(tmp_path, np.zeros((4, 5, 3), np.uint8), "c.npy"), kind="colour").shape == (
+        4,
+        5,
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,11 +65,11 @@ def test_float_labels_ask(tmp_path):
 )
 def test_values_that_are_not_what_was_said(array, options, says, tmp_path):
     with pytest.raises(InputError, match=says):
-        tb.read(saved(tmp_path, array), **options)
+        tb.read(save(tmp_path, array), **options)
 
 
 def test_names_are_checked(tmp_path):
-    path = saved(tmp_path, np.eye(3, dtype=np.uint8))
+    path = save(tmp_path, np.eye(3, dtype=np.uint8))
     with pytest.raises(UnknownNameError, match="did you mean 'labels'"):
         tb.read(path, kind="label")
     with pytest.raises(UnknownNameError, match="unknown unit 'parsec'"):
@@ -74,7 +77,7 @@ def test_names_are_checked(tmp_path):
 
 
 def test_a_crop_without_a_phase_keeps_the_names_of_the_others(tmp_path):
-    path = saved(tmp_path, np.array([[0, 2]], np.uint8))
+    path = save(tmp_path, np.array([[0, 2]], np.uint8))
     assert tb.read(path).values.tolist() == [[0, 1]]
     assert tb.read(path, phases=("pore", "active", "binder")).values.tolist() == [[0, 2]]
 
@@ -158,9 +161,7 @@ def test_real_scans(data, tmp_path):
 
 
 def test_metaimage_keeps_bars_wherever_its_lines_are_cut(tmp_path):
-    """The JSON is cut into lines that stand in bars; a bar of the JSON itself at a cut must
-    survive.
-    """
+    """Cut the JSON into lines that stand in bars; a bar of the JSON itself at a cut must stay."""
     values = np.zeros((2, 2, 2), np.uint8)
     for length in range(400):
         recipe = tb.Recipe().then("made", values, note="x" * length + "|")

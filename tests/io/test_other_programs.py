@@ -199,8 +199,8 @@ def test_metaimage_header_as_itk_wants_it(tmp_path):
     np.testing.assert_array_equal(np.fromfile(tmp_path / "x.raw", "<u2").reshape(3, 4, 5), RAMP)
 
 
-def counted(raw, *, packed, count, coded, block=64):
-    """Bytes as VTK lays them out: a count and the bytes, or counts and packed blocks."""
+def count_bytes(raw, *, packed, count, coded, block=64):
+    """Lay bytes out as VTK does: a count and the bytes, or counts and packed blocks."""
     code = base64.b64encode if coded else bytes
     if not packed:
         return code(struct.pack(count, len(raw)) + raw)
@@ -216,8 +216,8 @@ def counted(raw, *, packed, count, coded, block=64):
 def test_vti_by_hand(place, mode, packed, header, tmp_path):
     count = "<Q" if header == "UInt64" else "<I"
     extent = "0 5 0 4 0 3" if place == "CellData" else "0 4 0 3 0 2"
-    raw = counted(RAMP.tobytes(), packed=packed, count=count, coded="raw" not in mode)
-    other = counted(b"\1" * 120, packed=packed, count=count, coded="raw" not in mode)
+    raw = count_bytes(RAMP.tobytes(), packed=packed, count=count, coded="raw" not in mode)
+    other = count_bytes(b"\1" * 120, packed=packed, count=count, coded="raw" not in mode)
     text = {"ascii": " ".join(map(str, RAMP.ravel())).encode(), "binary": raw}.get(mode, b"")
     appended = mode.startswith("appended")
     tail = (
@@ -231,7 +231,8 @@ def test_vti_by_hand(place, mode, packed, header, tmp_path):
     )
     (tmp_path / "x.vti").write_bytes(
         f'<VTKFile type="ImageData" byte_order="LittleEndian"{attributes}>'
-        f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="0.3 0.1 2.5"><Piece Extent="{extent}">'
+        f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="0.3 0.1 2.5"><Piece '
+        f'Extent="{extent}">'
         f'<{place} Scalars="b"><DataArray type="UInt8" Name="a" format="ascii">1</DataArray>'
         f'<DataArray type="UInt16" Name="b" {form}>'.encode()
         + text

@@ -14,7 +14,7 @@ GREY = np.arange(600, dtype=np.uint16).reshape(20, 30)
 
 
 def read(path, **given):
-    """The image, what was said, and the step that read it."""
+    """Return the image, what was reported, and the step that read it."""
     said = []
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
         image = tb.read(path, **given)
@@ -145,7 +145,8 @@ def test_tags_of_a_stack_say_nothing_of_z(tmp_path):
     assert image.shape == (2, 20, 30) and image.unit == "voxel"
     assert (
         len(said) == 1
-        and "a.tif has a spacing (from the TIFF's resolution tags (1000 dpi)), which says nothing of z"
+        and "a.tif has a spacing (from the TIFF's resolution tags (1000 dpi)), which says nothing "
+        "of z"
         in said[0]
     )
 

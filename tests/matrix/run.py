@@ -191,12 +191,15 @@ def try_cell(python: Path, version: str, dependencies: str, folder: Path) -> Cel
         counted = re.findall(r"\d+ (?:passed|failed|skipped|errors?)", text)
         outcome = ", ".join(counted) or outcome
     return Cell(
-        version, dependencies, outcome, passed, time.monotonic() - started, _installed(inside)
+        version, dependencies, outcome, passed, time.monotonic() - started, _list_versions(inside)
     )
 
 
-def _installed(python: Path) -> str:
-    ask = "import sys, importlib.metadata as m; print(*(f'{n} {m.version(n)}' for n in sys.argv[1:]), sep=', ')"
+def _list_versions(python: Path) -> str:
+    ask = (
+        "import sys, importlib.metadata as m; "
+        "print(*(f'{n} {m.version(n)}' for n in sys.argv[1:]), sep=', ')"
+    )
     done = subprocess.run([python, "-c", ask, *SHOWN], capture_output=True, text=True, check=False)
     return done.stdout.strip()
 

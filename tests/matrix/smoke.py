@@ -53,7 +53,7 @@ def test_every_verb_explains_itself(verb, tmp_path):
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
-    """The main job at a small size, with a scan that comes as TIFF."""
+    """Run the main job at a small size, with a scan that comes as TIFF."""
     folder = tmp_path_factory.mktemp("job")
     tb.write(tb.crop(tb.sample("bone"), 48), folder / "scan.tif")
     run(folder, "generate", "scan.tif", "--shape", 28, "--seed", 7, "--out", "bone.zarr", *SMALL)

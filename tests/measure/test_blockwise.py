@@ -12,16 +12,16 @@ import trabecula as tb
 from trabecula.engine.lazy_volume import Slabs, as_slabs, depth_within
 from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
-from trabecula.measure.blockwise import LEFT_OUT, count_slabs, describe_slabs, forecast
+from trabecula.measure.blockwise import count_slabs, describe_slabs, forecast, names_without_slabs
 from trabecula.measure.labelling import label_components
-from trabecula.measure.streaming import Cubes, Pieces
+from trabecula.measure.streaming import ComponentTally, ConfigurationCounts
 
 SHAPES = st.tuples(st.integers(2, 9), st.integers(2, 7), st.integers(2, 7))
 
 
 @st.composite
 def volumes(draw, phases=2):
-    """Labels of any shape; of one probability, so that all is solid as often as all is void."""
+    """Draw labels of any shape and probability: all is solid as often as all is void."""
     shape = draw(SHAPES)
     share = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0]))
     noise = np.random.default_rng(draw(st.integers(0, 2**32))).random(shape)
@@ -70,7 +70,9 @@ def test_slabs_describe_a_volume_as_the_whole_does(values, extra, names, depth, 
 @settings(max_examples=60)
 @given(values=volumes(), depth=st.integers(1, 9), connectivity=st.sampled_from([6, 18, 26]))
 def test_components_of_slabs_are_those_of_the_whole(values, depth, connectivity):
-    found = in_pieces(as_slabs(tb.Image(values, "labels")), Pieces(connectivity), depth).result()
+    found = in_pieces(
+        as_slabs(tb.Image(values, "labels")), ComponentTally(connectivity), depth
+    ).result()
     assert found.sizes().tolist() == component_sizes(values, connectivity=connectivity).tolist()
     assert found.components == len(found.sizes()) and found.voxels == values.sum()
     for axis in range(3):
@@ -82,16 +84,16 @@ def test_a_spiral_that_closes_in_the_last_plane_is_one_component():
     values = np.zeros((9, 8, 8), np.uint8)
     values[:, ::2, ::2] = 1  # sixteen columns, which nothing but the last plane joins
     volume = as_slabs(tb.Image(values, "labels"))
-    assert in_pieces(volume, Pieces(), 2).result().components == 16
+    assert in_pieces(volume, ComponentTally(), 2).result().components == 16
     values = values.copy()
     values[-1] = 1
-    joined = in_pieces(as_slabs(tb.Image(values, "labels")), Pieces(), 2).result()
+    joined = in_pieces(as_slabs(tb.Image(values, "labels")), ComponentTally(), 2).result()
     assert joined.components == 1 and joined.through(0) == joined.through(2) == values.sum()
 
 
 def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
     rng = np.random.default_rng(3)
-    pieces = Pieces()
+    pieces = ComponentTally()
     for _ in range(40):
         pieces.add(rng.random((4, 16, 16)) < 0.2)
     kept = len(pieces._sizes) + len(pieces._closed)
@@ -102,7 +104,7 @@ def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
 def test_the_cubes_of_an_object_are_those_with_a_margin_around_it(inside, depth):
     from trabecula.measure.configurations import count_cubes
 
-    cubes = in_pieces(as_slabs(tb.Image(inside, "labels")), Cubes(), depth)
+    cubes = in_pieces(as_slabs(tb.Image(inside, "labels")), ConfigurationCounts(), depth)
     assert cubes.object().tolist() == count_cubes(np.pad(inside, 1), None).tolist()
     assert cubes.inside().tolist() == count_cubes(inside, None).tolist()
 
@@ -131,7 +133,8 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
     found = describe_slabs(volume, depth=5)
     assert set(found) == set(describe(values))
     assert all(
-        found[name] is None and any(name in note for note in found["notes"]) for name in LEFT_OUT
+        found[name] is None and any(name in note for note in found["notes"])
+        for name in names_without_slabs()
     )
     with pytest.raises(tb.errors.InputError, match="depth"):
         describe_slabs(volume, depth=0)
@@ -216,5 +219,5 @@ def test_slabs_of_an_image_are_its_planes(inside, depth):
     assert {len(slab.values) for slab in slabs[:-1]} <= {depth}
     assert (
         len(label_components(inside)[1])
-        == in_pieces(as_slabs(image), Pieces(), depth).result().components
+        == in_pieces(as_slabs(image), ComponentTally(), depth).result().components
     )

@@ -164,7 +164,7 @@ def test_real_bone(data):
 
 
 def test_every_value_is_plain_python():
-    """NumPy's own scalars are refused by `json` in some versions and not in others."""
+    """Check that no NumPy scalar is left: some versions of `json` refuse them."""
     volume = np.random.default_rng(0).integers(0, 2, (30, 30, 30)).astype(np.uint8)
 
     def leaves(value):

@@ -119,7 +119,7 @@ def test_pairs_and_triples(three):
 
 
 def test_where_the_image_is_periodic_pairs_sum_up_to_the_fraction(three):
-    """sum_j S_ij(r) = phi_i; without periodic faces it holds for the pairs that fit alone."""
+    """Check sum_j S_ij(r) = phi_i; without periodic faces it holds for the pairs that fit alone."""
     reach = {"r_max": 8, "periodic": True}
     for name in NAMES:
         pairs = [
@@ -134,7 +134,7 @@ def test_where_the_image_is_periodic_pairs_sum_up_to_the_fraction(three):
 
 
 def test_coated_spheres_in_layers():
-    """Cores of phase 1 in shells of phase 2: closed components, of known size."""
+    """Put cores of phase 1 in shells of phase 2: closed components, of known size."""
     values = np.zeros((30, 30, 60), np.uint8)
     for x in (15, 45):
         radius = np.sqrt(
@@ -278,7 +278,7 @@ def test_flat_names_for_lists_of_figures(three):
     )
     assert "two_point_void" not in curves
     assert set(curves) - set(phase_curves(three, r_max=5, cross=False)) == {
-        *("cross_void_active", "cross_void_binder", "cross_active_binder"),
+        *("cross_void_active", "cross_void_binder", "cross_active_binder")
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def service():
-    """The emulation runs, and the environment says where it is, as a user's would."""
+    """Run the emulation, and set its place in the environment as a user would."""
     from emulation import Service, forget_connections
 
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
@@ -31,7 +31,7 @@ def service():
 
 @pytest.fixture
 def bucket(service, tmp_path, monkeypatch):
-    """The address of an empty bucket; the working directory is an empty folder."""
+    """Return the address of an empty bucket; the working directory is an empty folder."""
     import fsspec
 
     name = f"bucket-{uuid.uuid4().hex[:8]}"
@@ -42,7 +42,7 @@ def bucket(service, tmp_path, monkeypatch):
 
 @pytest.fixture
 def objects(bucket):
-    """The names of all objects in the bucket."""
+    """List the names of all objects in the bucket."""
     import fsspec
 
     def names():

@@ -19,7 +19,7 @@ class Service:
         self.start()
 
     def start(self):
-        """Listen, again at the same port."""
+        """Start to listen, again at the same port."""
         self._server = moto.ThreadedMotoServer(
             ip_address="127.0.0.1", port=self.port, verbose=False
         )
@@ -27,10 +27,10 @@ class Service:
         self.port = self._server.get_host_and_port()[1]
 
     def stop(self):
-        """Listen no longer."""
+        """Stop listening."""
         self._server.stop()
 
 
 def forget_connections():
-    """Connections are kept by fsspec, with the keys and endpoint that they were made with."""
+    """Forget connections, which fsspec keeps with their keys and endpoint."""
     fsspec.get_filesystem_class("s3").clear_instance_cache()

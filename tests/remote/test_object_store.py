@@ -30,7 +30,7 @@ OBJECTS = BLOCKS + 2
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The volume that these runs make, on disk."""
+    """Make the volume of these runs on disk."""
     path = tmp_path_factory.mktemp("whole") / "foam.zarr"
     trabecula("generate", *ASKED, "--out", path, "--chunks", 32)
     return path
@@ -38,7 +38,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def interrupted(bucket, monkeypatch):
-    """The address of the same run, stopped by Ctrl-C after two blocks."""
+    """Return the address of the same run, stopped by Ctrl-C after two blocks."""
     foam = f"{bucket}/foam.zarr"
     with monkeypatch.context() as patch:
         real, count = blocks.do_task, []
@@ -58,14 +58,14 @@ def interrupted(bucket, monkeypatch):
 
 @pytest.fixture
 def finished(bucket, whole):
-    """The address of that volume, copied there."""
+    """Return the address of that volume, copied there."""
     fsspec.filesystem("s3").put(str(whole), f"{bucket}/foam.zarr", recursive=True)
     return f"{bucket}/foam.zarr"
 
 
 @pytest.fixture
 def tasks(monkeypatch):
-    """The tasks that are done."""
+    """List the tasks that are done."""
     real, done = blocks.do_task, []
 
     def told(task, *words, **more):
@@ -91,7 +91,9 @@ def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, 
     image = tb.read(interrupted)
     assert digest(image.values) == done.sha256
     assert image.recipe.to_json() == tb.read(whole).recipe.to_json()
-    assert np.array_equal(tb.read(interrupted, level=1).values, halve_resolution(image.values, labels=True))
+    assert np.array_equal(
+        tb.read(interrupted, level=1).values, halve_resolution(image.values, labels=True)
+    )
     assert objects() == {
         f"foam.zarr/{path.relative_to(whole).as_posix()}"
         for path in whole.rglob("*")
@@ -160,7 +162,7 @@ def test_every_verb_reads_it(finished, whole):
 
 
 def test_a_volume_that_is_made_as_a_whole(bucket, monkeypatch):
-    """In scratch files of this machine, and then block by block into the store."""
+    """Make it in scratch files of this machine, and then block by block into the store."""
     tb.write(tb.crop(tb.sample("bone"), 24), "scan.npy")
     asked = ("generate", "scan.npy", "--method", "quilt", "--shape", 40, "--seed", 1)
     here = trabecula(*asked, "--out", "rock.npy")
@@ -216,7 +218,9 @@ def test_a_volume_made_at_once_appears_whole_and_is_not_replaced(bucket, objects
     again = tb.read(place)
     assert np.array_equal(again.values, block.values)
     assert (again.spacing, again.unit, again.phases) == (block.spacing, block.unit, block.phases)
-    assert np.array_equal(tb.read(place, level=1).values, halve_resolution(block.values, labels=True))
+    assert np.array_equal(
+        tb.read(place, level=1).values, halve_resolution(block.values, labels=True)
+    )
     before = objects()
     with pytest.raises(
         FileError, match="something is there, and an object store cannot replace it"
@@ -272,13 +276,13 @@ import sys, time
 from trabecula.cli.main import main
 from trabecula.engine import blocks
 
-real = blocks.do
+real = blocks.do_task
 
 def slow(*words, **more):
     time.sleep(0.2)
     real(*words, **more)
 
-blocks.do = slow
+blocks.do_task = slow
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -362,7 +366,7 @@ def test_no_such_bucket(bucket):
 
 
 def test_no_right_to_write(bucket, monkeypatch):
-    """The emulation asks for the rights of a key from now on; ours is nobody's."""
+    """Let the emulation check the rights of a key, of which ours has none."""
     from moto import settings
     from moto.core.responses import ActionAuthenticatorMixin
 

@@ -1,4 +1,4 @@
-"""Workers of a Dask cluster and an object store: the blocks go from the workers straight into it."""
+"""Workers of a Dask cluster write their blocks straight into an object store."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def test_two_workers_make_the_same_voxels(bucket, objects):
 
 
 def test_workers_without_the_keys_say_what_is_wrong(bucket, monkeypatch):
-    """This process has its connection; its workers start from an environment without keys."""
+    """Start workers from an environment without keys; this process has its connection."""
     trabecula("generate", *ASKED[:-1], 4, "--out", f"{bucket}/other.zarr")
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")

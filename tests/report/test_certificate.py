@@ -25,7 +25,7 @@ DISTANCES = ("porosity_error", "two_point_distance", "two_point_relative", "two_
 
 
 def field(seed: int, shape=(64, 64, 64), share: float = 0.3) -> np.ndarray:
-    """A thresholded smooth field: periodic, statistically the same for every seed."""
+    """Return a thresholded smooth field: periodic, statistically the same for every seed."""
     noise = np.random.default_rng(seed).standard_normal(shape)
     for axis in range(len(shape)):
         for _ in range(3):
@@ -148,9 +148,7 @@ def test_the_baseline_stands_beside_and_fails_where_noise_must(bone):
 
 @pytest.mark.parametrize("side", [48, 96, 120, 240])
 def test_another_sample_lies_in_the_band_ninety_nine_times_in_a_hundred(side):
-    """Of white noise: parts of 48^3 in an exemplar of 96^3, and another sample of the material that
-    is judged.
-    """
+    """Take white noise: parts of 48^3 in an exemplar of 96^3, and another sample of it."""
     rng = np.random.default_rng(side)
     sizes = Sizes(48.0**3, 96.0**3, float(side**3))
     inside = close = 0
@@ -167,7 +165,7 @@ def test_another_sample_lies_in_the_band_ninety_nine_times_in_a_hundred(side):
 
 
 def test_long_waves_widen_the_band():
-    """Means that fall as V to the power -0.5: parts of the exemplar share its own deviation, and
+    """Draw means that fall as V to the power -0.5: parts share the exemplar's own deviation, and
     show less than their spread.
     """
     rng = np.random.default_rng(5)
@@ -184,7 +182,7 @@ def test_long_waves_widen_the_band():
 
 
 def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():
-    """A figure a + b / side: of parts of 20, an exemplar of 40 and images of any side."""
+    """Take a figure a + b / side: of parts of 20, an exemplar of 40 and images of any side."""
     for side in (20, 30, 40, 80, 1000):
         expected = expected_value(
             [5 + 3 / 20] * 8, 5 + 3 / 40, Sizes(20.0**3, 40.0**3, float(side**3))

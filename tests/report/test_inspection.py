@@ -13,7 +13,7 @@ from trabecula.errors import InputError
 from trabecula.report.inspection import inspect
 from trabecula.report.recommend import recommend
 from trabecula.report.stationarity import find_trends
-from trabecula.report.structure import has_bodies, structure_of
+from trabecula.report.structure import has_bodies, measure_structure
 
 SIDE = 96
 Z, Y, X = np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij", sparse=True)
@@ -68,11 +68,11 @@ def test_a_stationary_field_has_no_trend_and_no_order():
 
 def test_the_correlation_length_is_that_of_measure():
     image = gaussian_field(1)
-    found = structure_of(image).lengths
+    found = measure_structure(image).lengths
     for axis, length in enumerate(found):
         assert length == pytest.approx(tb.measure.correlation_length(image, axis=axis), rel=0.1)
     stretched = tb.Image(image.values[:32].repeat(3, axis=0), "labels")
-    assert structure_of(stretched).lengths[0] == pytest.approx(3 * found[0], rel=0.25)
+    assert measure_structure(stretched).lengths[0] == pytest.approx(3 * found[0], rel=0.25)
 
 
 def test_a_ramp_is_found_along_its_axis_alone():
@@ -91,7 +91,9 @@ def test_a_hollow_is_found_from_centre_to_rim():
     noise = np.random.default_rng(0).random((SIDE // 3,) * 3).repeat(3, 0).repeat(3, 1).repeat(3, 2)
     rim = ((Z - 47.5) ** 2 + (Y - 47.5) ** 2 + (X - 47.5) ** 2) / 47.5**2
     image = tb.Image((noise < 0.2 + 0.1 * rim).astype(np.uint8), "labels")
-    trends = {trend.name: trend for trend in find_trends(image, structure_of(image).lengths).trends}
+    trends = {
+        trend.name: trend for trend in find_trends(image, measure_structure(image).lengths).trends
+    }
     assert [name for name, trend in trends.items() if trend.found] == ["centre to rim"]
     assert trends["centre to rim"].start < trends["centre to rim"].end
 
@@ -121,7 +123,7 @@ def test_a_lattice_is_regular_and_gets_moved_pieces():
 
 def test_noise_in_a_lattice_hides_nothing():
     values = lattice().values * 100.0 + np.random.default_rng(0).normal(100, 40, (SIDE,) * 3)
-    found = structure_of(tb.Image(values, "grey"))
+    found = measure_structure(tb.Image(values, "grey"))
     assert found.period is not None
     assert inspect(tb.Image(values, "grey")).grey.noise == pytest.approx(40, rel=0.15)
 

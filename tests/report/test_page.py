@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.measure.registry import DESCRIPTORS, GROUPS
 from trabecula.report import page, verify
-from trabecula.report.metrics import FIGURES, GROUPS, figure_of, in_order
+from trabecula.report.metrics import find_descriptor, in_order
 from trabecula.report.plot import curve_plot, place_plot, ticks
 
 PNG = base64.b64decode(
@@ -149,12 +150,11 @@ def _file(folder):
 
 def test_figures_of_axes_and_phases_know_their_own():
     assert (
-        figure_of("diffusivity_z").title.endswith("along z")
-        and figure_of("diffusivity_z").group == "physics"
+        find_descriptor("diffusivity_z").title.endswith("along z")
+        and find_descriptor("diffusivity_z").group == "physics"
     )
-    assert figure_of("fraction_binder_2").title == "Fraction of binder_2"
+    assert find_descriptor("fraction_binder_2").title == "Fraction of binder_2"
     assert in_order(["coherence", "permeability_x", "porosity", "permeability"]) == [
         *("porosity", "permeability_x", "permeability", "coherence")
     ]
-    assert {figure.group for figure in FIGURES} == set(GROUPS)
-    assert len({figure.name for figure in FIGURES}) == len(FIGURES)
+    assert {one.group for one in DESCRIPTORS.values()} == {"", *GROUPS}

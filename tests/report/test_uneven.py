@@ -10,18 +10,18 @@ from trabecula.measure import signed_distance
 from trabecula.measure.evenness import depth_of
 from trabecula.measure.streaming.cells import cells_of
 from trabecula.report.evenness import (
+    choose_windows,
     evenness_bands,
     evenness_numbers,
     measure_evenness,
     phases_of,
-    choose_windows,
 )
 
 SIDE = 96
 
 
 def gaussian(seed: int, shape=(SIDE,) * 3, share=0.3) -> np.ndarray:
-    """A periodic smooth field above a fixed level: porosity scatters as that of samples does."""
+    """Cut a periodic smooth field at a fixed level: porosity scatters as that of samples does."""
     noise = np.random.default_rng(seed).standard_normal(shape)
     for axis in range(len(shape)):
         for _ in range(3):
@@ -32,7 +32,7 @@ def gaussian(seed: int, shape=(SIDE,) * 3, share=0.3) -> np.ndarray:
 
 
 def shift_density(image: tb.Image, profile: np.ndarray, amount: float) -> tb.Image:
-    """Thicken the solid where the profile is high and thin it where it is low; the porosity stays."""
+    """Thicken the solid where the profile is high, thin it where it is low; keep the porosity."""
     field = signed_distance(image.values == image.values.max()) + amount * profile
     level = np.quantile(field, tb.measure.porosity(image))
     return tb.Image(
@@ -45,7 +45,7 @@ def shift_density(image: tb.Image, profile: np.ndarray, amount: float) -> tb.Ima
 
 
 def fakes(image: tb.Image, amount: float) -> dict[str, tb.Image]:
-    """Three uneven materials of about the same porosity; the profiles run from 0 to 1."""
+    """Make three uneven materials of about the same porosity; the profiles run from 0 to 1."""
     place = np.indices(image.shape)[0] / image.shape[0]
     profiles = {
         "hollow": -np.minimum(2 * depth_of(image.shape), 1),
@@ -55,8 +55,8 @@ def fakes(image: tb.Image, amount: float) -> dict[str, tb.Image]:
     return {name: shift_density(image, profile, amount) for name, profile in profiles.items()}
 
 
-def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
-    """What fails, by the functions that the certificate calls."""
+def list_failures(exemplar: tb.Image, image: tb.Image) -> list[str]:
+    """List the figures that fail, by the functions that the certificate calls."""
     windows = choose_windows(exemplar, [image])
     found = [
         measure_evenness(cells_of(each, cell=windows.cell), windows, phases_of(each))
@@ -71,9 +71,9 @@ def failed_evenness(exemplar: tb.Image, image: tb.Image) -> list[str]:
 
 
 def test_other_samples_of_a_material_seldom_fail():
-    """Forty figures of ten pairs: one in a hundred may leave its band."""
+    """Judge forty figures of ten pairs: one in a hundred may leave its band."""
     wrong = [
-        failed_evenness(tb.Image(gaussian(n), "labels"), tb.Image(gaussian(n + 50), "labels"))
+        list_failures(tb.Image(gaussian(n), "labels"), tb.Image(gaussian(n + 50), "labels"))
         for n in range(10)
     ]
     assert sum(map(len, wrong)) <= 4
@@ -84,24 +84,22 @@ def test_an_uneven_sample_fails(name):
     exemplar, other = tb.Image(gaussian(1), "labels"), tb.Image(gaussian(2), "labels")
     fake = fakes(other, 1.5)[name]
     assert tb.measure.porosity(fake) == pytest.approx(tb.measure.porosity(other), abs=0.03)
-    assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake))
+    assert any(figure.startswith("fraction") for figure in list_failures(exemplar, fake))
 
 
 @pytest.mark.parametrize("name", ["bone", "foam"])
 def test_uneven_samples_of_the_package_fail(name):
     exemplar = tb.sample(name)
     for what, fake in fakes(exemplar, 1.5).items():
-        assert any(figure.startswith("fraction") for figure in failed_evenness(exemplar, fake)), (
-            what
-        )
-    assert failed_evenness(exemplar, exemplar) == []
+        assert any(figure.startswith("fraction") for figure in list_failures(exemplar, fake)), what
+    assert list_failures(exemplar, exemplar) == []
 
 
 def test_uneven_scans_fail(data):
     for name in ("trabecular_bone_a", "trabecular_bone_b", "berea_sandstone_a", "nmc_electrode_a"):
         scan = tb.crop(tb.read(data / f"{name}.tif"), 120)
         for what, fake in fakes(scan, 3.0).items():
-            assert any(figure.startswith("fraction") for figure in failed_evenness(scan, fake)), (
+            assert any(figure.startswith("fraction") for figure in list_failures(scan, fake)), (
                 name,
                 what,
             )
@@ -122,7 +120,7 @@ def test_the_certificate_says_it_at_every_level_and_for_every_kind():
 
 
 def test_phases_are_judged_one_by_one():
-    """Binder on one side only, with all fractions right."""
+    """Put binder on one side only, with all fractions right."""
     rng = np.random.default_rng(3)
     solid = rng.random((64, 64, 64)) < 0.5
     even = solid * np.where(rng.random(solid.shape) < 0.2, 2, 1)
@@ -133,7 +131,7 @@ def test_phases_are_judged_one_by_one():
         tb.Image(each.astype(np.uint8), "labels", phases=("void", "active", "binder"))
         for each in (even, sided)
     ]
-    wrong = failed_evenness(*images)
+    wrong = list_failures(*images)
     assert {"fraction_trend_z_binder", "fraction_trend_z_active"} <= set(wrong)
     assert "fraction_trend_z_void" not in wrong
 
@@ -147,7 +145,7 @@ def test_an_exemplar_with_a_trend_decides_nothing():
 
 
 def spheres(seed: int, side: int = 96, radius: int = 5, count: int = 700) -> np.ndarray:
-    """Overlapping spheres at random places of a torus: a Boolean model, which is no Gaussian field."""
+    """Return overlapping spheres at random places of a torus: a Boolean model, not Gaussian."""
     rng = np.random.default_rng(seed)
     reach = np.arange(-radius, radius + 1)
     ball = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), -1).reshape(-1, 3)

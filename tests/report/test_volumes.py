@@ -9,13 +9,13 @@ from trabecula.errors import InputError, UnknownNameError
 from trabecula.measure import covariance_form, describe, largest_fraction, two_point
 from trabecula.report import verify
 from trabecula.report.band import LEAST_PART, parts
-from trabecula.report.metrics import figure_of
+from trabecula.report.metrics import find_descriptor
 from trabecula.report.planes import slice_planes, take_slices
 from trabecula.report.summary_text import sentences
 
 
 def smooth(seed: int, shape, *, share: float = 0.35, widths=(3, 3, 3)) -> np.ndarray:
-    """A Gaussian field, cut: isotropic where the widths are equal."""
+    """Return a Gaussian field, cut: isotropic where the widths are equal."""
     noise = np.fft.rfftn(np.random.default_rng(seed).standard_normal(shape))
     for axis, width in enumerate(widths[-len(shape) :]):
         waves = (np.fft.rfftfreq if axis == len(shape) - 1 else np.fft.fftfreq)(shape[axis])
@@ -89,19 +89,19 @@ def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
     assert certificate.metrics["largest_fraction_3d_void"].value == largest_fraction(
         volume, phase="void"
     )
-    assert figure_of("percolates_3d_void").title == "Percolates of void, in 3-D"
-    assert figure_of("porosity_yx_zx").title == "Porosity in yx and zx"
+    assert find_descriptor("percolates_3d_void").title == "Percolates of void, in 3-D"
+    assert find_descriptor("porosity_yx_zx").title == "Porosity in yx and zx"
     assert any("not judged" in note for note in certificate.notes)
 
 
 def test_level_full_tells_of_transport(picture):
     metrics = verify(picture, labels(smooth(2, (24, 24, 24))), level="full", box=16).metrics
     assert metrics["permeability_3d"].passed is None and metrics["permeability_3d_z"].value >= 0
-    assert figure_of("permeability_3d_z").title.endswith("along z, in 3-D")
+    assert find_descriptor("permeability_3d_z").title.endswith("along z, in 3-D")
 
 
 def rods(seed: int, side: int = 48) -> np.ndarray:
-    """Bars along the three axes, and nothing oblique."""
+    """Return bars along the three axes, none oblique."""
     rng, values = np.random.default_rng(seed), np.zeros((side,) * 3, np.uint8)
     for n in range(40):
         size = np.full(3, 6)
@@ -136,7 +136,7 @@ def test_slices_are_spread_evenly():
 
 
 def test_two_views_of_a_material_that_is_longer_along_an_axis():
-    """Along x cells are three times as long: pictures (z, y) and (z, x) or (y, x) differ."""
+    """Take cells three times as long along x: pictures (z, y) and (z, x) or (y, x) differ."""
     grown = labels(smooth(6, (48, 48, 48), widths=(3, 3, 9)))
     long = labels(smooth(7, (8, 128, 128), widths=(3, 3, 9))[4])
     across = labels(smooth(8, (8, 128, 128))[4])

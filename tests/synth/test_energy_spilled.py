@@ -12,8 +12,8 @@ import pytest
 import trabecula as tb
 from trabecula import fields
 from trabecula.engine import memmap
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.parallel import threads
-from trabecula.engine.pickling import ReferencedFiles
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.grid import Grid, exact_search
 from trabecula.synth.shared.matching.neighbour_index import build_index
@@ -212,7 +212,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in (*bounds, *bounds):
             pickle.loads(packed)(start, stop)
 
@@ -223,7 +223,7 @@ def test_the_exact_search_can_be_done_by_others(tmp_path):
     old = np.full(grid.shape, grid.candidates.numbers[3], np.int32)
     features = grid.candidates.features[np.arange(old.size).reshape(old.shape)]
     whole = exact_search(grid, old, features, index_penalty=0.1)
-    with memmap.map_large_arrays(tmp_path, memory=1 << 14, thickest=3, hands=Others()):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 14, thickest=3, workers=Others()):
         made = exact_search(grid, old, features, index_penalty=0.1)
         assert all(np.array_equal(a, b) for a, b in zip(whole, made, strict=True))
     assert (whole[0] != old).any()

@@ -150,7 +150,7 @@ def test_a_method_without_an_exemplar_takes_the_forms_size():
         for name in tb.methods()
         if tb.method(name).capabilities.alone and "mask" in tb.method(name).capabilities.honours
     ]
-    assert alone == ["bubbles", "noise"]
+    assert {"bubbles", "noise"} <= set(alone)
     for name in alone:
         image = tb.method(name).fit().generate(None, mask=mask)
         assert (image.spacing, image.unit) == ((0.5,) * 3, "mm")

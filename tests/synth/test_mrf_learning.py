@@ -584,7 +584,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
     lattice = build_lattices(tb.Request((18, 18, 18), seed=1, periodic=True), model.content, 1, 3)[
         0
     ]
-    couplings = model._couplings(0, lattice)
+    couplings = model._start_couplings(0, lattice)
     couplings.strength = np.where(couplings._held, -0.5, 0.0)[None].reshape(
         couplings.strength.shape
     )

@@ -11,7 +11,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.mrf import site_update
 
 SHAPE = (11, 14, 13)
@@ -41,7 +41,7 @@ class Others:
     worked = 0
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -133,7 +133,7 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
     whole = model.make(request)[0]
     as_if_large(monkeypatch)
     others = Others()
-    with memmap.map_large_arrays(tmp_path, memory=1 << 30, thickest=9, hands=others):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 30, thickest=9, workers=others):
         assert np.array_equal(model.make(request)[0], whole)
     assert others.worked
 
@@ -156,7 +156,7 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         with tb.threads(1):
-            plan = model._plan_spilled(request)
+            plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "slab"}
         assert peaks[-1] <= plan["slab"], "a slab takes more than was forecast"
     assert peaks[1] <= 1.1 * peaks[0], peaks

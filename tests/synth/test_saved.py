@@ -200,7 +200,10 @@ def test_shipped_models_are_found_by_name(noise, tmp_path, monkeypatch):
     (tmp_path / "marrow.md").write_text("# marrow\n\nBone of a test.\n\nMore.\n")
     monkeypatch.setattr(models, "_HERE", tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert list(models.shipped_models()) == ["marrow"] and models.summary("marrow") == "Bone of a test."
+    assert (
+        list(models.shipped_models()) == ["marrow"]
+        and models.summary("marrow") == "Bone of a test."
+    )
     model = tb.load_model("marrow")
     assert model.name == "marrow" and np.array_equal(
         model.generate(8, seed=1).values, noise.generate(8, seed=1).values

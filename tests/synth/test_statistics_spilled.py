@@ -10,7 +10,7 @@ import trabecula as tb
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
-from trabecula.engine.pickling import ReferencedFiles
+from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.shared.content.fields import FULL, noise, votes_of
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
@@ -51,7 +51,7 @@ class Others:
     at_once = 2
 
     def spread(self, work, bounds):
-        packed = ReferencedFiles().packed(work)
+        packed = ReferencedFiles().dumps(work)
         for start, stop in bounds:
             for _ in range(2):
                 pickle.loads(packed)(start, stop)
@@ -138,7 +138,7 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
     here = run()
     if hands is None:
         monkeypatch.setattr(memmap, "SMALLEST", 64)
-    with memmap.map_large_arrays(tmp_path / "scratch", memory=1 << 16, thickest=5, hands=hands):
+    with memmap.map_large_arrays(tmp_path / "scratch", memory=1 << 16, thickest=5, workers=hands):
         there = run()
         for a, b in zip(here, there, strict=True):
             assert np.array_equal(a, b)

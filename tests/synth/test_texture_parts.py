@@ -185,7 +185,7 @@ def carried_over(match, old, new, grid, factor):
 
 
 def test_two_exemplars_both_lend_their_structures():
-    """One with layers across z, one with layers across y: the result holds both, and no third kind."""
+    """One with layers across z, one with layers across y: the result holds both, no third kind."""
     z, y, _ = np.indices((40, 40, 40))
     across_z, across_y = ((z // 5 % 2).astype(np.uint8), (y // 5 % 2).astype(np.uint8))
     material = tb.method("texture", **QUICK).fit([across_z, across_y]).generate(64, seed=0).values

@@ -99,9 +99,9 @@ def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     exemplar = bone if made_of is None else made_of(bone)
     model = tb.method("texture", **{**QUICK, **settings}).fit(exemplar)
     request = tb.Request(SHAPE, seed=3, **parts(exemplar))
-    at_once, _ = model.made(request)
+    at_once, _ = model.compute(request)
     with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=3):
-        values, _ = model.made(request)
+        values, _ = model.compute(request)
         assert memmap.file_of(values) is not None
         assert np.array_equal(values, at_once)
         del values
@@ -126,7 +126,7 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     model = tb.method("texture", **{**QUICK, **settings}).fit(bone)
     request = tb.Request(SHAPE, seed=3)
-    values, report = model.made(request)
+    values, report = model.compute(request)
     told, stop, went_on = [], 0, []
     while True:
         seen = iter(range(stop))
@@ -139,7 +139,7 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
 
         try:
             with listen(listener), checkpoint.kept_at(tmp_path / "x.part"):
-                made, told = model.made(request)
+                made, told = model.compute(request)
             break
         except StoppedError:
             stop = 1  # the first time after a round, then after two

@@ -24,20 +24,25 @@ import numpy as np
 from PIL import Image as Pillow
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-MISSING = "no Chromium was found: install the package chromium (apt-get install chromium), or set CHROMIUM to its path"
+MISSING = (
+    "no Chromium was found: install the package chromium (apt-get install chromium), or set "
+    "CHROMIUM to its path"
+)
 _SECONDS = 60
 # SwiftShader draws on the processor: the same pictures on every machine, and no graphics card
 # needed.
 _FLAGS = (
-    "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--disable-sync",
-    "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows", "--disable-dev-shm-usage",
+    "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--remote-debugging-pipe", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-extensions", "--disable-sync",
+    "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows",
+    "--disable-dev-shm-usage",
     "--force-device-scale-factor=1", "--hide-scrollbars", "--mute-audio",
 )  # fmt: skip
 
 
-def found() -> str | None:
-    """Path of the browser, or None."""
+def find_browser() -> str | None:
+    """Return the path of the browser, or None."""
     return os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -55,7 +60,7 @@ class Chromium:
         actions = [(os.POSIX_SPAWN_DUP2, high[0], 3), (os.POSIX_SPAWN_DUP2, high[1], 4)]
         actions += [(os.POSIX_SPAWN_DUP2, self.log.fileno(), fd) for fd in (1, 2)]
         words = [
-            found(),
+            find_browser(),
             *_FLAGS,
             *root,
             *flags,
@@ -70,7 +75,7 @@ class Chromium:
         self.number, self.rest, self.pages = 0, b"", {}
 
     def call(self, method, session=None, **parameters):
-        """The result of a command; what happens meanwhile is told to its page."""
+        """Return the result of a command; pass events on to their page meanwhile."""
         self.number += 1
         message = {"id": self.number, "method": method, "params": parameters}
         if session:
@@ -86,13 +91,13 @@ class Chromium:
                 return answer["result"]
 
     def open(self, url="about:blank", *, size=(800, 600), before=""):
-        """A page of that size at an address; `before` is run in it first."""
+        """Open a page of that size at an address; `before` is run in it first."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         return Tab(self, target, session, url, size, before)
 
     def pump(self, seconds):
-        """Listen to what happens for a while."""
+        """Wait for events for a while."""
         until = time.monotonic() + seconds
         while (
             b"\0" in self.rest
@@ -112,11 +117,11 @@ class Chromium:
         line, _, self.rest = self.rest.partition(b"\0")
         message = json.loads(line)
         if "method" in message and message.get("sessionId") in self.pages:
-            self.pages[message["sessionId"]].happened(message["method"], message["params"])
+            self.pages[message["sessionId"]].handle_event(message["method"], message["params"])
         return message
 
     def processes(self):
-        """(type, bytes of memory, seconds of the processor) of the browser's processes; what they
+        """Return (type, bytes of memory, processor seconds) of the browser's processes; what they
         share is shared out.
         """
         listed = subprocess.run(
@@ -167,11 +172,11 @@ class Tab:
         self.go("Page.navigate", url=url)
 
     def call(self, method, **parameters):
-        """A command to this page."""
+        """Send a command to this page."""
         return self.browser.call(method, self.session, **parameters)
 
     def go(self, method, **parameters):
-        """Navigate or reload, and wait until the page is loaded."""
+        """Open an address or reload, and wait until the page is loaded."""
         self.loaded = False
         trouble = self.call(method, **parameters).get("errorText")
         if trouble:
@@ -180,7 +185,7 @@ class Tab:
         while not self.loaded and time.monotonic() < until:
             self.browser.pump(0.02)
 
-    def happened(self, method, about):
+    def handle_event(self, method, about):
         """Keep what tests ask for."""
         if method == "Page.loadEventFired":
             self.loaded = True
@@ -201,7 +206,7 @@ class Tab:
             self.requests.append(about["request"]["url"])
 
     def run(self, expression):
-        """The value of an expression of JavaScript; promises are waited for."""
+        """Return the value of an expression of JavaScript; wait for promises."""
         answer = self.call(
             "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
         )
@@ -212,22 +217,24 @@ class Tab:
         return answer["result"].get("value")
 
     def resize(self, width, height, *, touch=False):
-        """The window's inner size; one pixel a CSS pixel."""
+        """Set the window's inner size; one pixel a CSS pixel."""
         self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=height, deviceScaleFactor=1, mobile=False,
         )  # fmt: skip
         self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
 
     def picture(self):
-        """(H, W, 3) uint8: the window as it is shown."""
+        """Return (H, W, 3) uint8: the window as it is shown."""
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Pillow.open(io.BytesIO(data)).convert("RGB"))
 
     def mouse(self, kind, x, y, *, button="left", **more):
-        """mousePressed, mouseMoved, mouseReleased, mouseWheel at a place of the window."""
+        """Send mousePressed, mouseMoved, mouseReleased or mouseWheel at a place of the window."""
         held = {"mouseMoved": 1, "mousePressed": 1}.get(kind, 0)
         self.call(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=held, clickCount=1, **more
+            "Input.dispatchMouseEvent",
+            type=kind, x=x, y=y, button=button, buttons=held, clickCount=1, **more,
         )  # fmt: skip
 
     def drag(self, start, end, steps=4):
@@ -240,13 +247,13 @@ class Tab:
         self.mouse("mouseReleased", *end)
 
     def press(self, key, **more):
-        """A key, as its name in JavaScript."""
+        """Send a key, by its name in JavaScript."""
         text = {"text": key} if len(key) == 1 else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text, **more)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
 
     def fingers(self, kind, *places):
-        """touchStart, touchMove, touchEnd with fingers at these places."""
+        """Send touchStart, touchMove or touchEnd with fingers at these places."""
         self.call(
             "Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in places]
         )

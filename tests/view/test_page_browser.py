@@ -14,11 +14,17 @@ from PIL import Image as Pillow
 import trabecula as tb
 from trabecula.view.page.server import PageServer
 
-pytestmark = pytest.mark.skipif(chromium.found() is None, reason=chromium.MISSING)
+pytestmark = pytest.mark.skipif(chromium.find_browser() is None, reason=chromium.MISSING)
 
 WINDOW = (400, 300)
-SHARP = """new Promise((done) => { const wait = () => (app.passes >= 4 ? done(app.frames) : setTimeout(wait, 20)); wait(); })"""
-READY = f"window.trabecula.ready.then((app) => {{ window.app = app; return app.drawing ? {SHARP} : 0; }})"
+SHARP = (
+    "new Promise((done) => { const wait = () => "
+    "(app.passes >= 4 ? done(app.frames) : setTimeout(wait, 20)); wait(); })"
+)
+READY = (
+    "window.trabecula.ready.then((app) => "
+    f"{{ window.app = app; return app.drawing ? {SHARP} : 0; }})"
+)
 
 
 def foam(side=24, seed=0):
@@ -42,13 +48,13 @@ def show(browser, tmp_path):
     """
     tabs = []
 
-    def opened(*images, size=WINDOW, before="", **options):
+    def open_page(*images, size=WINDOW, before="", **options):
         path = tb.view(*images, **options).save(tmp_path / "page.html")
         tabs.append(browser.open(path.as_uri(), size=size, before=before))
         tabs[-1].run(READY)
         return tabs[-1]
 
-    yield opened
+    yield open_page
     for tab in tabs:
         assert tab.errors == []
         assert all(url.startswith(("file:", "data:", "blob:")) for url in tab.requests)
@@ -56,7 +62,7 @@ def show(browser, tmp_path):
 
 
 def canvas(tab):
-    """(H, W, 3): the picture alone, once it is sharp."""
+    """Return (H, W, 3): the picture alone, once it is sharp."""
     tab.run(SHARP)
     data = tab.run("document.getElementById('picture').toDataURL().split(',')[1]")
     return np.asarray(Pillow.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).astype(int)
@@ -64,12 +70,13 @@ def canvas(tab):
 
 def stage(tab):
     return tab.run(
-        "[document.getElementById('stage').clientWidth, document.getElementById('stage').clientHeight]"
+        "[document.getElementById('stage').clientWidth, "
+        "document.getElementById('stage').clientHeight]"
     )
 
 
 def apart(one, other):
-    """Mean difference of two pictures, 0..255."""
+    """Return the mean difference of two pictures, 0..255."""
     return np.abs(one - other).mean()
 
 
@@ -90,7 +97,8 @@ def test_page_and_still_are_one_picture(show, look, cut):
         tab.run("app.setCut('none')")
     elif cut != "corner":
         tab.run(
-            "Object.assign(app.cut, {free: true, azimuth: 60, elevation: 10, offset: 0.4}); app.setCut('none')"
+            "Object.assign(app.cut, {free: true, azimuth: 60, elevation: 10, offset: 0.4}); "
+            "app.setCut('none')"
         )
     page = canvas(tab)
     still = tb.render(image, size=stage(tab), look=look, cut=cut).values.astype(int)
@@ -108,11 +116,13 @@ def test_what_is_skipped_would_not_have_been_seen(show, opacity):
     values[4:9, 30:35, 5:20], values[20:22, :, 22:24] = True, True
     tab = show(values)
     tab.run(
-        f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; app.redraw()"
+        f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; "
+        "app.redraw()"
     )
     canvas(tab)
     shown = (
-        f"(app.paint(1, 0, {{skip: {word}}}), document.getElementById('picture').toDataURL().split(',')[1])"
+        f"(app.paint(1, 0, {{skip: {word}}}), "
+        "document.getElementById('picture').toDataURL().split(',')[1])"
         for word in ("true", "false")
     )
     skipped, all_steps = (
@@ -177,7 +187,8 @@ def test_sliders_and_keys_do_what_the_mouse_does(show):
     tab = show(foam())
     before = canvas(tab)
     tab.run(
-        "const s = document.querySelector('input[name=x]'); s.value = 0.8; s.dispatchEvent(new Event('input'))"
+        "const s = document.querySelector('input[name=x]'); s.value = 0.8; s.dispatchEvent(new "
+        "Event('input'))"
     )
     cut = canvas(tab)
     assert apart(cut, before) > 1 and tab.run("app.cut.at[0]") == 0.8
@@ -211,7 +222,8 @@ def test_looks_change_the_picture_and_come_from_the_table(show):
     pictures = []
     for name in ("bone", "foam", "bread", "sponge", "stone"):
         tab.run(
-            f"{{ const s = document.querySelector('select[name=Look]'); s.value = '{name}'; s.onchange(); }}"
+            f"{{ const s = document.querySelector('select[name=Look]'); s.value = '{name}'; "
+            f"s.onchange(); }}"
         )
         pictures.append(canvas(tab))
     gaps = [apart(one, other) for k, one in enumerate(pictures) for other in pictures[:k]]
@@ -254,7 +266,8 @@ def test_grey_follows_its_transfer_function(show):
     assert np.diff(shares) == pytest.approx([-shares[0] / 4] * 3, rel=0.25)
     solid = canvas(tab)
     tab.run(
-        "document.querySelector('input[name=Opacity]').value = 0.3; document.querySelector('input[name=Opacity]').oninput()"
+        "document.querySelector('input[name=Opacity]').value = 0.3; "
+        "document.querySelector('input[name=Opacity]').oninput()"
     )
     assert apart(canvas(tab), solid) > 1
 
@@ -290,11 +303,13 @@ def test_slices_show_the_voxels(show):
     values[3, 2, 5] = 1
     tab = show(values)
     tab.run(
-        "document.querySelectorAll('#slices input')[0].value = 3; document.querySelectorAll('#slices input')[0].oninput()"
+        "document.querySelectorAll('#slices input')[0].value = 3; "
+        "document.querySelectorAll('#slices input')[0].oninput()"
     )
     pixels = tab.run(
         "(() => { const c = document.querySelector('#slices canvas');"
-        "return [c.width, c.height, [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data]]; })()"
+        "return [c.width, c.height, [...c.getContext('2d').getImageData(0, 0, c.width, "
+        "c.height).data]]; })()"
     )
     image = np.array(pixels[2]).reshape(pixels[1], pixels[0], 4)
     assert image.shape == (7, 8, 4)
@@ -303,7 +318,8 @@ def test_slices_show_the_voxels(show):
 
 
 def test_without_webgl_there_are_slices_and_a_plain_message(show):
-    missing = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply(f, c, a) "
+    context = "HTMLCanvasElement.prototype.getContext"
+    missing = f"{context} = new Proxy({context}, {{apply(f, c, a) "
     missing += "{ return a[0] === 'webgl2' ? null : Reflect.apply(f, c, a); }})"
     tab = show(foam(), before=missing)
     assert "no WebGL 2" in tab.run("document.getElementById('message').innerText")

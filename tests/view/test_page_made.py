@@ -20,7 +20,7 @@ def noise(shape, levels=2, seed=0):
     return np.random.default_rng(seed).integers(0, levels, shape).astype(np.uint8)
 
 
-def told(page):
+def page_data(page):
     return json.loads(
         re.search(r'<script type="application/json" id="page">(.*?)</script>', page.html)[1]
     )
@@ -36,7 +36,7 @@ def test_the_voxels_of_a_page_are_those_of_the_images():
     page = tb.view(tb.Image(labels, "labels", (3, 2, 1), "um"), tb.Image(colour, "colour", 2, "um"))
     np.testing.assert_array_equal(voxels(page, 0), labels.ravel())
     np.testing.assert_array_equal(voxels(page, 1), colour.ravel())
-    first, second = told(page)["volumes"]
+    first, second = page_data(page)["volumes"]
     assert (
         first["shape"] == [5, 6, 7] and first["edges"] == [1, 2, 3] and second["kind"] == "colour"
     )
@@ -45,7 +45,7 @@ def test_the_voxels_of_a_page_are_those_of_the_images():
 
 def test_a_picture_is_one_slice():
     page = tb.view(noise((8, 9)))
-    assert told(page)["volumes"][0]["shape"] == [1, 8, 9]
+    assert page_data(page)["volumes"][0]["shape"] == [1, 8, 9]
 
 
 def test_the_same_images_give_the_same_page():
@@ -55,12 +55,12 @@ def test_the_same_images_give_the_same_page():
 def test_greys_are_spread_over_bytes_and_their_range_is_told():
     values = np.linspace(-3, 5, 4096).reshape(16, 16, 16)
     page = tb.view(tb.Image(values, "grey"))
-    about = told(page)["volumes"][0]
+    about = page_data(page)["volumes"][0]
     assert about["range"] == pytest.approx([-3, 5], abs=0.02)
     shown = about["range"][0] + voxels(page) / 255 * (about["range"][1] - about["range"][0])
     np.testing.assert_allclose(shown, values.ravel(), atol=0.04)
     assert about["low"] < 128 < about["high"]  # Otsu's threshold of an even spread is its middle
-    flat = told(tb.view(tb.Image(np.full((4, 4, 4), 2.5), "grey")))["volumes"][0]
+    flat = page_data(tb.view(tb.Image(np.full((4, 4, 4), 2.5), "grey")))["volumes"][0]
     assert flat["range"][0] < flat["range"][1]
 
 
@@ -80,12 +80,12 @@ def test_what_is_too_large_is_taken_together_in_blocks_and_the_page_says_so(monk
     labels[6:, :, :] = 2
     labels[:6, :6, :] = 1
     page = tb.view(tb.Image(labels, "labels", (1, 1, 2), "um"))
-    about = told(page)["volumes"][0]
+    about = page_data(page)["volumes"][0]
     assert about["shape"] == [6, 6, 6] and about["edges"] == [4, 2, 2] and about["coarse"] == 2
     np.testing.assert_array_equal(voxels(page).reshape(6, 6, 6), labels[::2, ::2, :12:2])
     assert "too large" in about["notes"][0] and "12 x 12 x 13" in str(about["facts"])
     grey = np.arange(12**3, dtype=np.float32).reshape(12, 12, 12)
-    fit = fitting.fitted(tb.Image(grey, "grey"))
+    fit = fitting.fit_volume(tb.Image(grey, "grey"))
     blocks = grey.reshape(6, 2, 6, 2, 6, 2).mean(axis=(1, 3, 5))
     low, high = fit.range
     np.testing.assert_allclose(
@@ -96,28 +96,28 @@ def test_what_is_too_large_is_taken_together_in_blocks_and_the_page_says_so(monk
 def test_the_most_frequent_label_of_a_block_is_drawn(monkeypatch):
     monkeypatch.setattr(fitting, "LARGEST", 1)
     values = np.array([0, 1, 1, 2, 2, 2, 0, 2], np.uint8).reshape(2, 2, 2)
-    assert fitting.fitted(tb.Image(values, "labels")).values.ravel().tolist() == [2]
+    assert fitting.fit_volume(tb.Image(values, "labels")).values.ravel().tolist() == [2]
 
 
 def test_a_thin_volume_is_taken_together_along_its_long_axes_alone(monkeypatch):
     monkeypatch.setattr(fitting, "LONGEST", 10)
-    fit = fitting.fitted(tb.Image(noise((1, 40, 20)), "labels"))
+    fit = fitting.fit_volume(tb.Image(noise((1, 40, 20)), "labels"))
     assert fit.block == (1, 4, 4) and fit.values.shape == (1, 10, 5)
 
 
 def test_images_are_aligned_where_their_units_are_lengths():
     small = noise((4, 4, 4))
     um, mm = tb.Image(small, "labels", 5, "um"), tb.Image(small, "labels", 0.01, "mm")
-    about = told(tb.view(um, mm))
+    about = page_data(tb.view(um, mm))
     assert about["aligned"]
     lengths = [volume["edges"][0] * volume["scale"] for volume in about["volumes"]]
     assert lengths == pytest.approx([5e-6, 1e-5])
-    apart = told(tb.view(um, small))
+    apart = page_data(tb.view(um, small))
     assert not apart["aligned"] and "no common unit" in apart["volumes"][0]["notes"][0]
 
 
 def test_the_looks_of_the_page_are_those_of_stills():
-    table = told(tb.view(noise((4, 4, 4))))["table"]
+    table = page_data(tb.view(noise((4, 4, 4))))["table"]
     assert set(table["looks"]) == set(LOOKS)
     for name, look in LOOKS.items():
         assert (
@@ -135,7 +135,7 @@ def test_key_figures_stand_beside_the_image_that_they_are_of():
         "mean_curvature": {"value": 1.0, "real_band": None, "pass": None},
     }
     small = noise((4, 4, 4))
-    exemplar, result = told(tb.view(small, small, certificate={"metrics": metrics}))["volumes"]
+    exemplar, result = page_data(tb.view(small, small, certificate={"metrics": metrics}))["volumes"]
     assert exemplar["figures"] == []
     assert result["figures"] == [
         ["porosity", "0.5", "0.4 .. 0.6", "pass"],
@@ -146,7 +146,7 @@ def test_key_figures_stand_beside_the_image_that_they_are_of():
 def test_a_real_certificate_is_taken(bone):
     part = tb.crop(bone, 40)
     verdict = tb.verify(bone, part, level="quick")
-    rows = told(tb.view(part, certificate=verdict))["volumes"][0]["figures"]
+    rows = page_data(tb.view(part, certificate=verdict))["volumes"][0]["figures"]
     assert sorted(row[0] for row in rows if row[0].startswith("porosity")) == [
         "porosity",
         "porosity_error",
@@ -160,14 +160,14 @@ def test_where_it_came_from_stands_beside(bone):
         "labels",
         recipe=tb.Recipe(({"verb": "generate", "method": "noise", "seed": 3},)),
     )
-    assert ["Made by", "noise, seed 3"] in told(tb.view(made))["volumes"][0]["facts"]
+    assert ["Made by", "noise, seed 3"] in page_data(tb.view(made))["volumes"][0]["facts"]
 
 
 def test_no_name_gets_out_of_its_place():
     name = '</title></script><img src=x onerror="alert(1)">{style}'
     page = tb.view(noise((4, 4, 4)), names=[name])
     assert "<img" not in page.html and page.html.count("<style>") == 1
-    assert told(page)["volumes"][0]["name"] == name
+    assert page_data(page)["volumes"][0]["name"] == name
     assert "<img" not in page._repr_html_()
 
 

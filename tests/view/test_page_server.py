@@ -14,15 +14,15 @@ HTML = "<!doctype html><title>page</title>"
 
 
 @pytest.fixture
-def served():
+def page_server():
     with PageServer(HTML) as running:
         threading.Thread(target=running.serve_forever, daemon=True).start()
         yield running
         running.shutdown()
 
 
-def ask(served, path, *, method="GET", **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", served.server_port, timeout=10)
+def ask(page_server, path, *, method="GET", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", page_server.server_port, timeout=10)
     connection.request(
         method, path, headers={name.replace("_", "-"): value for name, value in headers.items()}
     )
@@ -32,58 +32,60 @@ def ask(served, path, *, method="GET", **headers):
     return answer, body
 
 
-def test_the_token_opens_once_and_gives_a_cookie_that_opens_again(served):
-    path = f"/?token={served.token}"
-    answer, body = ask(served, path)
+def test_the_token_opens_once_and_gives_a_cookie_that_opens_again(page_server):
+    path = f"/?token={page_server.token}"
+    answer, body = ask(page_server, path)
     assert answer.status == 303 and answer.headers["Location"] == "/" and body == ""
     kept = answer.headers["Set-Cookie"]
     assert "HttpOnly" in kept and "SameSite" in kept
     for _ in range(2):
-        answer, body = ask(served, "/", Cookie=kept.split(";")[0])
+        answer, body = ask(page_server, "/", Cookie=kept.split(";")[0])
         assert answer.status == 200 and body == HTML
-    assert ask(served, path)[0].status == 403
-    assert "token" not in served.url
+    assert ask(page_server, path)[0].status == 403
+    assert "token" not in page_server.url
 
 
 @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=guess", "/?token=%00", "/?other=1"])
-def test_nobody_else_gets_it(served, path):
-    answer, body = ask(served, path)
+def test_nobody_else_gets_it(page_server, path):
+    answer, body = ask(page_server, path)
     assert answer.status == 403 and HTML not in body
-    assert ask(served, f"/?token={served.token}")[0].status == 303  # a wrong guess spends nothing
+    assert (
+        ask(page_server, f"/?token={page_server.token}")[0].status == 303
+    )  # a wrong guess spends nothing
 
 
 @pytest.mark.parametrize(
     "path",
     ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/etc/passwd", "//etc/passwd", "/index.html"],
 )
-def test_no_other_path_is_there(served, path):
-    cookie = f"trabecula-{served.server_port}={served.cookie}"
-    answer, body = ask(served, path, Cookie=cookie)
+def test_no_other_path_is_there(page_server, path):
+    cookie = f"trabecula-{page_server.server_port}={page_server.cookie}"
+    answer, body = ask(page_server, path, Cookie=cookie)
     assert answer.status == 404 and "root:" not in body
 
 
 @pytest.mark.parametrize(
     "host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:80", ""]
 )
-def test_another_name_for_this_machine_is_refused(served, host):
-    answer, _ = ask(served, f"/?token={served.token}", Host=host)
+def test_another_name_for_this_machine_is_refused(page_server, host):
+    answer, _ = ask(page_server, f"/?token={page_server.token}", Host=host)
     assert answer.status == 403
-    assert served.token is not None
+    assert page_server.token is not None
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
-def test_nothing_can_be_sent(served, method):
-    assert ask(served, "/", method=method)[0].status == 501
+def test_nothing_can_be_sent(page_server, method):
+    assert ask(page_server, "/", method=method)[0].status == 501
 
 
 @pytest.mark.parametrize("cookie", ["trabecula=x", "=", "a=b; ;;", "\x01"])
-def test_a_strange_cookie_is_no_cookie(served, cookie):
-    assert ask(served, "/", Cookie=cookie)[0].status == 403
+def test_a_strange_cookie_is_no_cookie(page_server, cookie):
+    assert ask(page_server, "/", Cookie=cookie)[0].status == 403
 
 
-def test_it_listens_on_this_machine_alone(served):
-    assert served.server_address[0] == "127.0.0.1"
-    answer, _ = ask(served, "/")
+def test_it_listens_on_this_machine_alone(page_server):
+    assert page_server.server_address[0] == "127.0.0.1"
+    answer, _ = ask(page_server, "/")
     assert (
         answer.headers["X-Frame-Options"] == "DENY"
         and answer.headers["Cache-Control"] == "no-store"
@@ -102,8 +104,8 @@ def test_a_taken_port_is_told():
 
 
 @pytest.fixture
-def stopped(monkeypatch):
-    """`serve` returns at once, as if it were interrupted."""
+def no_waiting(monkeypatch):
+    """Let `serve` return at once, as if it were interrupted."""
 
     def interrupt(self):
         raise KeyboardInterrupt
@@ -111,7 +113,7 @@ def stopped(monkeypatch):
     monkeypatch.setattr(PageServer, "serve_forever", interrupt)
 
 
-def test_without_a_browser_the_address_is_told(stopped, monkeypatch):
+def test_without_a_browser_the_address_is_told(no_waiting, monkeypatch):
     monkeypatch.setattr(server, "has_display", lambda: False)
     lines = []
     server.serve(HTML, tell=lines.append)
@@ -124,7 +126,7 @@ def test_without_a_browser_the_address_is_told(stopped, monkeypatch):
         server.serve(HTML)
 
 
-def test_a_browser_is_opened_on_the_address_with_the_token(stopped, monkeypatch):
+def test_a_browser_is_opened_on_the_address_with_the_token(no_waiting, monkeypatch):
     opened, lines = [], []
     monkeypatch.setattr(server, "has_display", lambda: True)
     monkeypatch.setattr(server.webbrowser, "open", lambda url: opened.append(url) or True)

@@ -6,14 +6,14 @@ import pytest
 import trabecula as tb
 from trabecula.core.errors import InputError, UnknownNameError
 from trabecula.view.looks import LOOKS, phase_colours
-from trabecula.view.scale import round_length, words
+from trabecula.view.scale import format_length, round_length
 from trabecula.view.slices import montage, slices
 
 TOP = 14  # gap around the panels
 
 
 def panel(sheet, left, shape, factors):
-    """The voxels of a panel, after a check that every voxel is a block of one colour."""
+    """Return the voxels of a panel, after a check that every voxel is a block of one colour."""
     height, width = shape[0] * factors[0], shape[1] * factors[1]
     pixels = sheet.values[TOP : TOP + height, left : left + width]
     blocks = pixels.reshape(shape[0], factors[0], shape[1], factors[1], 3)
@@ -142,7 +142,7 @@ def test_round_lengths(limit, length):
     ],
 )
 def test_lengths_in_words(length, unit, text):
-    assert words(length, unit) == text
+    assert format_length(length, unit) == text
 
 
 @pytest.mark.parametrize(

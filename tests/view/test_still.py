@@ -7,8 +7,8 @@ from PIL import Image as Pillow
 import trabecula as tb
 from trabecula.core.errors import InputError, MemoryBudgetError, UnknownNameError
 from trabecula.engine.parallel import threads
-from trabecula.view.camera import place
 from trabecula.view.looks import LOOKS, phase_colours, to_linear, to_srgb
+from trabecula.view.scene import place_camera
 
 BACKGROUND = np.array(LOOKS["bone"].background)
 SMALL = (160, 120)
@@ -21,8 +21,8 @@ def foam(side=24, seed=0):
     return noise > 0
 
 
-def drawn(still):
-    """(H, W) bool: the material, without the scale bar below it."""
+def material_mask(still):
+    """Return (H, W) bool: the material, without the scale bar below it."""
     mask = np.abs(still.values.astype(int) - BACKGROUND).max(axis=-1) > 12
     mask[-max(30, still.shape[0] // 8) :, : still.shape[1] // 2] = False
     return mask
@@ -36,13 +36,13 @@ def extent(mask):
 def test_an_empty_volume_is_background_and_scale_bar_alone():
     still = tb.render(np.zeros((20, 20, 20), bool), size=SMALL)
     assert still.kind == "colour" and still.shape == (120, 160)
-    assert not drawn(still).any()
+    assert not material_mask(still).any()
     assert (still.values[-30:, :60] != BACKGROUND).any()
 
 
 def test_a_porous_volume_fills_its_silhouette_with_light_and_shade():
     still = tb.render(foam(), size=SMALL)
-    mask = drawn(still)
+    mask = material_mask(still)
     assert 0.2 < mask.mean() < 0.7
     assert still.values[mask].std() > 15
     assert still.values[mask].min(axis=0).max() > 15  # nothing is black
@@ -59,7 +59,7 @@ def test_faces_of_a_solid_cube_are_flat_and_lit_from_above():
 
 
 def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
-    """The gradient there is that of the inside: shaded by it, the face would be speckled or black."""
+    """Use the normal of the face: the gradient there would shade it speckled or black."""
     solid = foam(24, seed=5)
     # no light from within
     still = tb.render(solid, size=(240, 240), cut="none", camera=(0, 0), look="stone")
@@ -69,7 +69,7 @@ def test_a_cut_face_through_pores_is_as_flat_as_the_solid():
     for axis in (0, 1):
         for step in (-1, 0, 1):
             inner &= np.roll(voxels, step, axis)
-    mask = drawn(still)
+    mask = material_mask(still)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     across = (columns[-1] - columns[0] + 1) / 24
     k, i = np.nonzero(inner)
@@ -106,7 +106,7 @@ def test_the_corner_is_cut_towards_the_viewer_and_shows_the_inside():
 def test_planes_take_away_what_lies_beyond_them(cut, rows, columns):
     cube = np.ones((24, 24, 24), bool)
     whole, left = (
-        extent(drawn(tb.render(cube, size=(200, 200), cut=each, camera=(0, 0))))
+        extent(material_mask(tb.render(cube, size=(200, 200), cut=each, camera=(0, 0))))
         for each in ("none", cut)
     )
     assert left[0] == pytest.approx(rows * whole[0], abs=2) and left[1] == pytest.approx(
@@ -129,12 +129,12 @@ def test_a_free_plane_shows_a_flat_face_of_its_own():
 
 def test_light_goes_through_a_thin_wall_of_bread_and_not_of_stone():
     def below(thick, look):
-        """Brightness of the middle of the underside, which the lamp does not reach from outside."""
+        """Return the brightness of the underside's middle, which the lamp does not reach."""
         size, box = (160, 160), np.array([24.0, 24.0, thick])
         still = tb.render(
             np.ones((thick, 24, 24), bool), size=size, cut="none", camera=(0, -12), look=look
         )
-        camera = place((0, -12), box, size, margin=8, foot=19)
+        camera = place_camera((0, -12), box, size, margin=8, foot=19)
         offset = np.array([12.0, 12.0, 0.0]) - camera.corner
         column, row = (
             round(float(way @ offset / camera.pixel)) for way in (camera.right, -camera.up)
@@ -148,13 +148,16 @@ def test_light_goes_through_a_thin_wall_of_bread_and_not_of_stone():
 def test_the_rougher_the_surface_the_wider_and_weaker_its_highlight():
     from trabecula.view import shading
 
-    squarely, aside = (np.array([shading.mirrored.py_func(rough, 0.5, 0.9, 0.9, to_half, 0.9) for rough in (0.3, 0.6, 0.9)])
-                       for to_half in (1.0, 0.8))  # fmt: skip
+    term = shading.specular_term.py_func
+    squarely, aside = (
+        np.array([term(rough, 0.5, 0.9, 0.9, to_half, 0.9) for rough in (0.3, 0.6, 0.9)])
+        for to_half in (1.0, 0.8)
+    )
     assert (np.diff(squarely) < 0).all() and (np.diff(aside / squarely) > 0).all()
 
 
 def test_no_more_light_is_reflected_than_falls_in():
-    """The diffuse and specular terms, over all directions to a viewer, of light that falls in at 30
+    """Sum the diffuse and specular terms over all directions to a viewer, light falling in at 30
     degrees.
     """
     from trabecula.view import shading
@@ -173,7 +176,7 @@ def test_no_more_light_is_reflected_than_falls_in():
             half = lamp + np.array([x, y, z])
             half /= np.linalg.norm(half)
             between = float(lamp @ half)
-            sent = shading.mirrored.py_func(rough, 1.0, lamp[2], z, half[2], between)
+            sent = shading.specular_term.py_func(rough, 1.0, lamp[2], z, half[2], between)
             total += z * sent
         # Schlick's base of 0.08, and a little more at grazing angles
         assert 0.02 < 2 * total / up.size < 0.12
@@ -205,24 +208,24 @@ def test_the_camera_turns_around_z():
 
     def middle(azimuth):
         return (
-            np.nonzero(drawn(tb.render(post, size=(120, 120), cut="none", camera=(azimuth, 0))))[
-                1
-            ].mean()
+            np.nonzero(
+                material_mask(tb.render(post, size=(120, 120), cut="none", camera=(azimuth, 0)))
+            )[1].mean()
             - 59.5
         )
 
     assert middle(0) < -20 and middle(90) < -20 and middle(180) > 20 and middle(270) > 20
     lid = np.zeros((24, 24, 24), bool)
     lid[18:] = True
-    rows = np.nonzero(drawn(tb.render(lid, size=(120, 120), cut="none", camera=(0, 0))))[0]
+    rows = np.nonzero(material_mask(tb.render(lid, size=(120, 120), cut="none", camera=(0, 0))))[0]
     assert rows.max() < 60  # high z is up
 
 
 def test_spacing_stretches_the_picture():
     block = np.ones((20, 20, 20), bool)
-    plain = extent(drawn(tb.render(block, size=(200, 200), cut="none", camera=(0, 0))))
+    plain = extent(material_mask(tb.render(block, size=(200, 200), cut="none", camera=(0, 0))))
     tall = extent(
-        drawn(
+        material_mask(
             tb.render(
                 tb.Image(block, "labels", spacing=(2, 1, 1)),
                 size=(200, 200),
@@ -238,7 +241,7 @@ def test_spacing_stretches_the_picture():
 def test_a_pixel_has_the_length_that_the_image_says():
     image = tb.Image(np.ones((20, 30, 40), bool), "labels", spacing=(3.0, 2.0, 1.5), unit="um")
     still = tb.render(image, size=(200, 160), cut="none", camera=(0, 0))
-    rows, columns = extent(drawn(still))
+    rows, columns = extent(material_mask(still))
     assert still.unit == "um"
     assert columns * still.spacing[1] == pytest.approx(60, abs=2 * still.spacing[1])
     assert rows * still.spacing[0] == pytest.approx(60, abs=2 * still.spacing[0])
@@ -247,7 +250,7 @@ def test_a_pixel_has_the_length_that_the_image_says():
 def test_a_ball_keeps_its_size_and_is_round():
     ball = sum((axis - 19.5) ** 2 for axis in np.indices((40,) * 3)) < 15.0**2
     still = tb.render(ball, size=(200, 200), cut="none", camera=(20, 30))
-    mask = drawn(still)
+    mask = material_mask(still)
     assert mask.sum() * still.spacing[0] ** 2 == pytest.approx(np.pi * 15**2, rel=0.03)
     assert extent(mask)[0] == pytest.approx(extent(mask)[1], abs=2)
     # Smooth normals: along the lit side neighbouring pixels differ by little (a staircase would
@@ -280,13 +283,15 @@ def test_phases_have_their_colours_and_can_be_chosen():
     values[:, :, :10], values[:, :, 10:] = 1, 2
     both = tb.render(values, size=(120, 120), cut="none", camera=(0, 0)).values.astype(int)
     assert both[60, 30, 0] > both[60, 30, 2] + 15 and both[60, 90, 2] > both[60, 90, 0] + 15
-    one = drawn(tb.render(values, size=(120, 120), cut="none", camera=(0, 0), phase="phase2"))
+    one = material_mask(
+        tb.render(values, size=(120, 120), cut="none", camera=(0, 0), phase="phase2")
+    )
     assert not one[:, :55].any() and one[60, 90]
 
 
 def test_no_phase_is_void_by_its_number():
     image = tb.Image(np.zeros((8, 8, 8), np.uint8), "labels", phases=("grain", "void"))
-    assert drawn(tb.render(image, size=SMALL)).any()
+    assert material_mask(tb.render(image, size=SMALL)).any()
 
 
 def test_every_look_differs_and_phases_of_a_look_do():
@@ -316,7 +321,7 @@ def test_the_whole_box_is_in_the_picture_from_everywhere():
     extent_ = np.array([30.0, 20.0, 50.0])
     for azimuth in range(0, 360, 25):
         for elevation in (-90, -30, 0, 45, 90):
-            camera = place((azimuth, elevation), extent_, (300, 200), margin=10, foot=12)
+            camera = place_camera((azimuth, elevation), extent_, (300, 200), margin=10, foot=12)
             np.testing.assert_allclose(np.cross(camera.right, camera.up), camera.viewer, atol=1e-12)
             for corner in np.ndindex(2, 2, 2):
                 offset = np.array(corner) * extent_ - camera.corner
@@ -377,4 +382,4 @@ def test_a_volume_beyond_memory_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 30, 30), (3, 5, 70)])
 def test_thin_volumes_are_drawn(shape):
-    assert drawn(tb.render(np.ones(shape, bool), size=SMALL)).any()
+    assert material_mask(tb.render(np.ones(shape, bool), size=SMALL)).any()

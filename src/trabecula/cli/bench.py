@@ -8,15 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+from trabecula.core.errors import InputError
+
 _PARTS = {
     "only": "of the cases named image: exemplars by name (default: all)",
-    "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named big: methods (default: all)",
+    "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named "
+    "big: methods (default: all)",
     "side": "of the cases named image and big: voxels a side of what is made",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The cases, and where pictures go."""
+    """Add the cases, and the folder of their pictures."""
     parser.add_argument(
         "cases",
         nargs="*",
@@ -34,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run them in a process of their own, whose memory is theirs."""
+    """Run the cases in a process of their own, so that memory is measured alone."""
     words = [*options.cases, *(["--list"] if options.list else [])]
     places = (
         {}
@@ -50,14 +53,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _script() -> Path:
-    """The benchmarks of the checkout that the package is installed from."""
+    """Return the benchmarks of the checkout that the package is installed from."""
     import trabecula
-    from trabecula.core.errors import InputError
 
     found = Path(trabecula.__file__).resolve().parents[2] / "benchmarks" / "run.py"
     if not found.is_file():
         raise InputError(
-            "the benchmarks live in the repository, not in the installed package: install from a checkout "
+            "the benchmarks live in the repository, not in the installed package: install from a "
+            "checkout "
             "(pip install --editable .) and run trabecula bench there"
         )
     return found

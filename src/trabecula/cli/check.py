@@ -9,7 +9,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The part, the printer, its limits."""
+    """Add the part, the printer and its limits."""
     parser.add_argument("file", metavar="FILE", help="volume of labels, in a unit of length")
     parser.add_argument(
         "--printer", default="sls", metavar="NAME", help="sls (default), sla or fdm"
@@ -19,26 +19,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LIMIT=MM",
-        help="another limit than the typical one: box, wall, gap, passage, cup, overhang, bridge; repeatable",
+        help="another limit than the typical one: box, wall, gap, passage, cup, overhang, bridge; "
+        "repeatable",
     )
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available)",
-    )
+    shared.add_memory(parser)
     shared.add_lengths(parser, spacing=False)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what was found. A part that would be refused is a result, not an error: status 0."""
+    """Print the findings; a part that a printer would refuse is no error: status 0."""
     from trabecula.finish import print_check
+    from trabecula.io.lengths import with_lengths
     from trabecula.io.units import to_metres
     from trabecula.mesh.sizes import say_size
-    from trabecula.pipeline.demo import with_lengths
 
     limits = shared.settings(options.set)
     image = with_lengths(

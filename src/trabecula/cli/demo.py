@@ -9,7 +9,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to leave the results."""
+    """Add the folder of the results."""
     parser.add_argument(
         "--out", default="out", metavar="DIR", help="folder for the results (default: out)"
     )
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the main job and say what lies where."""
+    """Run the main job and list its files."""
     from trabecula.pipeline.demo import demo
 
     verdict = demo(options.out)

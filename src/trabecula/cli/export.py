@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -10,7 +11,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file and the target."""
+    """Add the file and the target."""
     parser.add_argument("file", metavar="FILE", help="volume")
     parser.add_argument(
         "--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format"
@@ -19,25 +20,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phase", help="phase whose surface is taken (default: every phase but void)"
     )
     shared.add_lengths(parser)
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); the .stl of a .zarr that needs more is written in slabs",
-    )
+    shared.add_memory(parser, "the .stl of a .zarr that needs more is written in slabs")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the surface or the voxels; for a surface, print what a check of it says."""
-    from pathlib import Path
-
+    """Write the surface or the voxels; of a surface, print a check of it."""
     from trabecula.io.files import read, write
+    from trabecula.io.lengths import with_lengths
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
-    from trabecula.pipeline.demo import check_target, with_lengths
+    from trabecula.pipeline.outputs import check_target
 
     check_target(options.out, surfaces=True)
     volume = _too_large(options)
@@ -57,9 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _size(extent: Any, unit: str, out: str) -> str:
-    """The size in millimetres, and the unit that is in the file where it is another."""
-    from pathlib import Path
-
+    """Return the size in millimetres, and the unit in the file where it is another."""
     from trabecula.mesh.sizes import size_text
 
     # STL is in millimetres, 3MF names its unit; the others leave it to their reader.
@@ -68,11 +61,11 @@ def _size(extent: Any, unit: str, out: str) -> str:
 
 
 def _too_large(options: argparse.Namespace) -> Any:
-    """The volume in slabs, where its surface would not fit into memory and can be written so."""
-    from pathlib import Path
-
+    """Open the volume in slabs where its surface would not fit into memory and the format allows
+    it.
+    """
+    from trabecula.io.lazy import slabs_if_large
     from trabecula.mesh.slabs import in_core_bytes
-    from trabecula.pipeline.demo import slabs_if_large
 
     if Path(options.out).suffix.lower() != ".stl":
         return None
@@ -81,8 +74,8 @@ def _too_large(options: argparse.Namespace) -> Any:
 
 def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     """Write the surface slab by slab. A check would need all of it at once."""
+    from trabecula.io.lengths import with_lengths
     from trabecula.mesh.slabs import export_slabs
-    from trabecula.pipeline.demo import with_lengths
 
     volume = with_lengths(volume, **shared.lengths(options))
     found = export_slabs(volume, options.out, phase=options.phase, memory=options.memory)

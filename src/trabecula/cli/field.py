@@ -12,8 +12,8 @@ from trabecula.cli import terminal
 
 KINDS = {
     "measure": "of an image: a descriptor of the window around every voxel",
-    "ramp": "even from one face to the opposite one",
-    "radial": "even from a middle outwards",
+    "ramp": "linear from one face to the opposite one",
+    "radial": "linear from a middle outwards",
     "formula": "by a formula in z y x (positions) and Z Y X (sides)",
     "picture": "drawn: black is --low, white is --high",
     "interpolate": "from values at points, by inverse distance",
@@ -22,7 +22,7 @@ KINDS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The kinds of field, each with its own options."""
+    """Add the kinds of field, each with its own options."""
     kinds = parser.add_subparsers(
         metavar="KIND", dest="made", required=True, parser_class=type(parser)
     )
@@ -42,25 +42,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make the field and write it."""
+    from trabecula import fields
     from trabecula.io.files import write
-    from trabecula.pipeline.demo import check_target
+    from trabecula.pipeline.outputs import check_target
 
     check_target(options.out)
-    field = _MAKERS[options.made](options)
+    field = _MAKERS[options.made](fields, options)
     write(field, options.out)
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "out": options.out,
         "shape": field.shape,
         "unit": field.unit,
         "spacing": field.spacing,
     }
-    told |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
-    told |= {"most": float(field.values.max())}
+    report |= {"least": float(field.values.min()), "mean": float(field.values.mean(dtype=float))}
+    report |= {"most": float(field.values.max())}
     if options.json:
-        terminal.show_json({**told, "recipe": field.recipe.to_json()})
+        terminal.show_json({**report, "recipe": field.recipe.to_json()})
     else:
         print(
-            f"{options.out}: {field!r}\n{told['least']:.4g} .. {told['most']:.4g}, mean {told['mean']:.4g}"
+            f"{options.out}: {field!r}\n{report['least']:.4g} .. {report['most']:.4g}, mean "
+            f"{report['mean']:.4g}"
         )
     return 0
 
@@ -114,9 +116,7 @@ def _add_measure(parser: argparse.ArgumentParser) -> None:
     shared.add_reading(parser)
 
 
-def _measure(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _measure(fields: Any, options: argparse.Namespace) -> Any:
     image = shared.load_exemplar(options.file, options)
     return fields.measure(
         image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase
@@ -134,9 +134,7 @@ def _add_ramp(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _ramp(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _ramp(fields: Any, options: argparse.Namespace) -> Any:
     ends: dict[str, Any] = {
         "start": _number(options.start, "--from"),
         "end": _number(options.end, "--to"),
@@ -161,9 +159,7 @@ def _add_radial(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _radial(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _radial(fields: Any, options: argparse.Namespace) -> Any:
     return fields.radial(
         **_grid(options),
         inside=_number(options.inside, "--inside"),
@@ -181,9 +177,7 @@ def _add_formula(parser: argparse.ArgumentParser) -> None:
     _add_grid(parser)
 
 
-def _formula(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _formula(fields: Any, options: argparse.Namespace) -> Any:
     given = _grid(options)
     return fields.formula(given.pop("shape"), options.formula, **given)
 
@@ -198,9 +192,8 @@ def _add_picture(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _picture(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-    from trabecula.pipeline.demo import load
+def _picture(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.inputs import load
 
     given = _grid(options)
     ends: dict[str, Any] = {
@@ -221,7 +214,8 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="N",
-        help="position (z y x or y x, in the unit of the spacing, from the first corner) and value there; repeatable",
+        help="position (z y x or y x, in the unit of the spacing, from the first corner) and value "
+        "there; repeatable",
     )
     parser.add_argument("--power", default="4", metavar="P", help="of the distance (default 4)")
     parser.add_argument(
@@ -229,9 +223,8 @@ def _add_interpolate(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _interpolate(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-    from trabecula.pipeline.demo import load
+def _interpolate(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.inputs import load
 
     points = [shared.numbers(words, name="--point") for words in options.point]
     where, values = [words[:-1] for words in points], [words[-1] for words in points]
@@ -276,9 +269,7 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
     _add_edges(parser)
 
 
-def _simp(options: argparse.Namespace) -> Any:
-    from trabecula import fields
-
+def _simp(fields: Any, options: argparse.Namespace) -> Any:
     given = {
         name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")
     }

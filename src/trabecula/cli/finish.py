@@ -8,6 +8,8 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError, MemoryBudgetError, TrabeculaError
+from trabecula.core.progress import notify
 
 Step = tuple[str, dict[str, Any]]
 """Name of an operation and its settings."""
@@ -16,19 +18,17 @@ _OPTION = {"prune": "--prune", "smooth": "--smooth", "thicken": "--thicken"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file and what to do with it."""
+    """Add the file and the operations."""
     parser.add_argument("file", metavar="FILE", help="volume of labels")
     parser.add_argument("--out", required=True, metavar="FILE", help="volume to write")
     group = parser.add_argument_group("what to do, in this order whatever the order of the words")
     group.add_argument(
-        "--prune",
-        action="store_true",
-        help="remove short struts that end freely, grow long ones on",
+        "--prune", action="store_true", help="remove short struts with a free end, extend long ones"
     )
     group.add_argument(
         "--connect",
         action="store_true",
-        help="join all but specks, which are removed: one piece is left",
+        help="join all components but specks, which are removed: one component is left",
     )
     group.add_argument(
         "--smooth",
@@ -38,8 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--thicken", metavar="T", help="least thickness of a strut, in the image's unit"
     )
-    group.add_argument("--floaters", action="store_true", help="remove every part but the largest")
-    group.add_argument("--fill", action="store_true", help="fill pores that no way leads out of")
+    group.add_argument(
+        "--floaters", action="store_true", help="remove every component but the largest"
+    )
+    group.add_argument("--fill", action="store_true", help="fill closed pores")
     parser.add_argument(
         "--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault"
     )
@@ -47,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mask",
         metavar="FILE",
-        help="for --prune and --connect: the form that the volume fills, a surface or a volume (default: what its recipe names)",
+        help="for --prune and --connect: the form that the volume fills, a surface or a volume "
+        "(default: what its recipe names)",
     )
     group = parser.add_argument_group("for --connect")
     group.add_argument(
@@ -62,17 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_lengths(parser)
     group = parser.add_argument_group("large volumes")
-    group.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); of a .zarr that needs more --connect, --floaters and --fill "
-        "go slab by slab, into a .zarr",
+    shared.add_memory(
+        group,
+        "of a .zarr that needs more --connect, --floaters and --fill go slab by slab, into a .zarr",
     )
     group.add_argument(
-        "--scratch",
-        metavar="DIR",
-        help="folder for what lies on disk meanwhile (default: that of --out)",
+        "--scratch", metavar="DIR", help="folder for the scratch files (default: that of --out)"
     )
     group.add_argument(
         "--level",
@@ -84,9 +82,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the operations asked for, each on the result of the one before."""
-    from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import check_target
+    """Run the operations that were chosen, each on the result of the one before."""
+    from trabecula.pipeline.outputs import check_target
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
@@ -99,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     if not steps:
         words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
         raise InputError(f"nothing to do: give --connect, or another of {words}")
-    check_target(options.out, goes_on=True)
+    check_target(options.out, resumes=True)
     text, done = (
         _in_slabs(steps, options) if _is_too_large(steps, options) else _in_core(steps, options)
     )
@@ -118,10 +115,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
-    """Read, finish and write the whole; the result in a line, and the steps of its recipe."""
+    """Finish the whole in memory; return the result in a line, and the steps of its recipe."""
     from trabecula.finish import OPERATIONS
     from trabecula.io.files import read, write
-    from trabecula.pipeline.demo import load_like, with_lengths
+    from trabecula.io.lengths import with_lengths
+    from trabecula.pipeline.inputs import load_like
 
     given = shared.lengths(options)
     scale = given.pop("scale")
@@ -140,14 +138,13 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
 
 
 def _form(part: Any, options: argparse.Namespace) -> Any:
-    """The form that a volume fills: as given, or as its recipe tells where its file is there; else
-    None.
+    """Return the form that a volume fills: as given, or as its recipe names it and its file is
+    there; else None.
     """
-    from trabecula.core.errors import TrabeculaError
-    from trabecula.core.progress import notify
     from trabecula.engine.storage.location import location_of
     from trabecula.finish import mask_steps
-    from trabecula.pipeline.demo import form_of, load_mask
+    from trabecula.pipeline.inputs import load_mask
+    from trabecula.pipeline.replay import form_of
 
     if not (options.prune or options.connect) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
@@ -166,23 +163,23 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
         return None
     if form is not None:
         notify(
-            f"{options.file} fills a form, which its recipe names: joins stay inside, and free ends are counted per volume of it"
+            f"{options.file} fills a form, which its recipe names: joins stay inside, and free "
+            "ends are counted per volume of it"
         )
     return form
 
 
 def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
-    """Whether a store does not fit into memory as a whole.
+    """Return whether a store is too large to be finished as a whole.
 
     Raises
     ------
     MemoryBudgetError
         It does not, and one of the steps needs it so, or what is written.
     """
-    from trabecula.core.errors import MemoryBudgetError
     from trabecula.engine.memory import available_memory, format_bytes
     from trabecula.finish.slabs import IN_PLACE, in_core_bytes
-    from trabecula.pipeline.demo import volume_shape
+    from trabecula.io.lazy import volume_shape
 
     shape = volume_shape(options.file, level=options.level)
     names = [name for name, _ in steps]
@@ -190,10 +187,12 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     if shape is None or in_core_bytes(shape, names) <= budget:
         return False
     whole = [_OPTION[name] for name in names if name not in IN_PLACE]
-    why = f"{options.file} needs {format_bytes(in_core_bytes(shape, names))} as a whole, {format_bytes(budget)} may be used"
+    need = format_bytes(in_core_bytes(shape, names))
+    why = f"{options.file} needs {need} as a whole, {format_bytes(budget)} may be used"
     if whole:
         raise MemoryBudgetError(
-            f"{why}, and {', '.join(whole)} cannot go slab by slab as --connect, --floaters and --fill can: leave it out, "
+            f"{why}, and {', '.join(whole)} cannot go slab by slab as --connect, --floaters and "
+            "--fill can: leave it out, "
             "finish a coarser level (--level 1), or raise --memory"
         )
     if not options.out.lower().endswith(".zarr"):
@@ -204,13 +203,11 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
 
 
 def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
-    """Finish a store into a store; the result in a line, and the steps of its recipe."""
-    from trabecula.core.errors import InputError
-    from trabecula.core.progress import notify
+    """Finish a store into a store; return the result in a line, and the steps of its recipe."""
     from trabecula.finish import mask_steps
     from trabecula.finish.slabs import finish_slabs
     from trabecula.io.lazy import open_slabs
-    from trabecula.pipeline.demo import with_lengths
+    from trabecula.io.lengths import with_lengths
 
     notify(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
     if options.mask is not None:
@@ -222,7 +219,8 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
     )
     if mask_steps(volume.recipe) is not None:
         notify(
-            "slab by slab joins are not kept inside of the form that it fills: raise --memory where they should be"
+            "slab by slab joins are not kept inside of the form that it fills: raise --memory "
+            "where they should be"
         )
     chosen = [(name, {"phase": options.phase, **settings}) for name, settings in steps]
     recipe = finish_slabs(
@@ -232,8 +230,9 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
 
 
 def _steps(options: argparse.Namespace) -> Iterator[Step]:
-    """The operations asked for, in their order: whole struts, one piece, its surface, its strength,
-    what that left loose or closed."""
+    """Yield the operations that were chosen, in their order: struts, one component, surface,
+    strength, then what that left floating or closed.
+    """
     if options.prune:
         yield "prune", {}
     if options.connect:

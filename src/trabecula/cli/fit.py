@@ -11,13 +11,14 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.core.errors import FileError, InputError
 
 _SHORT = ("minutes", "device", "run")
 """Options that are settings, of the methods that have them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to learn from, how, and where to put what was learned."""
+    """Add the exemplars, the settings and the model's file."""
     parser.add_argument(
         "exemplars", nargs="+", metavar="EXEMPLAR", help="scan to learn from, or sample:NAME"
     )
@@ -35,13 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="where the method leaves figures, pictures and states of the training",
     )
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available)",
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+    shared.add_memory(parser)
+    shared.add_threads(parser)
     parser.add_argument("--json", action="store_true", help="print what was learned as JSON")
     shared.add_reading(parser)
 
@@ -54,9 +50,9 @@ def run(options: argparse.Namespace) -> int:
     chosen, recommended = None, ""
     if options.method is None:
         _check_no_short(options)
-        shared.configured(options)
+        shared.preset_and_settings(options)
     else:
-        preset, settings = _configured(options)
+        preset, settings = _preset_and_settings(options)
         chosen = method(options.method, preset=preset, **settings)
     _check_place(options.out)
     with threads(options.threads if options.threads is not None else thread_count()):
@@ -79,15 +75,15 @@ def run(options: argparse.Namespace) -> int:
         terminal.show_json(found)
     else:
         print(
-            f"{path}: a model of {chosen.capabilities.name}, {path.stat().st_size:,} bytes\nsha256 {model.sha256}"
+            f"{path}: a model of {chosen.capabilities.name}, {path.stat().st_size:,} bytes\nsha256 "
+            f"{model.sha256}"
         )
     return 0
 
 
 def _check_place(out: str) -> None:
     """Raise before any work is done where the model cannot be written."""
-    from trabecula.core.errors import FileError
-    from trabecula.pipeline.demo import check_folder
+    from trabecula.pipeline.outputs import check_folder
 
     if Path(out).is_dir():
         raise FileError(f"cannot write {out}: a folder of that name is there; choose another name")
@@ -96,21 +92,19 @@ def _check_place(out: str) -> None:
 
 def _check_no_short(options: argparse.Namespace) -> None:
     """Raise where an option of some methods is given and no method is."""
-    from trabecula.core.errors import InputError
-
     for name in _SHORT:
         if getattr(options, name) is not None:
             raise InputError(
-                f"--{name} {getattr(options, name)}: is a setting of methods that train; name one, as --method gan"
+                f"--{name} {getattr(options, name)}: is a setting of methods that train; name one, "
+                "as --method gan"
             )
 
 
-def _configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
-    """The preset and the settings given, by --set or by an option of their own."""
-    from trabecula.core.errors import InputError
+def _preset_and_settings(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
+    """Return the preset and the settings, given by --set or by an option of their own."""
     from trabecula.synth.api.registry import method
 
-    preset, found = shared.configured(options)
+    preset, found = shared.preset_and_settings(options)
     known = vars(method(options.method, preset=preset).config)
     for name in _SHORT:
         value = getattr(options, name)

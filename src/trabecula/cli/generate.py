@@ -1,7 +1,7 @@
 """`trabecula generate EXEMPLAR ... [--method NAME] --shape Z Y X --seed N --out FILE`, or with
 `--model FILE|NAME`.
 
-`trabecula generate --resume FILE` goes on with a run that was interrupted.
+`trabecula generate --resume FILE` resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -13,25 +13,30 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to make, from what, and where to put it."""
+    """Add the request, the result's place, and the options of runs in blocks."""
     add_request(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
         help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti), or s3://BUCKET/NAME.zarr",
     )
-    group = parser.add_argument_group("going on with a run, and workers")
+    group = parser.add_argument_group("resuming a run, and workers")
     group.add_argument(
         "--resume",
         metavar="FILE",
-        help="instead of all else: go on with the interrupted run that makes FILE; what it started from is looked for "
+        help="instead of all else: resume the interrupted run that makes FILE; what it started "
+        "from is looked for "
         "where it was, or given with --exemplar, --model, --mask, --fixed, --known",
     )
     group.add_argument(
-        "--exemplar", nargs="+", metavar="FILE", help="with --resume: where the exemplars lie now"
+        "--exemplar",
+        nargs="+",
+        metavar="FILE",
+        help="with --resume: the exemplars, where they have moved",
     )
     group.add_argument(
         "--workers",
@@ -47,18 +52,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--scratch",
         metavar="DIR",
-        help="folder for the scratch files of a .zarr that does not fit into memory (default: that of the .zarr)",
+        help="folder for the scratch files of a .zarr that does not fit into memory (default: that "
+        "of the .zarr)",
     )
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
 def add_request(parser: argparse.ArgumentParser) -> None:
-    """The options that `plan` shares."""
+    """Add the options that `plan` shares."""
     parser.add_argument(
         "exemplars",
         nargs="*",
         metavar="EXEMPLAR",
-        help="scan to learn from, or sample:NAME; several where the method can, none where it needs none",
+        help="scan to learn from, or sample:NAME; several where the method can, none where it "
+        "needs none",
     )
     parser.add_argument("--method", help="see trabecula methods (default: what inspect recommends)")
     parser.add_argument(
@@ -70,22 +77,19 @@ def add_request(parser: argparse.ArgumentParser) -> None:
         "--shape",
         nargs="+",
         metavar="N",
-        help="voxels: one number (a cube), z y x, or y x of a picture (default: that of --mask, --fixed)",
+        help="voxels: one number (a cube), z y x, or y x of a picture (default: that of --mask, "
+        "--fixed)",
     )
     parser.add_argument("--seed", help="0 .. 2**63 - 1 (default 0)")
     shared.add_settings(parser)
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available)",
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+    shared.add_memory(parser)
+    shared.add_threads(parser)
     parser.add_argument(
         "--chunks",
         type=int,
         metavar="N",
-        help="of a .zarr: make it in blocks of N voxels a side, whatever its size (default: what fits, in chunks of 128)",
+        help="of a .zarr: make it in blocks of N voxels a side, whatever its size (default: what "
+        "fits, in chunks of 128)",
     )
     shared.add_parts(parser)
     shared.add_reading(parser)
@@ -93,9 +97,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class GenerateTask:
-    """What the options ask for: a request, and either a model or a method with its exemplars (or
-    the voxels' size).
-    """
+    """A request, and either a model or a method with its exemplars (or the voxels' size)."""
 
     request: Any
     method: Any = None
@@ -105,8 +107,8 @@ class GenerateTask:
     recommended: str = ""
     """A line that says which method was chosen, and why; empty where it was named."""
 
-    def fitted(self, *, memory: int | None) -> Any:
-        """The model."""
+    def fit(self, *, memory: int | None) -> Any:
+        """Return the model, which is learned where it is not given."""
         if self.model is not None:
             return self.model
         model = self.method.fit(self.exemplars, memory=memory, **self.voxel)
@@ -116,9 +118,10 @@ class GenerateTask:
 
 
 def prepare(options: argparse.Namespace) -> GenerateTask:
-    """What the options ask for. What can be refused without work is refused first."""
+    """Build the task that the options describe; whatever can be refused without work is refused
+    first.
+    """
     from trabecula.core.checks import as_seed, as_shape
-    from trabecula.core.errors import InputError
     from trabecula.core.request import Request
     from trabecula.synth.api.exemplar_info import without_exemplar
 
@@ -147,9 +150,7 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
 
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:
-    """The size of the voxels of what is made without an exemplar."""
-    from trabecula.core.errors import InputError
-
+    """Return the voxel size of a result without an exemplar."""
     given = [name for name in ("kind", "phases", "threshold", "crop") if getattr(options, name)]
     if given:
         raise InputError(
@@ -158,21 +159,21 @@ def _voxel(options: argparse.Namespace) -> dict[str, Any]:
     edges = shared.numbers(options.spacing or ["1"], name="--spacing")
     if len(set(edges)) > 1:
         raise InputError(
-            f"--spacing {' '.join(options.spacing)}: what is made without an exemplar has cubes: give one number"
+            f"--spacing {' '.join(options.spacing)}: what is made without an exemplar has cubes: "
+            "give one number"
         )
     return {"spacing": edges[0], "unit": options.unit or "voxel"}
 
 
 def _source(options: argparse.Namespace) -> tuple[Any, Any]:
-    """The method that is to learn, or the model that has; neither where the exemplar is to choose
-    the method.
+    """Return the method that will learn, or the model that has learned; neither where the exemplar
+    chooses the method.
     """
-    from trabecula.core.errors import InputError
     from trabecula.synth.api.registry import method
     from trabecula.synth.api.serialize import load_model
 
     if options.model is None:
-        preset, settings = shared.configured(options)
+        preset, settings = shared.preset_and_settings(options)
         if options.method is None and options.exemplars:
             return None, None
         chosen = (
@@ -205,11 +206,11 @@ def _source(options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Generate and write; a run that was interrupted goes on from what it left beside --out."""
+    """Generate and write; an interrupted run is resumed from its state beside --out."""
     from trabecula.engine.parallel import thread_count, threads
 
     with threads(options.threads if options.threads is not None else thread_count()):
-        made = _made(options) if options.resume is None else _resumed(options)
+        made = _generate(options) if options.resume is None else _resume(options)
     out = options.out or str(made.path)
     if options.json:
         found = {
@@ -224,9 +225,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _made(options: argparse.Namespace) -> Any:
-    from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import check_target, generate_to, plan_to
+def _generate(options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.generate import generate_to
+    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.plan import plan_to
 
     if options.out is None:
         raise InputError("the place of the result is not given: add --out FILE")
@@ -234,10 +236,10 @@ def _made(options: argparse.Namespace) -> Any:
         raise InputError(
             "--exemplar is for --resume and rerun: name the exemplar without an option"
         )
-    check_target(options.out, goes_on=True)
+    check_target(options.out, resumes=True)
     cluster = _cluster(options)
     job = prepare(options)
-    model = job.fitted(memory=options.memory)
+    model = job.fit(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
     size = (
@@ -245,7 +247,7 @@ def _made(options: argparse.Namespace) -> Any:
         if cluster is None
         else model.plan(job.request).disk
     )
-    check_target(options.out, size=size, goes_on=True)
+    check_target(options.out, size=size, resumes=True)
     return generate_to(
         model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
     )
@@ -254,9 +256,8 @@ def _made(options: argparse.Namespace) -> Any:
 _MOVED = ("exemplar", "mask", "fixed", "known", "model")
 
 
-def _resumed(options: argparse.Namespace) -> Any:
-    from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import resume
+def _resume(options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.resume import resume
 
     kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}
     given = [
@@ -268,9 +269,9 @@ def _resumed(options: argparse.Namespace) -> Any:
         option = {"exemplars": "an EXEMPLAR", "halvings": "--level"}.get(
             given[0], f"--{given[0].replace('_', '-')}"
         )
-        hint = " (--exemplar tells where it lies now)" if given[0] == "exemplars" else ""
+        hint = " (--exemplar gives its place now)" if given[0] == "exemplars" else ""
         raise InputError(
-            f"{option} beside --resume: the unfinished run knows what was asked for; leave it out{hint}"
+            f"{option} beside --resume: the unfinished run knows its request; leave it out{hint}"
         )
     moved = {name: getattr(options, name) for name in _MOVED}
     kept_in = {"memory": options.memory, "cluster": _cluster(options), "scratch": options.scratch}
@@ -278,7 +279,7 @@ def _resumed(options: argparse.Namespace) -> Any:
 
 
 def _cluster(options: argparse.Namespace) -> Any:
-    """The workers that were asked for; their package is imported where they are."""
+    """Return the workers that the options name; their package is imported where they are."""
     if options.scheduler is None and options.workers is None:
         return None
     from trabecula.engine.cluster import Cluster

@@ -13,24 +13,18 @@ _BYTES = 16  # a voxel: greys as float32, components, and what is made of them
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The scan and how it is read."""
+    """Add the scan and the options for reading it."""
     parser.add_argument("scan", metavar="SCAN", help="volume or picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON")
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); of a .zarr of labels that needs more the centre box is "
-        "inspected",
-    )
+    shared.add_memory(parser, "of a .zarr of labels that needs more the centre box is inspected")
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what was found."""
+    """Print what is found."""
     from trabecula.report.inspection import inspect
 
-    found = inspect(_loaded(options))
+    found = inspect(_load(options))
     if options.json:
         terminal.show_json(found.to_json())
     else:
@@ -38,9 +32,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _loaded(options: argparse.Namespace) -> Any:
-    """The scan; a grey one stays grey unless a threshold is given."""
-    from trabecula.pipeline.demo import load, slabs_if_large
+def _load(options: argparse.Namespace) -> Any:
+    """Load the scan; a grey one stays grey unless a threshold is given."""
+    from trabecula.io.lazy import slabs_if_large
+    from trabecula.pipeline.inputs import load
 
     if options.threshold in (None, "none"):
         volume = slabs_if_large(

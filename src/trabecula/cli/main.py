@@ -11,26 +11,27 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from trabecula.cli import terminal
+from trabecula.core.errors import TrabeculaError, UnnamedVoidError
 
 VERBS = {
-    "demo": "the main job on an embedded sample, start to end",
-    "methods": "the methods there are",
-    "samples": "the samples that the package makes, and where real scans are published",
-    "models": "the trained models that come with the package",
-    "inspect": "what a scan is, which method fits it, what can be decided about it: before any work",
+    "demo": "run the main job on an embedded sample, start to end",
+    "methods": "list the methods",
+    "samples": "list the samples that the package makes, and where real scans are published",
+    "models": "list the trained models that come with the package",
+    "inspect": "report what a scan is, which method fits it, and what can be decided about it",
     "fit": "learn from an exemplar once, into a model's file",
     "generate": "make material from an exemplar, or with a model",
-    "plan": "memory and disk of a generate, before it starts",
-    "measure": "every descriptor of a material",
-    "verify": "is it the same material? figures against the exemplar's own spread",
+    "plan": "forecast the memory, disk and time of a generate",
+    "measure": "measure every descriptor of a material",
+    "verify": "compare with an exemplar: figures against the exemplar's own spread",
     "field": "make or measure target fields, for --target NAME=FILE",
-    "finish": "make it printable: connect, prune, smooth, thicken, remove what floats, fill what is closed",
-    "check": "what a printer would refuse or warn of",
-    "export": "surfaces (.stl .3mf .ply .obj) and volumes for other programs",
+    "finish": "make it printable: prune, connect, smooth, thicken, remove floaters, fill pores",
+    "check": "list what a printer would refuse or warn of",
+    "export": "write surfaces (.stl .3mf .ply .obj) and volumes for other programs",
     "view": "turn, cut, slice and shade in a browser; several side by side",
-    "render": "a still picture, or one that turns",
+    "render": "render a still picture, or one that turns",
     "rerun": "make a file's voxels again from the recipe in it",
-    "bench": "the tables of speed and quality",
+    "bench": "run the tables of speed and quality",
 }
 
 
@@ -53,13 +54,14 @@ class Parser(argparse.ArgumentParser):
             near = difflib.get_close_matches(unknown, options, n=1) if unknown else []
             hint = f"; did you mean {near[0]}?" if near else ""
             self.error(
-                f"unrecognized arguments: {' '.join(word or repr(word) for word in left_over)}{hint}"
+                "unrecognized arguments: "
+                f"{' '.join(word or repr(word) for word in left_over)}{hint}"
             )
         return found, left_over
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status."""
+    """Run one verb and return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         # a path or a sign that the terminal cannot show is no reason to fail
@@ -78,14 +80,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from trabecula.core.errors import TrabeculaError, UnnamedVoidError
 
     if words and not words[0].startswith("-") and words[0] not in VERBS:
         near = difflib.get_close_matches(words[0], VERBS, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         terminal.fail(f"unknown verb {words[0]!r}: {hint}known are {', '.join(VERBS)}")
         return 2
-    # Only the verb asked for is imported: help for all costs no more than their names.
+    # Only the chosen verb is imported: help for all costs no more than their names.
     parser, chosen = _parser(words[0] if words and words[0] in VERBS else None)
     options = parser.parse_args(words)
     if chosen is None:
@@ -106,13 +107,14 @@ def _run(words: list[str]) -> int:
         # The machine's word on a path (a name too long, a device gone): the user's to mend as much
         # as a missing file.
         terminal.fail(
-            f"{error.filename or 'input or output'}: {error.strerror or error}; check the path and the device"
+            f"{error.filename or 'input or output'}: {error.strerror or error}; check the path and "
+            "the device"
         )
     return 2
 
 
 def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
-    """Advise on an image without a void, by the options that the verb has."""
+    """Return advice on an image without a void, by the options that the verb has."""
     ways = ["give the phase (--phase NAME)"] if phase_helps and hasattr(options, "phase") else []
     if hasattr(options, "phases"):
         ways.append("name one of them void (--phases NAME ...)")
@@ -120,7 +122,7 @@ def _void_advice(options: argparse.Namespace, phase_helps: bool) -> str:
 
 
 def _smaller(options: argparse.Namespace) -> str:
-    """Advice to one who is out of memory, by the options that the verb has."""
+    """Return advice for a run out of memory, by the options that the verb has."""
     if hasattr(options, "shape"):
         return "ask for a smaller --shape, or see trabecula plan"
     if hasattr(options, "crop"):

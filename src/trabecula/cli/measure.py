@@ -9,6 +9,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError
 
 EACH = ("phases", "pairs", "triples")
 CURVES = ("two_point", "lineal_path", "cross_correlation")
@@ -16,29 +17,23 @@ CURVES = ("two_point", "lineal_path", "cross_correlation")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file and how it is read."""
+    """Add the file and the options for reading it."""
     parser.add_argument("file", metavar="FILE", help="volume or 2-D picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON, curves included")
     shared.add_phase(parser)
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); a .zarr of labels that needs more is measured in slabs",
-    )
+    shared.add_memory(parser, "a .zarr of labels that needs more is measured in slabs")
     shared.add_level(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print every descriptor, or those of one phase or of each."""
-    from trabecula.core.errors import InputError
-
     if options.phase is not None and options.level == "full":
         raise InputError(
-            "--full solves transport and stiffness of the whole material: leave out --full, or --phase"
+            "--full solves transport and stiffness of the whole material: leave out --full, or "
+            "--phase"
         )
-    found = _described(options)
+    found = _describe(options)
     if options.json:
         terminal.show_json(found)
     else:
@@ -46,12 +41,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _described(options: argparse.Namespace) -> dict[str, Any]:
-    """Of the whole where that fits into memory, else slab by slab; of a crop of what does not fit
-    only that is read.
+def _describe(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure the whole where it fits into memory, else slab by slab; of a crop of a larger volume
+    read only that.
     """
+    from trabecula.io.lazy import slabs_if_large
     from trabecula.measure.blockwise import describe_slabs, in_core_bytes
-    from trabecula.pipeline.demo import slabs_if_large
 
     volume = None
     if options.threshold in (None, "auto", "none"):

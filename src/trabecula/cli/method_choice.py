@@ -1,5 +1,5 @@
-"""The method of an exemplar where none is named, and what is said where the one that is named
-cannot learn from it.
+"""The method of an exemplar where none is named, and the error where a named one cannot learn from
+it.
 """
 
 from __future__ import annotations
@@ -8,11 +8,12 @@ import argparse
 from typing import Any
 
 from trabecula.cli import options as shared
+from trabecula.core.errors import InputError
 
 
 def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
-    """The method that `inspect` recommends, and a line that says so, empty where there is nothing
-    to say.
+    """Return the method that `inspect` recommends, and a line that reports it, empty where there is
+    nothing to report.
 
     Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
     by `texture`: so they were meant before there was a choice.
@@ -22,12 +23,11 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     InputError
         No method can learn from the exemplar.
     """
-    from trabecula.core.errors import InputError
     from trabecula.exemplar.margins import crop_margins
     from trabecula.report.recommend import recommend
     from trabecula.synth.api.registry import method
 
-    preset, settings = shared.configured(options)
+    preset, settings = shared.preset_and_settings(options)
     plain = preset is None and not settings
     if not plain and exemplars[0].ndim == 3:
         return method("texture", preset=preset, **settings), ""
@@ -43,7 +43,6 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
 
 def check_fits(method: Any, exemplars: list[Any]) -> None:
     """Raise where a method that was named cannot learn from an exemplar, and name one that can."""
-    from trabecula.core.errors import InputError
     from trabecula.report.recommend import misfit
 
     for image in exemplars:

@@ -8,7 +8,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Nothing but the form of the output."""
+    """Add the form of the output."""
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
 

@@ -8,7 +8,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """A name, and the form of the output."""
+    """Add a name, and the form of the output."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="print the card of this model")
     parser.add_argument("--json", action="store_true", help="print as JSON")
 

@@ -7,9 +7,11 @@ import json
 import math
 from typing import Any
 
+from trabecula.core.errors import InputError
+
 
 def add_reading(parser: argparse.ArgumentParser) -> None:
-    """How an exemplar is read."""
+    """Add the options for reading an exemplar."""
     group = parser.add_argument_group("how the exemplar is read")
     group.add_argument(
         "--kind", metavar="KIND", help="labels, grey or colour (default: as the file says)"
@@ -37,13 +39,14 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         dest="halvings",
         type=int,
         metavar="N",
-        help="of a .zarr with coarser levels: 0 the finest (default; of what is shown the finest that fits), each further one of "
+        help="of a .zarr with coarser levels: 0 the finest (default; of what is shown the finest "
+        "that fits), each further one of "
         "half the voxels along an axis",
     )
 
 
 def add_lengths(parser: argparse.ArgumentParser, *, spacing: bool = True) -> None:
-    """Lengths of what is written, or held against a printer's millimetres."""
+    """Add the lengths of the result; without `spacing` only their factor."""
     group = parser.add_argument_group("lengths")
     if spacing:
         group.add_argument(
@@ -59,18 +62,33 @@ def add_lengths(parser: argparse.ArgumentParser, *, spacing: bool = True) -> Non
 
 
 def lengths(options: argparse.Namespace) -> dict[str, Any]:
-    """Spacing, unit and scale as `with_lengths` takes them."""
+    """Return spacing, unit and scale as `with_lengths` takes them."""
     spacing = numbers(options.spacing, name="--spacing") if options.spacing else None
     return {"spacing": spacing, "unit": options.unit, "scale": scale_factor(options)}
 
 
 def scale_factor(options: argparse.Namespace) -> float | None:
-    """The factor of --scale, where it is given."""
+    """Return the factor of --scale, where it is given."""
     return None if options.scale is None else numbers([options.scale], name="--scale")[0]
 
 
+def add_memory(parser: Any, more: str = "") -> None:
+    """Add the memory budget, with `more` on what happens beyond it."""
+    parser.add_argument(
+        "--memory",
+        type=gibibytes,
+        metavar="GIB",
+        help="memory that may be used (default: what is available)" + (more and f"; {more}"),
+    )
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add the number of threads."""
+    parser.add_argument("--threads", type=int, metavar="N", help="threads (default: every core)")
+
+
 def add_settings(parser: argparse.ArgumentParser) -> None:
-    """Settings of a method."""
+    """Add the settings of a method."""
     parser.add_argument("--preset", help="ready settings of the method")
     parser.add_argument(
         "--set",
@@ -82,7 +100,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def add_parts(parser: argparse.ArgumentParser) -> None:
-    """What is asked for beside a shape: a form, axes that repeat, a measured part."""
+    """Add the parts of a request besides its shape: a form, periodic axes, a measured part."""
     group = parser.add_argument_group("forms, tiles and measured parts")
     group.add_argument(
         "--mask",
@@ -117,27 +135,30 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--view",
         metavar="PLANE",
-        help="of a picture that is --fixed: axes along its rows and columns, yx (default), zx, zy, xy, xz or yz",
+        help="of a picture that is --fixed: axes along its rows and columns, yx (default), zx, zy, "
+        "xy, xz or yz",
     )
     group.add_argument(
         "--target",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="descriptor that the result is to have: porosity=0.25, or volume_fraction=FILE (a field of the result's shape)",
+        help="descriptor that the result is to have: porosity=0.25, or volume_fraction=FILE (a "
+        "field of the result's shape)",
     )
 
 
 def periodic(words: list[str] | None) -> tuple[bool, ...]:
-    """Whether each axis repeats: `None` where the option is not given, no word for all of them."""
-    from trabecula.core.errors import InputError
-
+    """Return for each axis if it repeats: none where the option is not given, all where it has no
+    word.
+    """
     if words is None:
         return (False,) * 3
     named = set("".join(words).lower()) if words else set("zyx")
     if not named <= set("zyx"):
         raise InputError(
-            f"--periodic {' '.join(words)}: name axes among z, y, x (a file comes before --periodic)"
+            f"--periodic {' '.join(words)}: name axes among z, y, x (a file comes before "
+            "--periodic)"
         )
     return tuple(axis in named for axis in "zyx")
 
@@ -148,11 +169,10 @@ def load_parts(
     shape: tuple[int, ...] | None,
     views: Any = (),
 ) -> dict[str, Any]:
-    """Mask, fixed, known and target of a request, from their files; `views` are those that pictures
-    are.
+    """Load mask, fixed, known and target of a request from their files; `views` are the planes of
+    pictures.
     """
-    from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import load_fixed, load_mask, voxels_of
+    from trabecula.pipeline.inputs import load_fixed, load_mask, voxels_of
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
     exemplar = exemplars[0]
@@ -188,9 +208,8 @@ def load_parts(
 
 
 def load_targets(pairs: list[str]) -> dict[str, Any]:
-    """`NAME=VALUE` words, where the value is a number or the file of a field."""
-    from trabecula.core.errors import InputError
-    from trabecula.pipeline.demo import load
+    """Load the targets of `NAME=VALUE` words; a value is a number or the file of a field."""
+    from trabecula.pipeline.inputs import load
 
     found: dict[str, Any] = {}
     for pair in pairs:
@@ -209,7 +228,7 @@ def load_targets(pairs: list[str]) -> dict[str, Any]:
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:
-    """How much is measured."""
+    """Add the extent of the measurement."""
     group = parser.add_argument_group("how much is measured")
     levels = group.add_mutually_exclusive_group()
     levels.add_argument(
@@ -237,14 +256,15 @@ def add_phase(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--phase",
         metavar="NAME",
-        help="measure this phase for itself, or all: every phase, the contacts of pairs, triple-phase lines "
+        help="measure this phase for itself, or all: every phase, the contacts of pairs, "
+        "triple-phase lines "
         "(default: the solid, every phase but void, and then all)",
     )
 
 
 def load_exemplar(source: str, options: argparse.Namespace) -> Any:
-    """The exemplar as the options say; a grey one is segmented."""
-    from trabecula.pipeline.demo import load
+    """Load an exemplar by the options; a grey one is segmented."""
+    from trabecula.pipeline.inputs import load
 
     return load(
         source, crop=crop_of(options), threshold=threshold(options.threshold), **reading(options)
@@ -252,32 +272,31 @@ def load_exemplar(source: str, options: argparse.Namespace) -> Any:
 
 
 def crop_of(options: argparse.Namespace) -> list[int] | str | None:
-    """The size of the box that is kept, or "auto"."""
+    """Return the size of the box that is kept, or "auto"."""
     if not options.crop:
         return None
     return "auto" if options.crop == ["auto"] else integers(options.crop, name="--crop")
 
 
 def box_of(options: argparse.Namespace, file: str) -> list[int]:
-    """The size of the box that is kept of a volume of which only that is read.
+    """Return the size of the box that is kept, of a volume of which nothing else is read.
 
     Raises
     ------
     InputError
         "auto", for which all of it would have to be read.
     """
-    from trabecula.core.errors import InputError
-
     sides = crop_of(options)
     if isinstance(sides, list):
         return sides
     raise InputError(
-        f"--crop auto looks at all of {file}, which does not fit into memory: give the sides of a box"
+        f"--crop auto looks at all of {file}, which does not fit into memory: give the sides of a "
+        "box"
     )
 
 
 def reading(options: argparse.Namespace) -> dict[str, Any]:
-    """What was given of how a file is read."""
+    """Return the options for reading a file that were given."""
     given = {
         "kind": options.kind,
         "unit": options.unit,
@@ -291,7 +310,7 @@ def reading(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def threshold(text: str | None) -> Any:
-    """A number, a pair, or the name of a way to find it; `auto` where nothing is given."""
+    """Parse a number, a pair, or the name of a way to find it; `auto` without any."""
     if text is None:
         return "auto"
     try:
@@ -302,9 +321,7 @@ def threshold(text: str | None) -> Any:
 
 
 def numbers(words: list[str], *, name: str) -> list[float]:
-    """Floats from words."""
-    from trabecula.core.errors import InputError
-
+    """Parse words as floats."""
     try:
         return [float(word) for word in words]
     except ValueError:
@@ -314,9 +331,7 @@ def numbers(words: list[str], *, name: str) -> list[float]:
 
 
 def integer(word: str, *, name: str) -> int:
-    """An integer from a word; its range is checked where it is used."""
-    from trabecula.core.errors import InputError
-
+    """Parse a word as an integer; its range is checked where it is used."""
     try:
         return int(word)
     except ValueError:
@@ -324,7 +339,7 @@ def integer(word: str, *, name: str) -> int:
 
 
 def gibibytes(word: str) -> int:
-    """Bytes from a number of GiB, as a type of argparse."""
+    """Parse a number of GiB as bytes, as a type of argparse."""
     try:
         count = float(word) * 2**30
     except ValueError:
@@ -335,9 +350,7 @@ def gibibytes(word: str) -> int:
 
 
 def integers(words: list[str], *, name: str) -> list[int]:
-    """Integers from words; the values are checked where they are used."""
-    from trabecula.core.errors import InputError
-
+    """Parse words as integers; the values are checked where they are used."""
     try:
         return [int(word) for word in words]
     except ValueError:
@@ -346,10 +359,8 @@ def integers(words: list[str], *, name: str) -> list[int]:
         ) from None
 
 
-def configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
-    """The preset, given as --preset NAME or as --set preset=NAME, and the settings."""
-    from trabecula.core.errors import InputError
-
+def preset_and_settings(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]:
+    """Return the preset, given as --preset NAME or as --set preset=NAME, and the settings."""
     found = settings(options.set)
     named = found.pop("preset", options.preset)
     if options.preset not in (None, named):
@@ -358,9 +369,7 @@ def configured(options: argparse.Namespace) -> tuple[str | None, dict[str, Any]]
 
 
 def settings(pairs: list[str]) -> dict[str, Any]:
-    """`key=value` words; a value is JSON where it can be read so (4, 0.5, true, [4,6]), else text."""
-    from trabecula.core.errors import InputError
-
+    """Parse `key=value` words; a value is JSON where it is valid (0.5, true, [4,6]), else text."""
     found: dict[str, Any] = {}
     for pair in pairs:
         name, sign, value = pair.partition("=")
@@ -376,8 +385,7 @@ def settings(pairs: list[str]) -> dict[str, Any]:
 
 
 def _finite(text: str) -> float:
-    from trabecula.core.errors import InputError
-
+    """Parse a finite number of JSON."""
     if not math.isfinite(float(text)):
         raise InputError(f"--set: {text} is not a finite number")
     return float(text)

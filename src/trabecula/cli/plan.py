@@ -1,6 +1,4 @@
-"""`trabecula plan ...`: as generate, but only the forecast: memory, disk, and time from a second's
-trial.
-"""
+"""`trabecula plan ...`: the forecast of a generate: memory, disk, and time by a short trial."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from trabecula.cli.generate import GenerateTask, add_request, prepare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The request of `generate`."""
+    """Add the request of `generate`."""
     add_request(parser)
     parser.add_argument(
         "--out",
@@ -51,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _time(seconds: float | None) -> str:
-    """Seconds as a person reads them."""
+    """Format seconds for a person."""
     if seconds is None:
         return "not forecast: no small part of it can be tried"
     if seconds < 90:
@@ -61,10 +59,10 @@ def _time(seconds: float | None) -> str:
 
 def _making(job: GenerateTask, options: argparse.Namespace) -> Any:
     from trabecula.engine.parallel import thread_count, threads
-    from trabecula.pipeline.demo import plan_to
+    from trabecula.pipeline.plan import plan_to
 
     with threads(options.threads if options.threads is not None else thread_count()):
-        model = job.fitted(memory=options.memory)
+        model = job.fit(memory=options.memory)
         return plan_to(
             model,
             job.request,

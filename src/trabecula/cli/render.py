@@ -11,7 +11,7 @@ from trabecula.cli import view_input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, the picture, the look."""
+    """Add the file, the picture and the look."""
     parser.add_argument("file", metavar="FILE", help="volume, or sample:NAME")
     parser.add_argument(
         "--out",
@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["corner"],
         metavar="WORD",
-        help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, share); several together",
+        help="corner (default), none, x=0.5 (y, z: a share of the axis), plane=AZ,EL,0.5 (degrees, "
+        "share); several together",
     )
     parser.add_argument(
         "--camera",
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Render and write."""
-    from trabecula.pipeline.demo import check_folder, check_target
+    from trabecula.pipeline.outputs import check_folder, check_target
     from trabecula.view.scene import forecast
     from trabecula.view.still import render, turntable
 

@@ -6,27 +6,24 @@ import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, and where the files of its recipe lie now."""
+    """Add the file, and the places of files of its recipe that have moved."""
     parser.add_argument("file", metavar="FILE", help="a file that this package wrote")
     parser.add_argument(
-        "--exemplar",
-        nargs="+",
-        metavar="FILE",
-        help="where the recipe's first files lie now, if they have moved",
+        "--exemplar", nargs="+", metavar="FILE", help="the recipe's first files, if they have moved"
     )
     for part in ("mask", "fixed", "known", "target"):
         parser.add_argument(
-            f"--{part}", metavar="FILE", help=f"where the file that was --{part} lies now"
+            f"--{part}", metavar="FILE", help=f"the file that was --{part}, if it has moved"
         )
     parser.add_argument(
-        "--model", metavar="FILE", help="where the trained model of the recipe lies now"
+        "--model", metavar="FILE", help="the trained model of the recipe, if it has moved"
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Make the voxels again and compare their SHA-256."""
     from trabecula.core.recipe import digest
-    from trabecula.pipeline.demo import rerun
+    from trabecula.pipeline.replay import rerun
 
     moved = {
         name: getattr(options, name)

@@ -8,12 +8,12 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Nothing but the form of the output."""
+    """Add the form of the output."""
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """List the samples, and where real scans are."""
+    """List the samples, and the places where real scans are published."""
     from trabecula.exemplar.samples import REAL_SCANS, samples
 
     if options.json:

@@ -1,6 +1,4 @@
-"""What the command line shows beside its results: progress and notices on standard error, errors in
-one line.
-"""
+"""Output beside the results: progress and notices on standard error, errors in one line."""
 
 from __future__ import annotations
 
@@ -10,6 +8,8 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+from trabecula.core.progress import listen
 
 _WIDTH = 30
 
@@ -43,7 +43,7 @@ class Bar:
             self.clear()
 
     def clear(self) -> None:
-        """Wipe the bar off its line."""
+        """Clear the bar from its line."""
         if self.length:
             print("\r" + " " * self.length + "\r", end="", file=sys.stderr, flush=True)
             self.length = 0
@@ -52,8 +52,6 @@ class Bar:
 @contextmanager
 def progress_shown() -> Iterator[None]:
     """Show the progress of what runs inside the block."""
-    from trabecula.core.progress import listen
-
     bar = Bar()
     try:
         with listen(bar):
@@ -63,22 +61,22 @@ def progress_shown() -> Iterator[None]:
 
 
 def fail(message: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     print("trabecula: " + " ".join(message.split()), file=sys.stderr, flush=True)
 
 
 def note(line: str) -> None:
-    """A line on standard error that is no error."""
+    """Print a line on standard error that is no error."""
     print(f"trabecula: {line}", file=sys.stderr, flush=True)
 
 
 def show_json(value: Any) -> None:
-    """One JSON object on standard output."""
+    """Print one JSON object on standard output."""
     print(json.dumps(value, indent=1, allow_nan=False))
 
 
 def show_rows(rows: Sequence[Sequence[Any]]) -> None:
-    """Columns, as wide as they need to be."""
+    """Print columns, as wide as they need to be."""
     texts = [[str(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in texts) for i in range(len(texts[0]))] if texts else []
     for row in texts:
@@ -88,14 +86,14 @@ def show_rows(rows: Sequence[Sequence[Any]]) -> None:
 
 
 def show_mapping(values: Mapping[str, Any]) -> None:
-    """A name and a value per line; tables in a table one a line, curves by their length alone."""
-    show_rows([(name, brief(value)) for name, value in _opened(values)])
+    """Print a name and a value per line; nested tables one a line, curves by their length alone."""
+    show_rows([(name, brief(value)) for name, value in _flatten(values)])
 
 
-def _opened(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in values.items():
         if isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values()):
-            yield from _opened(value, inside=f"{inside}{name}.")
+            yield from _flatten(value, inside=f"{inside}{name}.")
         else:
             yield f"{inside}{name}", value
 

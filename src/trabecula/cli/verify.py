@@ -13,7 +13,7 @@ from trabecula.cli import terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The exemplar, the results, the forms of the verdict."""
+    """Add the exemplar, the results and the forms of the verdict."""
     parser.add_argument(
         "exemplar", metavar="EXEMPLAR", help="scan that the material should be like, or sample:NAME"
     )
@@ -29,12 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="R",
         help="largest distance of the curves, voxels (default 50)",
     )
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); a .zarr of labels that needs more is judged in slabs",
-    )
+    shared.add_memory(parser, "a .zarr of labels that needs more is judged in slabs")
     group = parser.add_argument_group("volumes held against pictures")
     group.add_argument(
         "--pictures",
@@ -48,17 +43,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="PLANE",
-        help="plane of each picture, EXEMPLAR's first: yx (seen across z), zx, zy, xy, xz, yz; or of one picture all of them",
+        help="plane of each picture, EXEMPLAR's first: yx (seen across z), zx, zy, xy, xz, yz; or "
+        "of one picture all of them",
     )
     shared.add_level(parser)
     shared.add_reading(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge, print, and write the page where one is asked for. A failed verdict is a result, not an
+    """Judge, print, and write the page that is named. A failed verdict is a result, not an
     error: status 0.
     """
-    from trabecula.pipeline.demo import check_page, write_page
+    from trabecula.pipeline.certificate_page import check_page, write_page
     from trabecula.report.certificate import verify
 
     if options.report:
@@ -89,11 +85,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _result(file: str, exemplars: list[Any], views: list[str], options: argparse.Namespace) -> Any:
-    """A result as an Image, or in slabs where it is too large and the exemplar is a volume of
-    labels.
-    """
+    """Load a result, in slabs where it is too large and the exemplar is a volume of labels."""
     from trabecula.measure.blockwise import in_core_bytes
-    from trabecula.pipeline.demo import load_like, slabs_like_if_large, voxels_of
+    from trabecula.pipeline.inputs import load_like, slabs_like_if_large, voxels_of
 
     exemplar, volume = exemplars[0], None
     if exemplar.kind == "labels" and exemplar.ndim == 3:

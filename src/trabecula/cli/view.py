@@ -9,10 +9,11 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import view_input
+from trabecula.core.errors import FileError, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The files, where the page goes, what stands beside them."""
+    """Add the files, the page's place and the figures beside them."""
     parser.add_argument(
         "files",
         nargs="+",
@@ -30,7 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--certificate",
         metavar="FILE",
-        help="what `trabecula verify --json` printed: its key figures stand beside each FILE, or each but the first",
+        help="what `trabecula verify --json` printed: its key figures stand beside each FILE, or "
+        "each but the first",
     )
     parser.add_argument(
         "--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)"
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the page; write it, or serve it until interrupted."""
     from trabecula.cli import terminal
-    from trabecula.pipeline.demo import check_page
+    from trabecula.pipeline.certificate_page import check_page
     from trabecula.view.page import server, view
     from trabecula.view.page.fitting import forecast
 
@@ -53,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         check_page(options.html)
     port = shared.integer(options.port, name="--port")
     certificate = _certificate(options.certificate) if options.certificate else None
-    # Greys are shown as they are, unless a threshold is asked for.
+    # Greys are shown as they are, unless a threshold is given.
     options.threshold = options.threshold or "none"
     images = [
         view_input.load_for_view(file, options, need=lambda *volume: forecast(*volume).peak)
@@ -70,7 +72,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _certificate(path: str) -> Any:
-    from trabecula.core.errors import FileError, InputError
 
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))

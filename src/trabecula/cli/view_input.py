@@ -1,6 +1,4 @@
-"""What is shown of a file that does not fit into memory: a coarser level of it, or only the box
-that is asked for.
-"""
+"""Files too large to be shown: a coarser level of them, or only the box that is requested."""
 
 from __future__ import annotations
 
@@ -12,22 +10,17 @@ from trabecula.cli import options as shared
 
 
 def add_memory(parser: argparse.ArgumentParser) -> None:
-    """The budget."""
-    parser.add_argument(
-        "--memory",
-        type=shared.gibibytes,
-        metavar="GIB",
-        help="memory that may be used (default: what is available); of a .zarr that needs more a coarser level is shown",
-    )
+    """Add the memory budget."""
+    shared.add_memory(parser, "of a .zarr that needs more a coarser level is shown")
 
 
 def load_for_view(
     source: str, options: argparse.Namespace, *, need: Callable[[tuple[int, ...], int], int]
 ) -> Any:
-    """As `load_exemplar`, of the finest level that fits where none is asked for; of a crop of
-    labels nothing else is read.
+    """Load an exemplar at the finest level that fits where no level is given; of a crop of labels
+    read nothing else.
     """
-    from trabecula.io.levels import level_that_fits
+    from trabecula.io.lazy import level_that_fits
 
     boxed = _box(source, options) if options.crop else None
     if boxed is not None:
@@ -39,11 +32,11 @@ def load_for_view(
 
 
 def _box(source: str, options: argparse.Namespace) -> Any:
-    """The crop that was asked for of a store of labels that does not fit; else None."""
+    """Read the crop of a store of labels that does not fit; None where there is no such crop."""
     from dataclasses import replace
     from math import prod
 
-    from trabecula.pipeline.demo import slabs_if_large
+    from trabecula.io.lazy import slabs_if_large
 
     if options.threshold not in (None, "auto", "none"):
         return None

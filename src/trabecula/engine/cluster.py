@@ -213,7 +213,7 @@ def _identity(sent: T) -> T:
 def _work_on_slab(
     packed: bytes, start: int, stop: int, each: int | None, wanted: dict[str, str]
 ) -> None:
-    """Work on a slab of memory-mapped arrays, in a worker."""
+    """Run work on a slab of memory-mapped arrays, in a worker."""
     _check_versions(wanted)
     try:
         work = pickle.loads(packed)

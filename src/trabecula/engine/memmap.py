@@ -135,7 +135,7 @@ def _create_file(path: Path, size: int) -> mmap.mmap:
 
 
 def _allocate(path: Path, descriptor: int, size: int) -> None:
-    """Reserve the blocks of a file: a full disk is an error here; where a page is first touched it
+    """Allocate the blocks of a file: a full disk is an error here; where a page is first touched it
     would kill the process.
     """
     try:

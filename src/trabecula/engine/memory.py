@@ -23,8 +23,9 @@ The run allocates from this list and nowhere else, by the same names:
     work.enter("deliver")       # frees "match", which this stage does not hold
     return fill(work.empty("levels"), work["votes"])
 
-The forecast is the same list without data: `forecast(stages, fixed)` names the arrays of the stage
-that holds the most, and `forecast_mapped(...)` what stays in memory when the arrays are files.
+The forecast is the same list without data. `forecast(stages, fixed)` names the arrays of the stage
+that holds the most; its `memory` is what the hook `Model.memory` returns. `resident(stages, fixed)`
+counts what stays in memory when the arrays are files: the hook `Model.resident_memory`.
 
 - `working` counts the temporaries of all threads. An array that grows with the volume is declared.
 - A function that returns a new array is no obstacle: `work.adopt("votes", votes_of(...))` checks
@@ -255,6 +256,13 @@ def forecast(stages: Iterable[Stage], fixed: Mapping[str, int], *, disk: int = 0
     return Plan({**fixed, **arrays, **working}, disk=disk)
 
 
+def resident(stages: Iterable[Stage], fixed: Mapping[str, int]) -> dict[str, int]:
+    """Return the bytes that stay in memory where the arrays are memory-mapped: `fixed`, and "slab"
+    (temporaries, and the thinnest slabs of all threads).
+    """
+    return {**fixed, "slab": max(stage.slab for stage in stages)}
+
+
 def forecast_mapped(
     stages: Iterable[Stage], fixed: Mapping[str, int], *, budget: int, disk: int = 0
 ) -> Plan:
@@ -270,14 +278,14 @@ def forecast_mapped(
     Returns
     -------
     Plan
-        Its memory: `fixed`, "slab" (temporaries and the thinnest slabs) and "pages" (what may be
-        resident of the files besides).
+        Its memory: `fixed` and "slab" as of `resident`, and "pages" (the bytes of the files that
+        may be resident besides).
     """
     every = list(stages)
-    slab = max(stage.slab for stage in every)
+    least = resident(every, fixed)
     files = max(stage.nbytes for stage in every)
-    resident = max(0, min(budget - sum(fixed.values()) - slab, files))
-    return Plan({**fixed, "slab": slab, "pages": resident}, disk=disk, scratch=files + disk)
+    pages = max(0, min(budget - sum(least.values()), files))
+    return Plan({**least, "pages": pages}, disk=disk, scratch=files + disk)
 
 
 class Workspace:

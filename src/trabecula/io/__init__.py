@@ -1,1 +1,8 @@
-"""Files to Images and back: one file per format, one table of suffixes (`formats`)."""
+"""Files <-> Images: one module a format, declared in one table (`formats`)."""
+
+from trabecula.io.files import read, write
+from trabecula.io.formats import Format
+from trabecula.io.lazy import open_slabs
+from trabecula.io.metadata import Content
+
+__all__ = ["Content", "Format", "open_slabs", "read", "write"]

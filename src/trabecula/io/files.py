@@ -12,7 +12,7 @@ from trabecula.core.checks import as_number
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.storage.location import Remote, path_or_remote
-from trabecula.io.formats import SLICES, Format, format_of, suffix_of
+from trabecula.io.formats import SLICES, ZARR, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret
 
@@ -81,20 +81,19 @@ def read(
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
     options = {name: value for name, value in given.items() if value is not None}
     if level == 0:
-        return interpret(form.function("read")(place), source=os.fspath(path), options=options)
-    if not form.levels:
+        return interpret(form.read(place), source=os.fspath(path), options=options)
+    if not form.lazy:
         raise InputError(
-            f"{path} is {form.name}, which has no coarser levels: leave the level out, or write a .zarr"
+            f"{path} is {form.name}, which has no coarser levels: leave the level out, "
+            "or write a .zarr"
         )
-    content = form.function("read")(
-        place, as_number(level, name="level", low=0, high=64, whole=True)
-    )
+    content = form.read(place, as_number(level, name="level", low=0, high=64, whole=True))
     return interpret(content, source=os.fspath(path), options={**options, "level": level})
 
 
 def _format_to_read(path: Path | Remote) -> Format:
     if isinstance(path, Remote):
-        return format_of("x.zarr")
+        return ZARR
     if not path.is_dir():
         form = format_of(path)
         if form.folder:
@@ -103,11 +102,12 @@ def _format_to_read(path: Path | Remote) -> Format:
             )
         return form
     if suffix_of(path) is None:
-        return format_of("x.zarr") if (path / "zarr.json").exists() else SLICES
+        return ZARR if (path / "zarr.json").exists() else SLICES
     form = format_of(path)
     if not form.folder:
         raise FileError(
-            f"cannot read {path} as {form.name}: it is a folder; name a file in it, or rename the folder"
+            f"cannot read {path} as {form.name}: it is a folder; name a file in it, "
+            "or rename the folder"
         )
     return form
 
@@ -127,7 +127,7 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remo
     Returns
     -------
     Path, or Remote at an address
-        What was written (the header, where voxels lie beside it).
+        The file that was written (the header, where the voxels are in a file of their own).
 
     Raises
     ------
@@ -141,29 +141,31 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remo
     image = as_image(image)
     text, place = os.fspath(path), path_or_remote(path)
     if isinstance(place, Remote):
-        return check_stored(place).function("write")(image, place)
+        return check_stored(place).write(image, place)
     form = SLICES if text.endswith(("/", os.sep)) and suffix_of(text) is None else format_of(text)
     if form.folder and place.exists() and not place.is_dir():
         raise FileError(
-            f"cannot write {place}: a file of that name is there, a {form.name} is a folder; remove it first"
+            f"cannot write {place}: a file of that name is there, a {form.name} is a folder; "
+            "remove it first"
         )
     if not form.folder and place.is_dir():
         raise FileError(
             f"cannot write {place}: a folder of that name is there; choose another name"
         )
-    return form.function("write")(image, place)
+    return form.write(image, place)
 
 
 def check_stored(address: Remote) -> Format:
-    """The format that is written to an address.
+    """Return the format that is written to an address.
 
     Raises
     ------
     InputError
         The suffix is not that of a Zarr store.
     """
-    if suffix_of(address) != ".zarr":
+    if suffix_of(address) not in ZARR.suffixes:
         raise InputError(
-            f"cannot write {address}: only a .zarr is written to an address; write a file, and copy it there"
+            f"cannot write {address}: only a .zarr is written to an address; write a file, "
+            "and copy it there"
         )
-    return format_of(address)
+    return ZARR

@@ -1,4 +1,4 @@
-"""What stands between a file and memory: is it there, does it claim what it can hold, is it whole?"""
+"""Checks of a file before it is read: is it there, can it hold what it claims, is it whole?"""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _DAMAGE: tuple[type[Exception], ...] = (
     binascii.Error,
 )
 
-# What a mistake in code raises. Libraries stumble so over headers that lie as well, so where it was
-# raised decides.
+# What a mistake in code raises. Libraries fail so on wrong headers as well, so the place where it
+# was raised decides.
 _DEFECT: tuple[type[Exception], ...] = (
     AttributeError,
     TypeError,
@@ -89,11 +89,13 @@ def report_damage(
             raise
         if library is None:
             raise FileError(
-                f"cannot read {path} as {form}: {what}: it was changed by other hands, or trabecula has a defect; make it "
+                f"cannot read {path} as {form}: {what}: it was changed by other hands, or "
+                "trabecula has a defect; make it "
                 "again, and report this where that does not help"
             ) from error
         raise FileError(
-            f"cannot read {path} as {form}: {library} fails on it ({what}); try another version of {library.split()[0]}, "
+            f"cannot read {path} as {form}: {library} fails on it ({what}); try another version of "
+            f"{library.split()[0]}, "
             "or save the file again in another format"
         ) from error
     except _DAMAGE + also as error:
@@ -120,6 +122,7 @@ def library_of(error: BaseException) -> str | None:
 
 
 def _reason(error: Exception) -> str:
+    """Return an error's text in one line."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     line = " ".join(text.split()).rstrip(".:") or type(error).__name__
     return line if len(line) <= 160 else f"{line[:157]}..."
@@ -132,13 +135,15 @@ def check_there(path: Path | Remote) -> None:
     if isinstance(path, Remote):
         if not path.is_store():
             raise FileError(
-                f"there is no Zarr store at {path}, and nothing else is read from an address: check the name"
+                f"there is no Zarr store at {path}, and nothing else is read from an address: "
+                "check the name"
             )
         return
     if not path.exists():
         if path.with_name(path.name + ".part").exists():
             raise FileError(
-                f"{path} is not finished: trabecula generate --resume {path} goes on with the run that makes it"
+                f"{path} is not finished: trabecula generate --resume {path} resumes the run "
+                "that makes it"
             )
         raise FileError(f"there is no file {path}{_near(path)}")
     if path.is_file() and path.stat().st_size == 0:
@@ -146,12 +151,18 @@ def check_there(path: Path | Remote) -> None:
 
 
 def _near(path: Path) -> str:
+    """Return a hint at names near to one that is not there."""
     if not path.parent.is_dir():
         return f": there is no folder {path.parent} either"
     names = [entry.name for entry in path.parent.iterdir()]
     near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
     return f": did you mean {' or '.join(near)}?" if near else ": check the name"
 
+
+NUMBERS = tuple(
+    ["uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"]
+)
+"""Types of voxels that most formats can hold."""
 
 DEFLATE = 1032
 """No deflate stream (zlib, gzip, PNG) unpacks to more than this times its length."""
@@ -187,11 +198,13 @@ def check_claim(
     claim = f"its header claims {'x'.join(map(str, sides))} voxels of {dtype}, {format_bytes(need)}"
     if stored is not None and stored < need:
         raise FileError(
-            f"cannot read {path}: {claim}, the file can hold {format_bytes(max(stored, 0))}: is it whole?"
+            f"cannot read {path}: {claim}, the file can hold {format_bytes(max(stored, 0))}: is it "
+            "whole?"
         )
     if need > available_memory():
         raise MemoryBudgetError(
-            f"cannot read {path}: {claim}, only {format_bytes(available_memory())} of memory are free: "
+            f"cannot read {path}: {claim}, only {format_bytes(available_memory())} of memory are "
+            "free: "
             "crop it or use a larger machine"
         )
 
@@ -200,5 +213,6 @@ def check_dtype(dtype: np.dtype, fit: Sequence[str], *, form: str) -> None:
     """Raise where a format cannot hold a type of voxel."""
     if dtype.name not in fit:
         raise InputError(
-            f"{form} cannot hold {dtype} voxels, only {', '.join(fit)}: convert the values, or write .zarr or .npy"
+            f"{form} cannot hold {dtype} voxels, only {', '.join(fit)}: convert the values, or "
+            "write .zarr or .npy"
         )

@@ -1,4 +1,4 @@
-"""`with_lengths`: give a volume the spacing and unit that its file does not state, or another size."""
+"""Spacing and unit of a volume whose file does not state them, or another size."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def with_lengths(
     unit: str | None = None,
     scale: float | None = None,
 ) -> Volume:
-    """Return the same voxels with other lengths; the recipe tells in a step "declare".
+    """Return the same voxels with other lengths, recorded in a step "declare" of the recipe.
 
     Parameters
     ----------

@@ -17,11 +17,11 @@ from trabecula.io.metadata import Content
 from trabecula.io.units import canonical, check_unit
 
 FEW_LEVELS = 8
-"""Integer data of at most so many levels are labels unless told otherwise."""
+"""Integer data of at most so many levels are labels unless `kind` is given."""
 
 
 def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> Image:
-    """An Image from a file's content.
+    """Make an Image of a file's content.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
         over the file, and level.
     """
     own = content.fields or {}
-    values = _plain(content.values)
+    values = _native_values(content.values)
     if "kind" in options:
         check_name(options["kind"], KINDS, name="kind of image")
     kind = options.get("kind") or own.get("kind") or _kind_of(values, content.colour)
@@ -41,7 +41,7 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
         values = _one_channel(values, kind)
     levels = None
     if kind == "labels" and own.get("kind") != "labels":
-        values, levels = _numbered(values, options.get("phases"))
+        values, levels = _number_levels(values, options.get("phases"))
     elif kind == "grey" and values.dtype == bool:
         values = values.view(np.uint8)
     if "unit" in options:
@@ -55,14 +55,12 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
     }
     image = Image(values, kind, **fields)
     if "spacing" not in options and not own.get("spacing"):
-        _say_spacing(image, content, source)
+        _report_spacing(image, content, source)
     return replace(image, recipe=_recipe(image, content, source, options, levels))
 
 
-def _say_spacing(image: Image, content: Content, source: str) -> None:
-    """Say which of several places a spacing comes from where it is tags that often mean something
-    else, and what was ignored.
-    """
+def _report_spacing(image: Image, content: Content, source: str) -> None:
+    """Report a spacing from tags that often mean something else, and tags that were ignored."""
     if content.ignored:
         notify(f"{source}: {content.ignored}")
     elif content.spacing and content.origin not in ("", "ImageJ metadata", "OME metadata"):
@@ -71,9 +69,7 @@ def _say_spacing(image: Image, content: Content, source: str) -> None:
 
 
 def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
-    """What the step that reads a file says of its spacing: where it comes from, and what was
-    ignored.
-    """
+    """Return the fields of a step "read" on the spacing: its origin, and ignored tags."""
     own = content.fields or {}
     if "spacing" in options:
         found = "given"
@@ -92,8 +88,8 @@ def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
 def _recipe(
     image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None
 ) -> Recipe:
-    """The file's own recipe; with a step "read" after it where this reading said something else
-    than the file.
+    """Return the file's own recipe, followed by a step "read" where the caller's options change
+    what the file says.
     """
     own = None if content.lossy else content.fields
     recipe = Recipe.from_json(own["recipe"]) if own else Recipe()
@@ -107,7 +103,7 @@ def _recipe(
         if all(own[name] == value for name, value in said.items()):
             return recipe
     found: dict[str, Any] = {"levels": levels} if levels is not None else {}
-    stated = _stated(content)
+    stated = _fields_in_file(content)
     if stated:
         found["stated"] = stated
     return recipe.then(
@@ -120,9 +116,9 @@ def _recipe(
     )
 
 
-def _stated(content: Content) -> list[str]:
-    """The fields that the file itself states, ours or its format's; what is given with the reading
-    wins over them.
+def _fields_in_file(content: Content) -> list[str]:
+    """List the fields that the file itself states, ours or its format's; options given to `read`
+    win over them.
     """
     if content.fields:
         return [name for name in ("kind", "spacing", "unit", "phases") if content.fields.get(name)]
@@ -130,8 +126,8 @@ def _stated(content: Content) -> list[str]:
     return [name for name, value in format_says.items() if value]
 
 
-def _plain(values: np.ndarray) -> np.ndarray:
-    """The values in this machine's byte order, or an error where they are no numbers."""
+def _native_values(values: np.ndarray) -> np.ndarray:
+    """Return the values in this machine's byte order; InputError where they are no numbers."""
     if values.dtype.kind not in "biufc":
         raise InputError(f"the file holds {values.dtype} values: real numbers are needed")
     check_finite(values, name="the file")
@@ -149,7 +145,8 @@ def _kind_of(values: np.ndarray, colour: bool) -> str:
     if values.dtype.kind == "f":
         if np.all(levels == np.round(levels)):
             raise InputError(
-                f"the file holds {values.dtype} values of only {len(levels)} whole levels {_listed(levels)}: "
+                f"the file holds {values.dtype} values of only {len(levels)} whole levels "
+                f"{_list_levels(levels)}: "
                 "labels or grey? give kind='labels' or kind='grey' (--kind)"
             )
         return "grey"
@@ -162,13 +159,16 @@ def _one_channel(values: np.ndarray, kind: str) -> np.ndarray:
         and np.array_equal(values[..., 0], values[..., 2])
     ):
         raise InputError(
-            f"the file is in colour, kind={kind!r} needs one channel: convert it to grey first, or give kind='colour'"
+            f"the file is in colour, kind={kind!r} needs one channel: convert it to grey first, or "
+            "give kind='colour'"
         )
     return values[..., 0]
 
 
-def _numbered(values: np.ndarray, phases: Any) -> tuple[np.ndarray, list | None]:
-    """Labels 0..n-1 and, where they were other levels in the file, those levels."""
+def _number_levels(values: np.ndarray, phases: Any) -> tuple[np.ndarray, list | None]:
+    """Return labels 0..n-1 and the levels that they were in the file, None where they were labels
+    already.
+    """
     levels = distinct_levels(values, limit=MAX_PHASES) if values.size else None
     if levels is None:
         return labels(values).values, None  # which says what is wrong
@@ -179,11 +179,12 @@ def _numbered(values: np.ndarray, phases: Any) -> tuple[np.ndarray, list | None]
             return values, None
         if len(levels) > 1 or len(phases) > 2:
             raise InputError(
-                f"phases name {len(phases)} labels, the file holds {len(levels)} levels {_listed(levels)}: name those"
+                f"phases name {len(phases)} labels, the file holds {len(levels)} levels "
+                f"{_list_levels(levels)}: name those"
             )
     numbered = np.array_equal(levels, np.arange(len(levels)))
     return labels(values).values, None if numbered else levels.tolist()
 
 
-def _listed(levels: np.ndarray) -> str:
+def _list_levels(levels: np.ndarray) -> str:
     return ", ".join(f"{level:g}" for level in levels)

@@ -1,4 +1,4 @@
-"""The fields of an Image beside its voxels, as the JSON that every format carries in its own way."""
+"""The fields of an Image beside its voxels, as JSON that every format stores in its own way."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class Content:
 
 
 def encode(image: Image, **more: Any) -> str:
-    """One line of ASCII JSON."""
+    """Return the fields of an image as one line of ASCII JSON."""
     return json.dumps({KEY: {**describe_fields(image), **more}})
 
 
 def decode(text: str | bytes | None) -> dict[str, Any] | None:
-    """The fields that `encode` wrote; None where the text is somebody else's.
+    """Return the fields that `encode` wrote; None where the text is another program's.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def decode(text: str | bytes | None) -> dict[str, Any] | None:
 
 
 def check_fields(fields: Any) -> dict[str, Any]:
-    """The fields, or a ValueError where they are not what `encode` wrote."""
+    """Return the fields; ValueError where they are not what `encode` wrote."""
     types = {"kind": str, "spacing": list, "unit": str, "phases": list, "recipe": list}
     if not isinstance(fields, dict) or not all(
         isinstance(fields.get(name), kind) for name, kind in types.items()
@@ -94,8 +94,8 @@ def _whole_numbers(value: Any) -> bool:
 
 
 def greys_of_labels(image: Image) -> tuple[np.ndarray, list[int] | None]:
-    """Labels as greys from black to white, so that pictures show them, and the grey of each; others
-    as they are.
+    """Map labels to greys from black to white, so that pictures show them; return the greys and the
+    grey of each label. Other kinds stay as they are.
     """
     if image.kind != "labels":
         return image.values, None
@@ -105,7 +105,8 @@ def greys_of_labels(image: Image) -> tuple[np.ndarray, list[int] | None]:
 
 
 def labels_of_greys(values: np.ndarray, fields: dict[str, Any] | None) -> np.ndarray:
-    """The labels behind the greys that `greys_of_labels` made; values without such a record as they are.
+    """Return the labels behind the greys of `greys_of_labels`; values without such a record as they
+    are.
 
     Raises
     ------

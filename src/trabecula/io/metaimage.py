@@ -120,7 +120,7 @@ def read(path: Path) -> Content:
 
 
 def _parse(path: Path) -> tuple[dict[str, str], int]:
-    """The header's keys and where it ends."""
+    """Return the header's keys and the offset of its end."""
     fields: dict[str, str] = {}
     with path.open("rb") as file:
         while "ElementDataFile" not in fields:
@@ -157,7 +157,7 @@ def _voxels(
     name = fields["ElementDataFile"]
     if name.split()[0] == "LIST" or "%" in name:
         raise ValueError(
-            "its voxels lie in one file per slice, which is not read; read the folder of slices"
+            "its voxels are in one file per slice, which is not read; read the folder of slices"
         )
     voxels = path if name == "LOCAL" else path.parent / name
     check_there(voxels)
@@ -174,10 +174,10 @@ def _voxels(
         )
     with voxels.open("rb") as file:
         file.seek(start)
-        return _unpacked(file.read(), need) if packed else file.read(need)
+        return _decompress(file.read(), need) if packed else file.read(need)
 
 
-def _unpacked(packed: bytes, need: int) -> bytes:
+def _decompress(packed: bytes, need: int) -> bytes:
     decompressor = zlib.decompressobj(zlib.MAX_WBITS | 32)  # zlib or gzip, by their heads
     raw = decompressor.decompress(packed, need)
     # The check sum comes after the last voxel: ask for a byte more, so that it is read and weighed.

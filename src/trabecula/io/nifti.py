@@ -13,22 +13,10 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
+from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import Content, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
-_TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
-)
 _RGB = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
 _UNITS = {"m": "meter", "mm": "mm", "um": "micron"}  # all that the header can say
 _COMMENT = 6  # code of an extension that holds text
@@ -38,7 +26,7 @@ def write(image: Image, path: Path) -> Path:
     """Write .nii or .nii.gz (see `trabecula.io.files.write`)."""
     import nibabel
 
-    check_dtype(image.values.dtype, _TYPES, form="NIfTI")
+    check_dtype(image.values.dtype, NUMBERS, form="NIfTI")
     values = np.ascontiguousarray(image.values)
     if image.kind == "colour":
         values = values.view(_RGB)[..., 0]
@@ -87,13 +75,13 @@ def read(path: Path) -> Content:
             colour=bool(colour),
             spacing=zooms if all(zooms) else None,
             unit=None if unit == "unknown" else unit,
-            fields=_own(header.extensions),
+            fields=_read_fields(header.extensions),
         )
 
 
 @contextmanager
 def _quiet(logger: Any) -> Iterator[None]:
-    """Nothing on the screen about fields that nibabel mends while it reads."""
+    """Stop nibabel's notices of fields that it repairs while it reads."""
     was, logger.disabled = logger.disabled, True
     try:
         yield
@@ -101,7 +89,7 @@ def _quiet(logger: Any) -> Iterator[None]:
         logger.disabled = was
 
 
-def _own(extensions: Any) -> dict[str, Any] | None:
+def _read_fields(extensions: Any) -> dict[str, Any] | None:
     for extension in extensions:
         if extension.get_code() == _COMMENT:
             content = extension.get_content()

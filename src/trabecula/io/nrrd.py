@@ -11,22 +11,10 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
-from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
+from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
 from trabecula.io.metadata import KEY, Content, decode, encode
 from trabecula.io.units import has_length
 
-_TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
-)
 _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
     "int8": ("signed char", "int8", "int8_t"),
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -43,13 +31,7 @@ _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
         "int64",
         "int64_t",
     ),
-    "uint64": (
-        "ulonglong",
-        "unsigned long long",
-        "unsigned long long int",
-        "uint64",
-        "uint64_t",
-    ),
+    "uint64": ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"),
     "float32": ("float",),
     "float64": ("double",),
 }
@@ -73,7 +55,7 @@ def write(image: Image, path: Path) -> Path:
     """Write .nrrd, gzip (see `trabecula.io.files.write`)."""
     import nrrd
 
-    check_dtype(image.values.dtype, _TYPES, form="NRRD")
+    check_dtype(image.values.dtype, NUMBERS, form="NRRD")
     colour = image.kind == "colour"
     header: dict[str, Any] = {
         "encoding": "gzip",
@@ -108,7 +90,8 @@ def read(path: Path) -> Content:
         colour = kinds[0] in _COLOUR
         if any(kind in _NOT_SPACE for kind in kinds[colour:]):
             raise InputError(
-                f"{path} holds axes of {', '.join(kinds)}: only grey, labels and RGB in the fastest axis can be read"
+                f"{path} holds axes of {', '.join(kinds)}: only grey, labels and RGB in the "
+                "fastest axis can be read"
             )
         spacing, unit = _calibration(header, kinds)
         return Content(
@@ -124,7 +107,7 @@ def _dtype(name: str) -> np.dtype:
 def _calibration(
     header: dict[str, Any], kinds: list[str]
 ) -> tuple[tuple[float, ...] | None, str | None]:
-    """Spacing along (z, y, x) and its unit."""
+    """Return the spacing along (z, y, x) and its unit."""
     in_space = [axis for axis, kind in enumerate(kinds) if kind not in _NOT_SPACE]
     if "spacings" in header:
         edges = [abs(float(header["spacings"][axis])) for axis in in_space]

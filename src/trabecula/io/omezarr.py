@@ -34,7 +34,9 @@ def read(path: Path | Remote, level: int = 0) -> Content:
         opened = store.open_finished(path, level)
         check_claim(path, opened.array.shape, opened.array.dtype)
         fields = (
-            {**check_fields(opened.fields), "spacing": list(opened.scale)} if opened.fields else None
+            {**check_fields(opened.fields), "spacing": list(opened.scale)}
+            if opened.fields
+            else None
         )
         values = opened.load()
         if fields is None:
@@ -49,10 +51,11 @@ def read(path: Path | Remote, level: int = 0) -> Content:
 
 
 def _spatial(path: Path | Remote, values: np.ndarray, axes: int) -> np.ndarray:
-    """The voxels without OME's leading axes of time and channel, which must be of length one."""
+    """Remove OME's leading axes of time and channel, which must be of length one."""
     extra = values.ndim - axes if axes else max(0, values.ndim - 3)
     if any(side != 1 for side in values.shape[:extra]):
         raise FileError(
-            f"cannot read {path} as Zarr: {values.shape} has times or channels; write one of them to a store of its own"
+            f"cannot read {path} as Zarr: {values.shape} has times or channels; write one of them "
+            "to a store of its own"
         )
     return values.reshape(values.shape[extra:])

@@ -1,6 +1,4 @@
-"""What pixels of pictures stand for: transparency and palettes, the same in every format that has
-them.
-"""
+"""Transparency and palettes of pictures, the same in every format that has them."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from trabecula.core.errors import InputError
 
 
 def without_alpha(values: np.ndarray) -> np.ndarray:
-    """Grey or colour without its last channel, which says how opaque a pixel is.
+    """Return grey or colour without the last channel, a pixel's opacity.
 
     Parameters
     ----------
@@ -33,7 +31,7 @@ def without_alpha(values: np.ndarray) -> np.ndarray:
 
 
 def from_palette(indices: np.ndarray, palette: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The greys or colours behind indices into a palette.
+    """Return the greys or colours that indices into a palette stand for.
 
     Parameters
     ----------

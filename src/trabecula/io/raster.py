@@ -14,7 +14,7 @@ from trabecula.engine.files import replacing
 from trabecula.io import sidecar
 from trabecula.io.formats import format_of
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import KEY, Content, decode, encode, labels_of_greys, greys_of_labels
+from trabecula.io.metadata import KEY, Content, decode, encode, greys_of_labels, labels_of_greys
 from trabecula.io.pixels import from_palette, without_alpha
 from trabecula.io.resolution import Calibration, from_resolution
 
@@ -115,7 +115,9 @@ def read(path: Path) -> Content:
 
 
 def _calibration(picture: Any, form: str) -> Calibration:
-    """What a PNG's pHYs chunk or a JPEG's density says, where it may be a voxel size."""
+    """Return the calibration of a PNG's pHYs chunk or a JPEG's density, where it may be a voxel
+    size.
+    """
     x, y = picture.info.get("dpi", (0, 0)) if form in ("PNG", "JPEG") else (0, 0)
     if not (x > 0 and y > 0):
         return Calibration()
@@ -128,7 +130,7 @@ def _calibration(picture: Any, form: str) -> Calibration:
 
 
 def open_picture(path: Path, forms: tuple[str, ...]) -> Any:
-    """A picture whose header is read and whose pixels are not.
+    """Open a picture: its header is read, its pixels are not.
 
     Pillow refuses pictures of more than 179 million pixels, whatever memory there is; here
     `check_claim` weighs them.
@@ -144,7 +146,7 @@ def open_picture(path: Path, forms: tuple[str, ...]) -> Any:
 
 
 def _pixels(picture: Any) -> tuple[np.ndarray, bool]:
-    """Grey (Y, X) or colour (Y, X, 3), and which of both."""
+    """Return grey (Y, X) or colour (Y, X, 3), and whether it is colour."""
     if picture.mode == "P" and "transparency" not in picture.info:
         palette = np.array(picture.getpalette("RGB"), np.uint8).reshape(-1, 3)
         return from_palette(np.array(picture), palette)

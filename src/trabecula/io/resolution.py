@@ -1,4 +1,4 @@
-"""What a picture's resolution tags say of its voxels: pixels per inch, centimetre or metre.
+"""Resolution tags of pictures as voxel sizes: pixels per inch, centimetre or metre.
 
 Most of them are habits of programs (72, 96, 300 dpi, 1 a unit) and tell how large to print. Those
 are no voxel sizes; which were left aside, and why, is kept beside what was found.
@@ -15,29 +15,12 @@ PRINTED = 600.0
 in it.
 """
 
+# fmt: off
 _HABITS = (
-    72,
-    75,
-    90,
-    96,
-    100,
-    120,
-    144,
-    150,
-    180,
-    192,
-    200,
-    220,
-    240,
-    250,
-    300,
-    350,
-    360,
-    400,
-    600,
-    720,
-    1200,
+    72, 75, 90, 96, 100, 120, 144, 150, 180, 192, 200, 220,
+    240, 250, 300, 350, 360, 400, 600, 720, 1200,
 )
+# fmt: on
 _SMALLEST, _LARGEST = 1e-10, 0.1  # metres a voxel
 _INCHES = {"inch": 1.0, "cm": 2.54, "m": 0.0254}  # to pixels per inch
 _METRES = {"inch": 0.0254, "cm": 0.01, "m": 1.0}
@@ -82,18 +65,20 @@ def from_resolution(y: float, x: float, unit: str, *, what: str, ndim: int = 2) 
     why = _unlikely(y, unit) or _unlikely(x, unit)
     if why:
         return Calibration(
-            ignored=f"{what} say {stated}, {why}: ignored; give the spacing where it is known (--spacing, --unit)"
+            ignored=f"{what} say {stated}, {why}: ignored; give the spacing where it is known "
+            "(--spacing, --unit)"
         )
     if ndim != 2:
         return Calibration(
-            ignored=f"{what} say {stated} and nothing of z: ignored; give the spacing (--spacing, --unit)"
+            ignored=f"{what} say {stated} and nothing of z: ignored; give the spacing (--spacing, "
+            "--unit)"
         )
     known, factor = {"inch": ("mm", 25.4), "cm": ("cm", 1.0), "m": ("um", 1e6)}[unit]
     return Calibration((factor / y, factor / x), known, f"{what} ({stated})")
 
 
 def _unlikely(value: float, unit: str) -> str:
-    """Why so many pixels a unit are no voxel size; empty where they may be one."""
+    """Return why a resolution is no voxel size; empty where it may be one."""
     dpi = value * _INCHES[unit]
     if value == 1:
         return "which programs write that know no size"
@@ -109,7 +94,7 @@ def _unlikely(value: float, unit: str) -> str:
 
 
 def plausible(found: Calibration) -> Calibration:
-    """The calibration, unless it is a print's resolution that a program took over as inches."""
+    """Return the calibration, none where it is a print's resolution taken over as inches."""
     if found.spacing is None or canonical(found.unit or "") != "inch":
         return found
     y, x = (1 / edge for edge in found.spacing[-2:])

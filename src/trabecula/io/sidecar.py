@@ -1,4 +1,4 @@
-"""Our JSON in a file beside one whose format has no place for it: `NAME.npy.json`, `NAME.bmp.json`."""
+"""Our JSON in a file beside one whose format has no place for it: `x.npy.json`, `x.bmp.json`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trabecula.io.metadata import decode
 
 
 def sidecar_path(path: Path) -> Path:
-    """Where the JSON of `path` lies."""
+    """Return the path of the JSON of `path`."""
     return path.with_name(f"{path.name}.json")
 
 
@@ -36,7 +36,7 @@ def write_sidecar(path: Path, values: np.ndarray, text: str) -> Iterator[None]:
 
 
 def read_sidecar(path: Path, values: np.ndarray) -> dict[str, Any] | None:
-    """The fields beside `path`, or None where there are none.
+    """Read the fields beside `path`; None where there are none.
 
     Raises
     ------
@@ -54,6 +54,7 @@ def read_sidecar(path: Path, values: np.ndarray) -> dict[str, Any] | None:
         same = json.loads(text).get("sha256") == digest(values)
     if not same:
         raise FileError(
-            f"{beside} describes other voxels than {path} holds: one was replaced; remove the old one"
+            f"{beside} describes other voxels than {path} holds: one was replaced; remove the old "
+            "one"
         )
     return fields

@@ -14,11 +14,10 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.engine.files import replacing
 from trabecula.io import raster
-from trabecula.io.formats import format_of, suffix_of
+from trabecula.io.formats import format_of, suffixes
 from trabecula.io.guard import check_claim, check_dtype, report_damage
-from trabecula.io.metadata import Content, decode, encode, labels_of_greys, greys_of_labels
+from trabecula.io.metadata import Content, decode, encode, greys_of_labels, labels_of_greys
 
-_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 _FIELDS = "trabecula.json"
 _OURS = re.compile(r"slice_\d+\.png|trabecula\.json")
 
@@ -65,11 +64,12 @@ def read(path: Path) -> Content:
         values = np.empty(shape, first.values.dtype)
         for z, name in enumerate(track(names, "reading slices")):
             values[z] = _alike(_plane(name) if z else first, first, name).values
-        fields = _own(path, shape)
+        fields = _read_fields(path, shape)
         ignored = first.ignored
         if first.spacing is not None:
             ignored = (
-                f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which says nothing of z: ignored; "
+                f"{names[0].name} has a spacing (from {first.origin or 'its metadata'}), which "
+                "says nothing of z: ignored; "
                 "give the spacing (--spacing, --unit)"
             )
         return Content(
@@ -78,14 +78,15 @@ def read(path: Path) -> Content:
 
 
 def _slices(path: Path) -> list[Path]:
+    known = tuple(suffix for suffix, form in suffixes().items() if form.picture)
     names = [
         entry
         for entry in path.iterdir()
-        if suffix_of(entry) in _SUFFIXES and not entry.name.startswith(".")
+        if entry.name.lower().endswith(known) and not entry.name.startswith(".")
     ]
     if not names:
         raise FileError(
-            f"the folder {path} holds no slices ({', '.join(_SUFFIXES)}): name a file or another folder"
+            f"the folder {path} holds no slices ({', '.join(known)}): name a file or another folder"
         )
     sorts = Counter(format_of(name).name for name in names)
     if len(sorts) > 1:
@@ -101,7 +102,7 @@ def _slices(path: Path) -> list[Path]:
 
 
 def _plane(name: Path) -> Content:
-    content: Content = format_of(name).function("read")(name)
+    content = format_of(name).read(name)
     if content.values.ndim - content.colour != 2:
         raise FileError(f"{name} is a stack of its own, not a slice: read it alone")
     return content
@@ -111,13 +112,14 @@ def _alike(plane: Content, first: Content, name: Path) -> Content:
     this, that = plane.values, first.values
     if this.shape != that.shape or this.dtype != that.dtype or plane.colour != first.colour:
         raise FileError(
-            f"{name} is {this.shape} {this.dtype}, those before it {that.shape} {that.dtype}: all must be alike"
+            f"{name} is {this.shape} {this.dtype}, those before it {that.shape} {that.dtype}: all "
+            "must be alike"
         )
     return plane
 
 
-def _own(path: Path, shape: tuple[int, ...]) -> dict[str, Any] | None:
-    """The JSON in the folder; ValueError where slices are missing."""
+def _read_fields(path: Path, shape: tuple[int, ...]) -> dict[str, Any] | None:
+    """Read the JSON in the folder; ValueError where slices are missing."""
     if not (path / _FIELDS).exists():
         return None
     fields = decode((path / _FIELDS).read_text(encoding="utf-8"))

@@ -1,7 +1,7 @@
 """TIFF: pages along z, with the metadata of ImageJ and OME both ways.
 
 What is written is an ImageJ stack where ImageJ has the type (uint8, uint16, float32, colour) and
-classic TIFF the room, else OME-TIFF, else plain pages. Our own JSON lies in a private tag of the
+classic TIFF the room, else OME-TIFF, else plain pages. Our own JSON is in a private tag of the
 first page, so both kinds of reader skip it.
 """
 
@@ -54,9 +54,7 @@ def write(image: Image, path: Path) -> Path:
     with (
         replacing(path) as temporary,
         tifffile.TiffWriter(
-            temporary,
-            bigtiff=image.values.nbytes > _CLASSIC_ROOM,
-            **_writer_options(flavour),
+            temporary, bigtiff=image.values.nbytes > _CLASSIC_ROOM, **_writer_options(flavour)
         ) as tiff,
     ):
         values = np.ascontiguousarray(image.values)
@@ -89,7 +87,7 @@ def _writer_options(flavour: str) -> dict[str, Any]:
 
 
 def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
-    """Which readers the file is written for, and their metadata."""
+    """Return the flavour of TIFF, by the readers that have the type, and its metadata."""
     axes = ("ZYX" if image.ndim == 3 else "YX") + ("S" if image.kind == "colour" else "")
     name = image.values.dtype.name
     if name in _IMAGEJ and image.values.nbytes <= _CLASSIC_ROOM:
@@ -113,7 +111,7 @@ def _flavour(image: Image) -> tuple[str, dict[str, Any]]:
 
 
 def _per_unit(edge: float) -> tuple[int, int]:
-    """Voxels per unit as the nearest rational of two 32-bit numbers."""
+    """Return the voxels per unit as the nearest rational of two 32-bit numbers."""
     most = 2**32 - 1
     value = min(max(1 / Fraction(edge), Fraction(1, most)), Fraction(most))
     if value >= 1:
@@ -127,7 +125,10 @@ def read(path: Path) -> Content:
     """Read a TIFF (see `trabecula.io.files.read`)."""
     import tifffile
 
-    with report_damage(path, "TIFF", also=(tifffile.TiffFileError,)), tifffile.TiffFile(path) as tiff:
+    with (
+        report_damage(path, "TIFF", also=(tifffile.TiffFileError,)),
+        tifffile.TiffFile(path) as tiff,
+    ):
         _check_directories(tiff)
         series = _only_series(tiff)
         page: Any = tiff.pages.first
@@ -137,11 +138,13 @@ def read(path: Path) -> Content:
             path, series.shape, series.dtype, stored=shrinks and tiff.filehandle.size * shrinks
         )
         native = page.compression in _DECODED
-        values = series.asarray(maxworkers=thread_count()) if native else _by_pillow(path, tiff)
+        values = (
+            series.asarray(maxworkers=thread_count()) if native else _read_by_pillow(path, tiff)
+        )
         # Versions of tifffile differ in which axes of one voxel they leave out; shape and axes of a
         # series agree in each.
-        values = _stacked(values.reshape(series.shape), series.axes, path)
-        values, colour = _meant(
+        values = _stack_axes(values.reshape(series.shape), series.axes, path)
+        values, colour = _pixel_values(
             values, page, tiff.is_imagej, inverted=native and page.photometric == _WHITE_IS_ZERO
         )
         tag = page.tags.get(TAG)
@@ -210,12 +213,13 @@ def _only_series(tiff: Any) -> Any:
         )
     if series.is_multifile:
         raise InputError(
-            f"{tiff.filename} is one of several files that hold the volume together: save it as one file"
+            f"{tiff.filename} is one of several files that hold the volume together: save it as "
+            "one file"
         )
     for page in series:
         if page is None:
             raise ValueError("pages that its metadata name are missing")
-        # A count of bytes is asked for in one piece, however little of it the file has.
+        # A count of bytes is read in one piece, however little of it the file has.
         if (
             max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
             > tiff.filehandle.size
@@ -227,8 +231,8 @@ def _only_series(tiff: Any) -> Any:
     return series
 
 
-def _by_pillow(path: Path, tiff: Any) -> np.ndarray:
-    """Pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow
+def _read_by_pillow(path: Path, tiff: Any) -> np.ndarray:
+    """Read pages in a compression that tifffile leaves to another package (LZW, JPEG, fax): Pillow
     brings libtiff.
     """
     from trabecula.io.raster import open_picture
@@ -241,8 +245,8 @@ def _by_pillow(path: Path, tiff: Any) -> np.ndarray:
     return np.stack(pages)
 
 
-def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
-    """The values with axes (z, y, x), colour last; one page is a picture."""
+def _stack_axes(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
+    """Return the values with axes (z, y, x), colour last; one page is a picture."""
     for axis, letter in reversed(list(enumerate(axes))):
         if values.shape[axis] == 1 and letter not in "YX":
             values, axes = values.take(0, axis), axes[:axis] + axes[axis + 1 :]
@@ -257,17 +261,18 @@ def _stacked(values: np.ndarray, axes: str, path: Path) -> np.ndarray:
             f"{letter} {size}" for letter, size in zip(axes, values.shape, strict=True)
         )
         raise InputError(
-            f"{path} has the axes {sizes}: only one stack of slices (Z) can be read; save one time and channel alone"
+            f"{path} has the axes {sizes}: only one stack of slices (Z) can be read; save one time "
+            "and channel alone"
         )
     order = [axes.index(letter) for letter in [*stack, "Y", "X", *("S" if "S" in axes else "")]]
     return values.transpose(order)
 
 
-def _meant(
+def _pixel_values(
     values: np.ndarray, page: Any, imagej: bool, *, inverted: bool
 ) -> tuple[np.ndarray, bool]:
-    """Values as brightness or colour, and whether they are colour. ImageJ's palettes only show
-    greys, so they go.
+    """Return the values as brightness or colour, and whether they are colour. ImageJ's palettes
+    only show greys, so they are dropped.
     """
     samples = page.samplesperpixel
     if samples in (2, 4):
@@ -284,8 +289,8 @@ def _meant(
 
 
 def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
-    """Spacing along (z, y, x) and its unit, as OME, ImageJ or the resolution tags say, whichever
-    comes first.
+    """Return the spacing along (z, y, x) and its unit from OME, ImageJ or the resolution tags, in
+    this order.
     """
     if tiff.is_ome:
         found = _ome_calibration(tiff.ome_metadata, ndim=ndim)
@@ -300,7 +305,7 @@ def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
     ):
         z = abs(float(stated.get("spacing", 1.0))) or 1.0  # which ImageJ writes where it is not 1
         unit = str(stated["unit"]) if "unit" in stated else None
-        return plausible(_by_imagej((z, y, x)[-ndim:], unit))
+        return plausible(_imagej_calibration((z, y, x)[-ndim:], unit))
     tag = page.tags.get("ResolutionUnit")
     # A file without this tag is in inches (TIFF 6.0, page 38), but nobody who leaves it out means
     # so.
@@ -308,12 +313,12 @@ def _calibration(tiff: Any, page: Any, *, ndim: int) -> Calibration:
     if unit is not None:
         return from_resolution(1 / y, 1 / x, unit, what="the TIFF's resolution tags", ndim=ndim)
     if tiff.is_imagej:
-        return _by_imagej((1.0, y, x)[-ndim:], None)
+        return _imagej_calibration((1.0, y, x)[-ndim:], None)
     return Calibration()
 
 
-def _by_imagej(spacing: tuple[float, ...], unit: str | None) -> Calibration:
-    """ImageJ writes edges of 1 without a unit where it knows nothing."""
+def _imagej_calibration(spacing: tuple[float, ...], unit: str | None) -> Calibration:
+    """Return ImageJ's calibration; edges of 1 without a unit mean that it knows none."""
     known = set(spacing) != {1.0} or (unit is not None and has_length(unit))
     return Calibration(spacing, unit, "ImageJ metadata") if known else Calibration()
 
@@ -334,7 +339,8 @@ def _ome_calibration(text: str, *, ndim: int) -> Calibration:
     missing = [axis for axis in "ZYX"[-ndim:] if f"PhysicalSize{axis}" not in pixels.attrib]
     if missing:
         return Calibration(
-            ignored=f"its OME metadata say nothing of {', '.join(missing)}, so the sizes along the other axes are ignored: give "
+            ignored=f"its OME metadata say nothing of {', '.join(missing)}, so the sizes along the "
+            "other axes are ignored: give "
             "the spacing (--spacing, --unit)"
         )
     edges, units = [], []

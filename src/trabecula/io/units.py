@@ -44,8 +44,8 @@ _SPELLINGS[NO_LENGTH] = NO_LENGTH
 
 
 def canonical(unit: str) -> str:
-    """The short name of a unit in any usual spelling ("micron", "µm", "millimetre"); an unknown one
-    as it came.
+    """Return the short name of a unit in any usual spelling ("micron", "µm", "millimetre"); an
+    unknown one as it is.
     """
     return _SPELLINGS.get(unit.strip().lower(), unit.strip())
 
@@ -57,12 +57,12 @@ def check_unit(unit: str) -> None:
 
 
 def has_length(unit: str) -> bool:
-    """Whether a unit is a length; "voxel" is not, nor is an unknown one."""
+    """Return whether a unit is a length; "voxel" is not, nor is an unknown one."""
     return canonical(unit) in _LENGTHS
 
 
 def to_metres(unit: str) -> float:
-    """Metres in one `unit`.
+    """Return the metres in one `unit`.
 
     Raises
     ------
@@ -71,16 +71,17 @@ def to_metres(unit: str) -> float:
     """
     if not has_length(unit):
         raise InputError(
-            f"unit {unit!r} has no length: give the image a spacing and one of {', '.join(_LENGTHS)}"
+            f"unit {unit!r} has no length: give the image a spacing and one of "
+            f"{', '.join(_LENGTHS)}"
         )
     return _LENGTHS[canonical(unit)][0]
 
 
 def long_name(unit: str) -> str | None:
-    """The name that OME-Zarr uses ("micrometer"), or None where there is no length."""
+    """Return the name that OME-Zarr uses ("micrometer"), or None where there is no length."""
     return _LENGTHS[canonical(unit)][1] if has_length(unit) else None
 
 
 def symbol(unit: str) -> str | None:
-    """The symbol that OME-XML uses ("µm"), or None where there is no length."""
+    """Return the symbol that OME-XML uses ("µm"), or None where there is no length."""
     return _LENGTHS[canonical(unit)][2] if has_length(unit) else None

@@ -44,7 +44,7 @@ def write(image: Image, path: Path) -> Path:
     values = np.ascontiguousarray(image.values)
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(_head(image).encode("ascii"))
-        for piece in _packed(values):
+        for piece in _compress(values):
             file.write(piece)
         file.write(b"\n  </AppendedData>\n</VTKFile>\n")
     return path
@@ -59,8 +59,9 @@ def _head(image: Image) -> str:
     colour = ' NumberOfComponents="3"' if image.kind == "colour" else ""
     text = " ".join(str(code) for code in (*encode(image).encode("ascii"), 0))
     order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
+    kind = f'type="ImageData" version="1.0" byte_order="{order}" header_type="UInt64"'
     return f"""<?xml version="1.0"?>
-<VTKFile type="ImageData" version="1.0" byte_order="{order}" header_type="UInt64" compressor="vtkZLibDataCompressor">
+<VTKFile {kind} compressor="vtkZLibDataCompressor">
   <ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{" ".join(map(repr, spacing))}">
     <FieldData>
       <Array type="String" Name="{KEY}" NumberOfTuples="1" format="ascii">{text}</Array>
@@ -75,9 +76,9 @@ def _head(image: Image) -> str:
    _"""
 
 
-def _packed(values: np.ndarray) -> list[bytes]:
-    """Counts (blocks, bytes of a block, bytes of a shorter last one, packed bytes of each), then
-    the blocks.
+def _compress(values: np.ndarray) -> list[bytes]:
+    """Return counts (blocks, bytes of a block, bytes of a shorter last one, packed bytes of each),
+    then the blocks.
     """
     raw = values.reshape(-1).view(np.uint8).data
     blocks = [zlib.compress(raw[start : start + _BLOCK], 4) for start in range(0, len(raw), _BLOCK)]
@@ -95,20 +96,24 @@ class _File:
 
     @property
     def order(self) -> str:
+        """Return the byte order, as NumPy writes it."""
         return ">" if self.root.get("byte_order") == "BigEndian" else "<"
 
     @property
     def count_type(self) -> np.dtype:
+        """Return the type of the counts before the voxels."""
         return np.dtype(
             self.order + {"UInt32": "u4", "UInt64": "u8"}[self.root.get("header_type", "UInt32")]
         )
 
     @property
-    def packed(self) -> bool:
+    def is_packed(self) -> bool:
+        """Return whether the voxels are compressed, which only zlib may have done."""
         compressor = self.root.get("compressor", "")
         if compressor not in ("", "vtkZLibDataCompressor"):
             raise ValueError(
-                f"it is packed with {compressor}, only vtkZLibDataCompressor is read; save it so in ParaView"
+                f"it is packed with {compressor}, only vtkZLibDataCompressor is read; save it so "
+                "in ParaView"
             )
         return bool(compressor)
 
@@ -116,7 +121,7 @@ class _File:
 def read(path: Path) -> Content:
     """Read .vti (see `trabecula.io.files.read`)."""
     with report_damage(path, "VTK ImageData"):
-        whole = _opened(path)
+        whole = _parse(path)
         grid = whole.root.find("ImageData")
         pieces = [] if grid is None else grid.findall("Piece")
         if grid is None or len(pieces) != 1:
@@ -125,12 +130,12 @@ def read(path: Path) -> Content:
             int(bound) for bound in pieces[0].get("Extent", grid.get("WholeExtent", "")).split()
         ]
         spans = [high - low for low, high in zip(low_high[::2], low_high[1::2], strict=True)]
-        array, cells = _chosen(pieces[0])
+        array, cells = _choose_array(pieces[0])
         sides = [max(span, 1) if cells else span + 1 for span in reversed(spans)]
         channels = int(array.get("NumberOfComponents", "1"))
         shape = tuple(sides if spans[2] else sides[1:]) + ((channels,) if channels != 1 else ())
         dtype = np.dtype(whole.order + np.dtype(_TYPES[array.get("type", "")]).str[1:])
-        room = path.stat().st_size * (DEFLATE if whole.packed else 1)
+        room = path.stat().st_size * (DEFLATE if whole.is_packed else 1)
         check_claim(path, shape, dtype, stored=room)
         values = _values(whole, array, dtype, int(np.prod(shape, dtype=np.int64))).reshape(shape)
         spacing = [abs(float(edge)) for edge in reversed(grid.get("Spacing", "1 1 1").split())]
@@ -138,11 +143,11 @@ def read(path: Path) -> Content:
             values,
             colour=channels == 3,
             spacing=tuple(spacing if spans[2] else spacing[1:]),
-            fields=_own(grid),
+            fields=_read_fields(grid),
         )
 
 
-def _opened(path: Path) -> _File:
+def _parse(path: Path) -> _File:
     raw = path.read_bytes()
     start = raw.find(b"<AppendedData")
     if start < 0:
@@ -159,9 +164,9 @@ def _opened(path: Path) -> _File:
     return _File(root, raw[underscore + 1 : end], encoding)
 
 
-def _chosen(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
-    """The array that is the image: the named scalars, else the only one; and whether it lies on
-    cells.
+def _choose_array(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
+    """Return the array that is the image, the named scalars or else the only one, and whether its
+    values are on cells.
     """
     for place in ("CellData", "PointData"):
         node = piece.find(place)
@@ -194,30 +199,31 @@ def _values(whole: _File, array: ElementTree.Element, dtype: np.dtype, count: in
 
 
 def _bytes(whole: _File, data: bytes, need: int, *, coded: bool) -> bytes:
-    """The voxels' bytes from `data`, which starts with their counts and may go on with other
-    arrays.
+    """Return the voxels' bytes from `data`, which starts with their counts; other arrays may
+    follow.
     """
     width = whole.count_type.itemsize
-    if not whole.packed:
-        raw = _decoded(data, width + need) if coded else data[: width + need]
+    if not whole.is_packed:
+        raw = _decode_base64(data, width + need) if coded else data[: width + need]
         count = int(np.frombuffer(raw[:width], whole.count_type)[0])
         if count != need or len(raw) != width + need:
             raise ValueError(
-                f"it holds {min(count, len(raw) - width)} bytes of voxels, its extent asks for {need}"
+                f"it holds {min(count, len(raw) - width)} bytes of voxels, its extent asks for "
+                f"{need}"
             )
         return raw[width:]
     # In base64 the counts and the blocks are coded each on their own.
-    start = _decoded(data, 3 * width) if coded else data[: 3 * width]
+    start = _decode_base64(data, 3 * width) if coded else data[: 3 * width]
     blocks, size, last = (int(value) for value in np.frombuffer(start, whole.count_type))
     if (blocks - 1 if last else blocks) * size + last != need:
         raise ValueError(
             f"it claims {blocks} blocks of {size} bytes, its extent asks for {need} bytes"
         )
     head = (3 + blocks) * width
-    raw_head = _decoded(data, head) if coded else data[:head]
+    raw_head = _decode_base64(data, head) if coded else data[:head]
     lengths = [int(value) for value in np.frombuffer(raw_head, whole.count_type)[3:]]
-    rest = data[_coded_length(head) if coded else head :]
-    packed = memoryview(_decoded(rest, sum(lengths)) if coded else rest)
+    rest = data[_base64_length(head) if coded else head :]
+    packed = memoryview(_decode_base64(rest, sum(lengths)) if coded else rest)
     ends = np.cumsum([0, *lengths])
     raw = b"".join(zlib.decompress(packed[a:b]) for a, b in pairwise(ends))
     if len(raw) != need:
@@ -225,15 +231,15 @@ def _bytes(whole: _File, data: bytes, need: int, *, coded: bool) -> bytes:
     return raw
 
 
-def _coded_length(count: int) -> int:
+def _base64_length(count: int) -> int:
     return 4 * -(-count // 3)
 
 
-def _decoded(data: bytes, count: int) -> bytes:
-    return base64.b64decode(data[: _coded_length(count)], validate=True)[:count]
+def _decode_base64(data: bytes, count: int) -> bytes:
+    return base64.b64decode(data[: _base64_length(count)], validate=True)[:count]
 
 
-def _own(grid: ElementTree.Element) -> dict | None:
+def _read_fields(grid: ElementTree.Element) -> dict | None:
     for array in grid.findall("FieldData/Array"):
         if array.get("Name") == KEY and array.get("format") == "ascii":
             return decode(bytes(int(code) for code in (array.text or "").split()))

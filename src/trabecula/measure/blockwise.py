@@ -1,6 +1,4 @@
-"""`describe` of a volume that is read some planes at a time: the same figures, without the volume
-in memory.
-"""
+"""Descriptors of a volume that is read some planes at a time, without the volume in memory."""
 
 from __future__ import annotations
 
@@ -19,19 +17,23 @@ from trabecula.engine.memory import Plan
 from trabecula.measure.centre_crop import box_sides
 from trabecula.measure.correlation.pair_geometry import Radial, steps_of
 from trabecula.measure.correlation.window import Window
-from trabecula.measure.describe import LEVELS, SLOW, figures_from, outline_without_solid, void_notes
+from trabecula.measure.describe import (
+    SIZE_KEYS,
+    derive_phase_figures,
+    outline_without_solid,
+    void_notes,
+)
 from trabecula.measure.each_phase import drop_redundant, redundant_beside_solid
 from trabecula.measure.effective_properties import PHYSICS, describe_physics, physics_notes
 from trabecula.measure.phases import indicator
+from trabecula.measure.registry import CURVES, DESCRIPTORS, LEVELS, select
 from trabecula.measure.runs import RUN_BYTES
 from trabecula.measure.streaming import ComponentSizes, SolidNumbers
 from trabecula.measure.streaming.numbers import CurveTally, PhaseTallies
 from trabecula.measure.streaming.pairs import pairs_bytes
 
-LEFT_OUT = (*SLOW, "two_point_cluster")
-"""What needs the whole volume in memory."""
 PHASES_LEFT_OUT = ("cross_correlation", "triples")
-"""What of three phases or more needs it as well."""
+"""Figures of three phases or more that need the whole volume in memory."""
 
 _IN_CORE = {"quick": 26, "default": 45, "full": 45}
 """Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own
@@ -48,7 +50,7 @@ def describe_slabs(
     depth: int | None = None,
     memory: int | None = None,
 ) -> dict[str, Any]:
-    """What `describe` tells of a volume, from slabs of it: every plane is read once.
+    """Describe a volume from slabs of it, as `describe` does: every plane is read once.
 
     Parameters
     ----------
@@ -85,7 +87,8 @@ def describe_slabs(
     check_name(level, LEVELS, name="level")
     if level == "full" and box is None:
         raise InputError(
-            "transport and stiffness of a volume in slabs are solved in a centre box: give its edge (--box)"
+            "transport and stiffness of a volume in slabs are solved in a centre box: "
+            "give its edge (--box)"
         )
     reach = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     reach = max(1, min(reach, min(volume.shape) // 2))
@@ -94,13 +97,13 @@ def describe_slabs(
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
     if "void" in volume.phases:
         found = count_slabs(volume, r_max=reach, depth=depth, phases=True)[0] | dict.fromkeys(
-            (*LEFT_OUT, *PHYSICS)
+            (*names_without_slabs(), *PHYSICS)
         )
     else:
         found = _count_phases(volume, r_max=reach, depth=depth)
-    known = figures_from(volume.phases, found)
-    told = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
-    found["phases"] = drop_redundant(told, redundant_beside_solid(volume.phases))
+    known = derive_phase_figures(volume.phases, found)
+    each = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
+    found["phases"] = drop_redundant(each, redundant_beside_solid(volume.phases))
     if level == "full" and "void" in volume.phases:
         found |= describe_physics(volume.centre(box_sides(box, volume.shape)), halving=True)
     notes = [*void_notes(volume.phases), *_notes(level, volume.phases), *physics_notes(found)]
@@ -110,7 +113,7 @@ def describe_slabs(
 def fitting_depth(
     volume: Slabs, *, r_max: int, memory: int | None = None, phases: bool = False
 ) -> int:
-    """Planes of the deepest slab with which `count_slabs` fits into memory.
+    """Return the planes of the deepest slab with which `count_slabs` fits into memory.
 
     Raises
     ------
@@ -129,8 +132,8 @@ def fitting_depth(
 def count_slabs(
     volume: Slabs, *, r_max: int, depth: int, phases: bool = False, tallies: Sequence[Any] = ()
 ) -> tuple[dict[str, Any], ComponentSizes]:
-    """What one pass over all planes tells, by the names of `describe`, and the components of the
-    solid.
+    """Measure what one pass over all planes gives, by the names of `describe`, and the components
+    of the solid.
 
     Parameters
     ----------
@@ -140,7 +143,7 @@ def count_slabs(
     depth : int
         Planes of a slab.
     phases : bool
-        Tell `phases` and `pairs` as well. Every phase is a pass of its own over each slab.
+        Measure `phases` and `pairs` as well. Every phase is a pass of its own over each slab.
     tallies : sequence, optional
         Further objects whose `add` takes every slab, so that planes are read once for them as well.
 
@@ -152,7 +155,7 @@ def count_slabs(
     pairs = _radial(volume, r_max)
     numbers, curves = SolidNumbers(volume.shape, volume.spacing, volume.phases), CurveTally(pairs)
     each = _each_phase(volume, pairs) if phases else None
-    for slab in _tracked(volume, depth):
+    for slab in _iterate_slabs(volume, depth):
         inside = indicator(slab, None)[1]
         numbers.add(slab)
         curves.add(inside)
@@ -174,11 +177,9 @@ def count_slabs(
 
 def _count_phases(volume: Slabs, *, r_max: int, depth: int) -> dict[str, Any]:
     """Count every phase in one pass over all planes, where no phase is named void."""
-    each, counts = (
-        _each_phase(volume, _radial(volume, r_max)),
-        np.zeros(len(volume.phases), np.int64),
-    )
-    for slab in _tracked(volume, depth):
+    each = _each_phase(volume, _radial(volume, r_max))
+    counts = np.zeros(len(volume.phases), np.int64)
+    for slab in _iterate_slabs(volume, depth):
         counts += np.bincount(slab.values.ravel(), minlength=len(counts))
         each.add(slab)
     return outline_without_solid(volume, counts, r_max=r_max) | each.result()
@@ -191,7 +192,7 @@ def _each_phase(volume: Slabs, pairs: Radial) -> PhaseTallies:
     return PhaseTallies(volume.spacing, volume.phases, pairs, skipped=skipped)
 
 
-def _tracked(volume: Slabs, depth: int) -> Iterable[Image]:
+def _iterate_slabs(volume: Slabs, depth: int) -> Iterable[Image]:
     return track(volume.slabs(depth), "slabs", total=-(-volume.shape[0] // depth))
 
 
@@ -200,27 +201,33 @@ def _radial(volume: Slabs, r_max: int) -> Radial:
 
 
 def _notes(level: str, phases: Sequence[str]) -> list[str]:
-    left_out = [
-        *(LEFT_OUT if level != "quick" else ()),
-        *(PHASES_LEFT_OUT if len(phases) > 2 else ()),
-    ]
-    if not left_out:
+    missing = [name for name in names_without_slabs() if DESCRIPTORS[name].is_measured(level)]
+    missing += PHASES_LEFT_OUT if len(phases) > 2 else ()
+    if not missing:
         return []
     return [
-        f"Measured slab by slab: {', '.join(left_out)} need the whole volume in memory and were left out; measure them in a "
-        "box (--crop), or at a coarser level of the store."
+        f"Measured slab by slab: {', '.join(missing)} need the whole volume in memory and were "
+        "left out; measure them in a box (--crop), or at a coarser level of the store."
     ]
+
+
+def names_without_slabs() -> tuple[str, ...]:
+    """Return the names of the descriptors that need the whole volume in memory."""
+    curves = [one for one in select(source=CURVES, kind="labels") if not one.streams]
+    single = select(source="", kind="labels")
+    return (*SIZE_KEYS, *(one.name for one in (*curves, *single)))
 
 
 def forecast(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) -> Plan:
-    """What `count_slabs` will need with slabs of `depth` planes; `r_max` has to fit every side.
+    """Forecast the memory of `count_slabs` with slabs of `depth` planes; `r_max` has to fit every
+    side.
 
     Parameters
     ----------
     volume : Slabs
     r_max, depth : int
     phases : bool
-        Whether every phase is told for itself.
+        Whether every phase is measured as well.
 
     Returns
     -------
@@ -241,5 +248,5 @@ def forecast(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) -> 
 
 
 def in_core_bytes(shape: tuple[int, ...], level: str) -> int:
-    """About what `describe` of a volume in memory needs."""
+    """Estimate the bytes that `describe` of a volume in memory needs."""
     return _IN_CORE[level] * math.prod(shape)

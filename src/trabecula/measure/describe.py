@@ -1,4 +1,4 @@
-"""Every descriptor of an image at once, as plain values."""
+"""All descriptors of an image at once, as plain values."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from trabecula.core.progress import notify
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
 from trabecula.measure.each_phase import (
-    CURVES,
-    LEVELS,
-    NUMBERS,
+    PHASE_CURVES,
     collect_phases,
     drop_redundant,
     redundant_beside_solid,
@@ -30,17 +28,18 @@ from trabecula.measure.morphometry import morphometry
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import check_sides, indicator
+from trabecula.measure.registry import DESCRIPTORS, LEVELS, measure_one_by_one, select
 from trabecula.measure.streaming.numbers import SOLID_NUMBERS, SolidNumbers, fractions_of
 from trabecula.measure.thickness import pore_size, thickness
 
-SLOW = ("pore_size", "thickness", "morphometry", "anisotropy")
-"""What needs distances and directions."""
+SIZE_KEYS = ("pore_size", "thickness", "morphometry", "anisotropy")
+"""What needs distances and directions, in the order of `describe`."""
 
 
 def describe(
     image: Image | ArrayLike, *, r_max: int = 50, level: str = "default", box: int | None = None
 ) -> dict[str, Any]:
-    """Every descriptor of a material, as plain JSON values.
+    """Describe a material by every descriptor, as plain JSON values.
 
     Where one number is needed, it is that of the solid: every phase but "void". Every phase for
     itself stands under `phases`. Neighbours share a face.
@@ -68,7 +67,7 @@ def describe(
         .. r_max voxels), `lineal_path`; from "default" on `pore_size`, `thickness`, `morphometry`
         (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`; in "full"
         `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid
-        (each per axis), `stiffness` of the solid (matrix and moduli), and `physics`, which tells of
+        (each per axis), `stiffness` of the solid (matrix and moduli), and `physics`, which says of
         each whether it converged and what halving the voxel changes. Besides `shape`, `spacing`,
         `unit`, `r_max`, `level`, and `notes` on margins without material (`find_margins`), and on
         what is infinite or has not converged. Lengths are in `unit`; the curves run in voxels.
@@ -95,16 +94,13 @@ def describe(
         found = describe_numbers(image, level=level) | describe_curves(
             image, r_max=r_max, level=level
         )
-        found |= (
-            describe_physics(image, box=box, halving=True)
-            if level == "full"
-            else dict.fromkeys(PHYSICS)
-        )
+        full = level == "full"
+        found |= describe_physics(image, box=box, halving=True) if full else dict.fromkeys(PHYSICS)
     else:
         counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
         found = outline_without_solid(image, counts, r_max=r_max)
     found |= collect_phases(
-        image, level=level, r_max=r_max, known=figures_from(image.phases, found)
+        image, level=level, r_max=r_max, known=derive_phase_figures(image.phases, found)
     )
     found["phases"] = drop_redundant(found["phases"], redundant_beside_solid(image.phases))
     return found | {
@@ -113,14 +109,17 @@ def describe(
     }
 
 
-def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the figures of single phases that `found`, by the names of `describe`, holds already."""
+def derive_phase_figures(
+    phases: Sequence[str], found: Mapping[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Return the figures of single phases that are among those of `describe` already."""
     if "void" not in phases:
         return {}
     known: dict[str, dict[str, Any]] = {"void": {"thickness": found["pore_size"]}}
     if len(phases) == 2:
         solid = next(name for name in phases if name != "void")
-        known[solid] = {name: found[name] for name in NUMBERS if name != "fraction"}
+        numbers = {one.name for one in select(each="phase") if not one.curve}
+        known[solid] = {name: value for name, value in found.items() if name in numbers}
         known[solid] |= {
             "fraction": found["fractions"][solid],
             "lineal_path": found["lineal_path"],
@@ -132,26 +131,30 @@ def figures_from(phases: Sequence[str], found: Mapping[str, Any]) -> dict[str, d
 def outline_without_solid(
     image: Image | Slabs, counts: np.ndarray, *, r_max: int
 ) -> dict[str, Any]:
-    """Return the keys of `describe` for an image of which nobody knows what is solid; `counts` are
-    voxels of every phase.
+    """Return the keys of `describe` for an image without a void, so that no phase is known as the
+    solid; `counts` are voxels of every phase.
     """
     outline = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
-    solid = dict.fromkeys((*SOLID_NUMBERS, *SLOW, *CURVES, "two_point_cluster", *PHYSICS))
+    single = (one.name for one in select(source="", kind="labels"))
+    solid = dict.fromkeys(
+        (*SOLID_NUMBERS, *SIZE_KEYS, *single, *PHASE_CURVES, "two_point_cluster", *PHYSICS)
+    )
     return {**outline, "fractions": fractions_of(counts, image.phases), "r_max": r_max, **solid}
 
 
 def void_notes(phases: Sequence[str]) -> list[str]:
-    """Return what has to be known where no phase is named void."""
+    """Return a note where no phase is named void."""
     if "void" in phases:
         return []
     return [
-        f"No phase of {', '.join(phases)} is named void, so it is open what is solid: figures of pores and of the solid are "
-        "left out, those of every phase stand under phases. Name one of the phases void to have both."
+        f"No phase of {', '.join(phases)} is named void, so it is open what is solid: figures of "
+        "pores and of the solid are left out, those of every phase stand under phases. Name one of "
+        "the phases void to have both."
     ]
 
 
 def margin_notes(image: Image) -> list[str]:
-    """Say that an image has margins without material, where it has; the line comes back as well."""
+    """Report margins without material, where there are any; return the line as well."""
     note = margin_note(image)
     if note is not None:
         notify(note)
@@ -159,7 +162,7 @@ def margin_notes(image: Image) -> list[str]:
 
 
 def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
-    """What `describe` tells, less the curves and the physics."""
+    """Measure what `describe` reports, less the curves and the physics."""
     image, solid = indicator(image, None)
     numbers = SolidNumbers(image.shape, image.spacing, image.phases)
     numbers.add(image)
@@ -169,24 +172,22 @@ def describe_numbers(image: Image, *, level: str = "default") -> dict[str, Any]:
         "unit": image.unit,
         **numbers.result(),
     }
-    slow: dict[str, Any] = dict.fromkeys(SLOW)
-    if level != "quick":
-        slow |= _sizes(image, solid)
-    return found | slow
+    sizes: dict[str, Any] = dict.fromkeys(SIZE_KEYS)
+    if DESCRIPTORS["thickness"].is_measured(level):
+        sizes |= _sizes(image, solid)
+    return found | sizes | measure_one_by_one(image, level=level)
 
 
 def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
-    """What needs distances and directions."""
+    """Measure what needs distances and directions."""
     both = bool(solid.any() and not solid.all())
     bones = morphometry(image) if image.ndim == 3 else None
     if bones is not None:
         bones["DA"] = anisotropy(image) if both else None
         thick, pore = bones["Tb.Th"], bones["Tb.Sp"]
     else:
-        thick, pore = (
-            (None if solid.all() else thickness(image)),
-            (pore_size(image) if solid.any() else None),
-        )
+        thick = None if solid.all() else thickness(image)
+        pore = pore_size(image) if solid.any() else None
     return {
         "pore_size": pore,
         "thickness": thick,
@@ -196,23 +197,30 @@ def _sizes(image: Image, solid: np.ndarray) -> dict[str, Any]:
 
 
 def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict[str, Any]:
-    """The curves of `describe`, r = 0 .. r_max voxels; r_max has to fit every side."""
+    """Measure the curves of `describe`, r = 0 .. r_max voxels; r_max has to fit every side."""
     curves = {
         name: two_point(image, r_max=r_max, axis=axis)
         for axis, name in enumerate(AXES[3 - image.ndim :])
     }
     curves["radial"] = two_point(image, r_max=r_max)
-    cluster = None if level == "quick" else two_point_cluster(image, r_max=r_max).tolist()
+    cluster = None
+    if DESCRIPTORS["two_point_cluster"].is_measured(level):
+        cluster = two_point_cluster(image, r_max=r_max).tolist()
+    single = measure_one_by_one(image, level=level, curve=True, r_max=r_max)
     return {
         "r_max": r_max,
         "two_point": {name: curve.tolist() for name, curve in curves.items()},
         "two_point_cluster": cluster,
         "lineal_path": lineal_path(image, r_max=r_max).tolist(),
+        **{
+            name: None if curve is None else np.asarray(curve).tolist()
+            for name, curve in single.items()
+        },
     }
 
 
 def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, Any]:
-    """Grey values or colours as they are: what `describe` gives for an image that holds no labels.
+    """Describe grey values or colours as they are, as `describe` does where there are no labels.
 
     Parameters
     ----------
@@ -251,12 +259,13 @@ def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, A
             name: line.tolist() for name, line in autocorrelation_lines(image, lags=lags).items()
         },
         "orientation": orientation(image).shares.tolist(),
+        **measure_one_by_one(image, level="full"),
         "level": "texture",
     }
 
 
 def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
-    """The autocorrelation along every axis by its name, lag 0 first."""
+    """Return the autocorrelation along every axis by its name, lag 0 first."""
     whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) - 1)))
     centre = tuple(side // 2 for side in whole.shape)
     return {

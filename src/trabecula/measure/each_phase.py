@@ -1,10 +1,10 @@
-"""Every phase for itself, every pair of phases, and the lines where three meet.
+"""Single phases, pairs of phases, and the lines where three meet.
 
-What is the same for two phases is told once: with two phases the interface and S2 (its covariance)
-of the one are those of the other, so they stand with the solid (the last phase, where none is named
-void), and there are neither pairs nor triples. Components, percolation, lineal path, chords and
-thickness differ, and are told of both. The components of a phase are found once, for its own
-figures and for the active share of the triple-phase lines.
+What is the same for two phases is reported once: with two phases the interface and S2 (its
+covariance) of the one are those of the other, so they stand with the solid (the last phase, where
+none is named void), and there are neither pairs nor triples. Components, percolation, lineal path,
+chords and thickness differ, and are reported of both. The components of a phase are found once, for
+its own figures and for the active share of the triple-phase lines.
 """
 
 from __future__ import annotations
@@ -25,27 +25,15 @@ from trabecula.measure.correlation import cross_correlation, lineal_path, two_po
 from trabecula.measure.minkowski import densities
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import as_inside, check_sides
+from trabecula.measure.registry import CURVES, LEVELS, measure_one_by_one, select
 from trabecula.measure.streaming import CrossingTally, phase_figures
 from trabecula.measure.thickness import thickness
 from trabecula.measure.triple_lines import TripleLine, lines_of, mark_components
 
-LEVELS = ("quick", "default", "full")
 SAME_FOR_TWO = ("specific_surface", "two_point")
 """What two phases have in common."""
-CURVES = ("two_point", "lineal_path")
+PHASE_CURVES = tuple(one.name for one in select(each="phase", source=CURVES))
 
-NUMBERS = (
-    *(
-        "fraction",
-        "specific_surface",
-        "euler_density",
-        "mean_curvature",
-        "components",
-        "floating",
-        "floating_voxels",
-    ),
-    *("largest_fraction", "percolates", "percolating_fraction", "chord_length", "thickness"),
-)
 Known = Mapping[str, Mapping[str, Any]]
 """Figures by phase that have been measured already, or are not wanted."""
 
@@ -100,8 +88,8 @@ def describe_phases(
         in the order of the labels; lengths are in the image's unit. `None` where a value does not
         exist, such as the thickness of a phase that is empty or fills the image, or was left out.
         With two phases `pairs` and `triples` are empty, and `specific_surface` and `two_point` are
-        told of one phase only (of the other they are the same): the solid, or the last one where
-        none is named void.
+        reported of one phase only (of the other they are the same): the solid, or the last one
+        where none is named void.
 
     Raises
     ------
@@ -142,8 +130,8 @@ def collect_phases(
 def drop_redundant(
     phases: Mapping[str, Mapping[str, Any]], repeating: Container[str]
 ) -> dict[str, dict[str, Any]]:
-    """Return the figures of phases; those that repeat another's without what two phases have in
-    common.
+    """Return the figures of phases, without those that two phases have in common where the phase
+    repeats the other's.
     """
     return {
         name: {
@@ -156,14 +144,11 @@ def drop_redundant(
 
 
 def redundant_beside_solid(image_phases: Sequence[str]) -> Sequence[str]:
-    """Return the phases that repeat another's figures in `describe`, which tells the solid's: of
+    """Return the phases that repeat another's figures in `describe`, which reports the solid's: of
     two, both.
     """
-    return (
-        image_phases
-        if len(image_phases) == 2 and "void" in image_phases
-        else redundant_phases(image_phases, None)
-    )
+    with_void = len(image_phases) == 2 and "void" in image_phases
+    return image_phases if with_void else redundant_phases(image_phases, None)
 
 
 def as_labels(image: Image | ArrayLike, level: str) -> Image:
@@ -178,8 +163,8 @@ def as_labels(image: Image | ArrayLike, level: str) -> Image:
 
 
 def redundant_phases(phases: Sequence[str], only: str | None) -> Sequence[str]:
-    """Return, of two phases, the one whose interface and S2 are told with the other: the void, or
-    the first.
+    """Return, of two phases, the one whose interface and S2 are reported with the other: the void,
+    or the first.
     """
     if len(phases) != 2 or only is not None:
         return ()
@@ -208,7 +193,8 @@ def measure_numbers(
                     image, name, inside, cubes[name], spans, level=level, given=given
                 )
         elif name in wanted:
-            phases[name] = {key: given[key] for key in NUMBERS}
+            numbers = {key: value for key, value in given.items() if key not in PHASE_CURVES}
+            phases[name] = {"fraction": None, **numbers}
     areas = {pair: _contact(image, pair, cubes) for pair in pairs}
     return PhaseFigures(phases, areas, lines_of(image, spans) if triples else {})
 
@@ -224,19 +210,20 @@ def _figures(
     given: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Measure the numbers of a phase, and mark in `spans` what percolates."""
-    pieces = mark_components(inside, spans, range(image.ndim))
+    components = mark_components(inside, spans, range(image.ndim))
     crossings = CrossingTally()
     crossings.add(as_inside(inside))
     shape = densities(cubes, image.spacing, 6 if image.ndim == 3 else 4)
-    fraction = pieces.voxels / inside.size
+    fraction = components.voxels / inside.size
     found = {
         "fraction": fraction,
-        **phase_figures(shape, pieces, crossings.rates(image.spacing), inside.size),
+        **phase_figures(shape, components, crossings.rates(image.spacing), inside.size),
     }
     thick = None
     if level != "quick" and 0 < fraction < 1:
         thick = given["thickness"] if "thickness" in given else thickness(image, phase=name)
-    return {**found, "thickness": thick}
+    single = measure_one_by_one(image, level=level, each="phase", phase=name)
+    return {**found, "thickness": thick, **single}
 
 
 def _contact(image: Image, pair: tuple[str, str], cubes: Mapping[str, np.ndarray]) -> float:
@@ -262,8 +249,8 @@ def measure_curves(
                 None if name in redundant_phases(names, only) else _two_point(image, name, r_max)
             )
         if "lineal_path" not in found:
-            found["lineal_path"] = _listed(lineal_path(image, phase=name, r_max=r_max))
-        phases[name] = {curve: found[curve] for curve in CURVES}
+            found["lineal_path"] = _as_list(lineal_path(image, phase=name, r_max=r_max))
+        phases[name] = {curve: found[curve] for curve in PHASE_CURVES}
     pairs = _pairs(names, only) if cross else []
     return PhaseCurves(
         phases,
@@ -287,10 +274,10 @@ def _two_point(image: Image, name: str, r_max: int) -> dict[str, list[float]]:
         for axis, along in enumerate(AXES[3 - image.ndim :])
     }
     return {
-        along: _listed(curve)
+        along: _as_list(curve)
         for along, curve in (curves | {"radial": two_point(image, phase=name, r_max=r_max)}).items()
     }
 
 
-def _listed(curve: np.ndarray) -> list[float]:
+def _as_list(curve: np.ndarray) -> list[float]:
     return [float(value) for value in curve]

@@ -1,4 +1,4 @@
-"""The figures of every phase by flat names, for a list of figures such as the certificate's."""
+"""Figures of every phase by flat names, for a list of figures such as the certificate's."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.measure.each_phase import (
-    CURVES,
-    NUMBERS,
     SAME_FOR_TWO,
     as_labels,
     measure_curves,
     measure_numbers,
     redundant_phases,
 )
+from trabecula.measure.registry import DESCRIPTORS, select
 
-VOID_TOLD = ("specific_surface", "mean_curvature", "thickness", "two_point")
-"""What is told of the void already where the solid phases are taken together: their interface, S2,
-and `pore_size`.
+VOID_REPORTED = ("specific_surface", "mean_curvature", "thickness", "two_point")
+"""What is reported of the void already where the solid phases are taken together: their interface,
+S2, and `pore_size`.
 """
 DERIVED_FROM_OTHER = ("fraction", "mean_curvature", "chord_length", *SAME_FOR_TWO)
 """Of two phases, what follows from the figures of the other."""
@@ -31,8 +30,8 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
     """Return the numbers of every phase, pair and triple by flat names, to stand beside those of
     `describe`.
 
-    Nothing comes twice. Where a phase is named void, `describe` tells its interface, curvature and
-    thickness (`pore_size`) already. Of two phases, one of them void, only what the void has for
+    Nothing comes twice. Where a phase is named void, `describe` reports its interface, curvature
+    and thickness (`pore_size`) already. Of two phases, one of them void, only what the void has for
     itself is left: components, percolation and Euler number.
 
     Parameters
@@ -56,19 +55,19 @@ def phase_numbers(image: Image | ArrayLike, *, level: str = "default") -> dict[s
         As `describe_phases`.
     """
     image = as_labels(image, level)
-    told = _redundant_figures(image.phases)
-    known = {name: dict.fromkeys(keys) for name, keys in told.items()}
+    redundant = _redundant_figures(image.phases)
+    known = {name: dict.fromkeys(keys) for name, keys in redundant.items()}
     found = measure_numbers(image, level=level, known=known)
     numbers: dict[str, Any] = {}
     for phase, figures in found.phases.items():
-        kept = {name: value for name, value in figures.items() if name not in told.get(phase, ())}
-        if "percolating_fraction" in kept:
-            kept["percolating_fraction"] = float(
-                np.mean(list(kept["percolating_fraction"].values()))
-            )
-        if level == "quick":
-            kept.pop("thickness", None)
-        numbers |= {f"{name}_{phase}": value for name, value in kept.items()}
+        own = {
+            name: value
+            for name, value in figures.items()
+            if name not in redundant.get(phase, ()) and DESCRIPTORS[name].is_measured(level)
+        }
+        if "percolating_fraction" in own:
+            own["percolating_fraction"] = float(np.mean(list(own["percolating_fraction"].values())))
+        numbers |= {f"{name}_{phase}": value for name, value in own.items()}
     numbers |= {f"contact_{'_'.join(pair)}": area for pair, area in found.contacts.items()}
     for triple, line in found.lines.items():
         suffix = "" if len(found.lines) == 1 else "_" + "_".join(triple)
@@ -94,8 +93,8 @@ def phase_curves(
     r_max : int
         Largest distance, below every side.
     cross : bool
-        Tell cross-correlations, which take longer than all else. Of the two solid phases of three
-        it is half of what S2 of both together is above the sum of theirs.
+        Include cross-correlations, which take longer than all else. That of the two solid phases
+        of three is half of what S2 of both together is above the sum of theirs.
 
     Returns
     -------
@@ -109,8 +108,8 @@ def phase_curves(
         As `two_point` and `lineal_path`.
     """
     image = as_labels(image, "quick")
-    told = _redundant_figures(image.phases)
-    known = {name: dict.fromkeys(keys) for name, keys in told.items()}
+    redundant = _redundant_figures(image.phases)
+    known = {name: dict.fromkeys(keys) for name, keys in redundant.items()}
     found = measure_curves(image, r_max=r_max, known=known, cross=cross)
     curves: dict[str, np.ndarray] = {}
     for phase, figures in found.phases.items():
@@ -128,9 +127,10 @@ def _redundant_figures(phases: Sequence[str]) -> dict[str, tuple[str, ...]]:
     together.
     """
     if len(phases) != 2:
-        return {"void": VOID_TOLD} if "void" in phases else {}
+        return {"void": VOID_REPORTED} if "void" in phases else {}
     first = redundant_phases(phases, None)[0]
     if first != "void":
         return {first: DERIVED_FROM_OTHER}
     solid = next(name for name in phases if name != "void")
-    return {"void": (*DERIVED_FROM_OTHER, "thickness"), solid: (*NUMBERS, *CURVES)}
+    every = tuple(one.name for one in select(each="phase"))
+    return {"void": (*DERIVED_FROM_OTHER, "thickness"), solid: every}

@@ -1,6 +1,4 @@
-"""Files, as the steps of the sentence take them: exemplars, results to compare, forms to fill,
-measured parts.
-"""
+"""Files that the steps start from: exemplars, results to compare, forms to fill, measured parts."""
 
 from __future__ import annotations
 
@@ -37,13 +35,13 @@ def load(
     threshold: float | Sequence[float] | str | None = None,
     **reading: Any,
 ) -> Image:
-    """An image from a file or from `sample:NAME`, segmented and cropped where asked.
+    """Load an image from a file or from `sample:NAME`, and segment and crop it.
 
     Parameters
     ----------
     source : path or str
     crop : int, sequence of int or "auto", optional
-        Size of a central box to keep, voxels; "auto" cuts off margins without material (see
+        Size of a central box to keep, voxels; "auto" removes margins without material (see
         `crop_margins`).
     threshold : float, pair of float, "otsu", "dual", "auto" or "none", optional
         Segment a grey image (see `segment`). "auto" is Otsu's, and leaves an image that is not grey
@@ -51,6 +49,13 @@ def load(
     **reading
         kind, spacing, unit, phases: as in `read`. Where a grey image is segmented, `phases` names
         the two labels.
+
+    Raises
+    ------
+    InputError
+        A threshold for an image that is not grey; a spacing, unit or phases for a sample.
+    FileError, UnknownNameError
+        As `read`.
     """
     name = os.fspath(source)
     phases = reading.pop("phases", None)
@@ -66,7 +71,7 @@ def load(
         )
     if isinstance(crop, str):
         check_name(crop, ("auto",), name="crop")
-        image = _without_margins(image, name)  # before the threshold is found: a frame is no phase
+        image = _crop_margins(image, name)  # before the threshold is found: a frame is no phase
     if image.kind == "grey" and threshold not in (None, "none"):
         image = segment(
             image, "otsu" if threshold == "auto" else threshold, phases=phases or ("void", "solid")
@@ -76,19 +81,18 @@ def load(
             notify(f"{name} is grey: threshold {found} found (--threshold chooses another)")
     elif threshold not in (None, "auto", "none"):
         raise InputError(
-            f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, or give --kind grey"
+            f"{name} holds {image.kind}, a threshold is for grey images: leave --threshold out, "
+            "or give --kind grey"
         )
-    # After the threshold was found, so that it is the whole scan's and every crop of it is cut at
-    # the same level.
+    # Cropped after the threshold is found, so that it is the whole scan's and the same for every
+    # crop of it.
     if isinstance(crop, str):
-        return _without_margins(image, name, again=True)
+        return _crop_margins(image, name, again=True)
     return image if crop is None else cut_box(image, crop)
 
 
-def _without_margins(image: Image, name: str, *, again: bool = False) -> Image:
-    """The image without its margins; says what was cut off, and that nothing was unless this is
-    looked at again.
-    """
+def _crop_margins(image: Image, name: str, *, again: bool = False) -> Image:
+    """Crop the margins and report them; that there are none is not reported `again`."""
     margins = find_margins(image)
     if margins:
         size = " x ".join(map(str, margins.size))
@@ -100,7 +104,7 @@ def _without_margins(image: Image, name: str, *, again: bool = False) -> Image:
 
 
 def _read_with_phases(name: str, phases: Sequence[str], reading: Mapping[str, Any]) -> Image:
-    """A grey file is read without names: they are for the labels that a threshold makes of it."""
+    """Read a file; one that is grey without names, which are for the labels of its threshold."""
     plain = files.read(name, **reading)
     return plain if plain.kind == "grey" else files.read(name, phases=phases, **reading)
 
@@ -112,14 +116,25 @@ def load_like(
     threshold: float | Sequence[float] | str = "auto",
     spacing: Callable[[], Sequence[float]] | None = None,
 ) -> Image:
-    """A result to be compared with an exemplar: a grey one is segmented where the exemplar has
-    phases, and where its file states neither a spacing nor names of phases of its own (an outside
-    program's, a plain array) it takes the exemplar's; a volume beside a picture takes what
-    `spacing` gives, which is asked for no other."""
+    """Load a result to be compared with an exemplar.
+
+    A grey result is segmented where the exemplar has phases. One whose file states no spacing or no
+    names of phases (another program's, a plain array) takes the exemplar's.
+
+    Parameters
+    ----------
+    source : path or str
+    exemplar : Image
+    threshold : optional
+        As of `load`.
+    spacing : callable, optional
+        Returns the voxel edges (z, y, x) of a volume whose exemplar is a picture; called for no
+        other.
+    """
     image = load(source, threshold="none")
     if image.kind == "grey" and exemplar.kind == "labels":
         image = load(source, threshold=threshold)
-    new = _not_stated(image, exemplar, spacing)
+    new = _unstated_fields(image, exemplar, spacing)
     return declare_fields(image, **new) if new else image
 
 
@@ -130,18 +145,18 @@ def slabs_like_if_large(
     need: Callable[[tuple[int, ...]], int],
     memory: int | None = None,
 ) -> Slabs | None:
-    """As `slabs_if_large`, of a result to be compared with an exemplar (see `load_like`)."""
+    """Open a large result to be compared with an exemplar (see `slabs_if_large`, `load_like`)."""
     volume = slabs_if_large(source, need=need, memory=memory)
     if volume is None:
         return None
-    new = _not_stated(volume, exemplar, None)
+    new = _unstated_fields(volume, exemplar, None)
     return open_slabs(source, **new) if new else volume
 
 
-def _not_stated(
+def _unstated_fields(
     image: Image | Slabs, exemplar: Image, spacing: Callable[[], Sequence[float]] | None
 ) -> dict[str, Any]:
-    """What a result's file does not state, and the exemplar says otherwise than by default."""
+    """Return the fields of the exemplar that a result's file does not state."""
     given: dict[str, Any] = {}
     if image.unit == "voxel" and image.ndim == exemplar.ndim:
         given |= {"spacing": exemplar.spacing, "unit": exemplar.unit}
@@ -155,8 +170,8 @@ def _not_stated(
 
 
 def voxels_of(exemplars: Sequence[Image], views: Sequence[str] = ()) -> tuple[float, ...]:
-    """The edges of a result's voxels along z, y, x: a volume's own, or those of the views that
-    pictures are.
+    """Return the edges of a result's voxels along z, y, x: those of an exemplar volume, or of the
+    views that pictures show.
 
     Raises
     ------
@@ -165,7 +180,7 @@ def voxels_of(exemplars: Sequence[Image], views: Sequence[str] = ()) -> tuple[fl
     """
     if exemplars[0].ndim == 3:
         return exemplars[0].spacing
-    with listen(lambda label, fraction: None):  # what there is to say of the views the method says
+    with listen(lambda label, fraction: None):  # the method reports on the views itself
         return spacing_of(views_of(exemplars, views))
 
 
@@ -177,8 +192,8 @@ def load_mask(
     scale: float | None = None,
     spacing: Sequence[float] | None = None,
 ) -> Image:
-    """A form to fill, for `Request.mask`: a closed surface in voxels of the exemplar's size, or a
-    volume as it is.
+    """Load a form to fill, for `Request.mask`: a closed surface, voxelised at the exemplar's voxel
+    size, or a volume as it is.
 
     Parameters
     ----------
@@ -220,21 +235,22 @@ def load_mask(
         surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
     form = voxelise(surface, spacing=edges, shape=shape)
     if scale is not None or shape is None:
-        _say_units(os.fspath(source), stated, exemplar.unit, scale)
+        _report_units(os.fspath(source), stated, exemplar.unit, scale)
     return form
 
 
-def _say_units(source: str, unit: str, wanted: str, scale: float | None) -> None:
-    """Say what a surface's lengths are taken for where its unit and the exemplar's do not tell."""
+def _report_units(source: str, unit: str, wanted: str, scale: float | None) -> None:
+    """Report how a surface's lengths are read where its unit and the exemplar's leave it open."""
     if has_length(unit) and not has_length(wanted):
         notify(
-            f"{source} is in {unit}, the exemplar in {wanted}: one {unit} is taken for one unit of the exemplar's spacing; give "
-            "its spacing and unit (--spacing, --unit), or a factor (--mask-scale)"
+            f"{source} is in {unit}, the exemplar in {wanted}: one {unit} is taken for one unit of "
+            "the exemplar's spacing; give its spacing and unit (--spacing, --unit), or a factor "
+            "(--mask-scale)"
         )
     elif not has_length(unit) and scale is None:
         notify(
-            f"{source} states no unit: its lengths are taken for {wanted}, as the exemplar's are; --mask-scale is a factor on "
-            "them, --shape makes it fit"
+            f"{source} states no unit: its lengths are taken for {wanted}, as the exemplar's are; "
+            "--mask-scale is a factor on them, --shape makes it fit"
         )
 
 
@@ -248,7 +264,7 @@ def load_fixed(
     view: str = "yx",
     spacing: Sequence[float] | None = None,
 ) -> tuple[Image, Image]:
-    """A measured part, for `Request.fixed`, and where it is known, for `Request.known`.
+    """Load a measured part, for `Request.fixed`, and where it is known, for `Request.known`.
 
     Parameters
     ----------
@@ -260,8 +276,8 @@ def load_fixed(
     shape : sequence of int, optional
         Voxels to be made in all; needed with `corner`.
     corner : sequence of int, optional
-        Where in `shape` the first voxel of the scan lies; the whole scan is known, all around it is
-        made. What of a picture reaches beyond the shape is cut off.
+        Place of the scan's first voxel in `shape`; the whole scan is known, all around it is made.
+        A picture is cropped where it reaches beyond the shape.
     known : path, optional
         Instead of a corner, for a scan of the whole shape: a volume of labels, of which all but
         void is known.
@@ -273,12 +289,12 @@ def load_fixed(
     Raises
     ------
     InputError
-        Neither corner nor known, or both; a scan that does not lie inside the shape; as `load`.
+        Neither corner nor known, or both; a scan that is not inside the shape; as `load`.
     """
     if (corner is None) == (known is None):
         raise InputError(
-            "a fixed scan needs to be told where it is known: give either a volume of what is known (--known), or the "
-            "corner at which the whole scan lies in the shape (--at)"
+            "a fixed scan needs the place where it is known: give either a volume of what is known "
+            "(--known), or the corner of the whole scan in the shape (--at)"
         )
     edges = voxels_of([exemplar]) if spacing is None else tuple(spacing)
     cuts = [step for step in exemplar.recipe.steps if step["verb"] == "segment"]
@@ -287,7 +303,7 @@ def load_fixed(
     if known is not None:
         return scan, load(known)
     if shape is None or corner is None:
-        raise InputError("a scan at a corner needs a shape to lie in: give --shape")
+        raise InputError("a scan at a corner needs the shape around it: give --shape")
     if scan.ndim == 2:
         return _fixed_slice(scan, exemplar, as_shape(shape), corner, view, edges)
     return place(scan, shape, corner=corner), block(scan.shape, shape, corner=corner)
@@ -301,7 +317,7 @@ def _fixed_slice(
     view: str,
     edges: Sequence[float],
 ) -> tuple[Image, Image]:
-    """A picture in the plane of two axes, as far as it lies in the shape."""
+    """Place a picture in the plane of two axes, as far as it is inside the shape."""
     if picture.unit == "voxel" and exemplar.ndim == 3:
         inside = (
             tuple(edges["zyx".index(axis)] for axis in view)
@@ -314,7 +330,8 @@ def _fixed_slice(
     if any(have > free for have, free in zip(slab.shape, room, strict=False)) and len(room) == 3:
         sides = [min(picture.shape[n], room["zyx".index(axis)]) for n, axis in enumerate(view)]
         notify(
-            f"the fixed picture is {picture.shape}: its first {sides[0]} x {sides[1]} pixels lie in the shape"
+            f"the fixed picture is {picture.shape}: its first {sides[0]} x {sides[1]} pixels lie "
+            "in the shape"
         )
         picture = cut_box(picture, sides, corner=(0, 0))
         slab = as_slab(picture, view)

@@ -1,5 +1,5 @@
-"""Make a result again from its recipe: every step is done anew, and its voxels are compared with
-what was recorded.
+"""Results made again from their recipe: every step is repeated, and its voxels are compared with
+the recorded digest.
 """
 
 from __future__ import annotations
@@ -40,8 +40,18 @@ PARTS = ("mask", "fixed", "known")
 
 @dataclass(frozen=True)
 class RecipeFiles:
-    """Where the files that a recipe names lie now: beside the result unless they are given anew, by
-    option.
+    """Places of the files that a recipe names: beside the result, or as given by option.
+
+    Attributes
+    ----------
+    folder : Path
+        The result's.
+    moved : mapping
+        Option -> the files given for it.
+    option : str
+        The option that gives the files of the recipe in hand: that of the result, or one inside it.
+    number : int
+        Which of several exemplars the recipe in hand is of.
     """
 
     folder: Path
@@ -50,26 +60,27 @@ class RecipeFiles:
     number: int = 0
 
     @property
-    def given(self) -> AnyPath | None:
-        """The file that was given for the recipe in hand."""
+    def replacement(self) -> AnyPath | None:
+        """Return the file that was given for the recipe in hand."""
         found = self.moved.get(self.option, ())
         return found[min(self.number, len(found) - 1)] if found else None
 
-    def of(self, option: str, number: int = 0) -> RecipeFiles:
-        """For a recipe inside the recipe."""
+    def inside(self, option: str, number: int = 0) -> RecipeFiles:
+        """Return the same for a recipe inside the recipe."""
         return RecipeFiles(self.folder, self.moved, option, number)
 
     def find(self, source: str) -> AnyPath:
-        """Where the file that a recipe calls `source` lies."""
-        if self.given is not None:
-            return self.given
+        """Return the place of the file that a recipe calls `source`."""
+        if self.replacement is not None:
+            return self.replacement
         if is_address(source):
             return source
         for candidate in (source, self.folder / source, self.folder / Path(source).name):
             if Path(candidate).exists():
                 return candidate
         raise FileError(
-            f"the recipe starts from {source}, which is not here: give its place with --{self.option}"
+            f"the recipe starts from {source}, which is not here: give its place with "
+            f"--{self.option}"
         )
 
 
@@ -89,8 +100,8 @@ def rerun(
     ----------
     path : path
     exemplar : path or sequence of path, optional
-        Where the files that the recipe starts from lie now, if they have moved; several in the
-        order of the exemplars.
+        The files that the recipe starts from, if they have moved; several in the order of the
+        exemplars.
     mask, fixed, known, target : path, optional
         The same for the other files that the request named.
     model : path or str, optional
@@ -128,11 +139,11 @@ def replay(
     exemplar: AnyPath | Sequence[AnyPath] | None = None,
     **parts: AnyPath | None,
 ) -> Image:
-    """Do the steps of a recipe, checking the voxels after each; paths as for `rerun`."""
-    return _replayed(recipe, _places(folder, exemplar, parts))
+    """Repeat the steps of a recipe and check the voxels after each; paths as for `rerun`."""
+    return _replay_steps(recipe, _recipe_files(folder, exemplar, parts))
 
 
-def _places(
+def _recipe_files(
     folder: Path, exemplar: AnyPath | Sequence[AnyPath] | None, parts: Mapping[str, AnyPath | None]
 ) -> RecipeFiles:
     several = [exemplar] if isinstance(exemplar, (str, os.PathLike)) else list(exemplar or ())
@@ -143,17 +154,16 @@ def _places(
 
 
 def form_of(recipe: Recipe, *, folder: Path, mask: AnyPath | None = None) -> Image | None:
-    """Make the form again that an image was made to fill, as its recipe tells; None where it tells
-    of none.
+    """Make the form again that an image was made to fill; None where its recipe names none.
 
     Parameters
     ----------
     recipe : Recipe
         Of the image.
     folder : Path
-        Where the image lies.
+        That of the image.
     mask : path, optional
-        Where the form's file lies now, if it has moved.
+        The form's file, if it has moved.
 
     Raises
     ------
@@ -167,12 +177,16 @@ def form_of(recipe: Recipe, *, folder: Path, mask: AnyPath | None = None) -> Ima
     steps = finish.mask_steps(recipe)
     if steps is None:
         return None
-    return _replayed(Recipe.from_json(steps), _places(folder, None, {"mask": mask}).of("mask"))
+    return _replay_steps(
+        Recipe.from_json(steps), _recipe_files(folder, None, {"mask": mask}).inside("mask")
+    )
 
 
 @contextmanager
-def _undamaged(verb: str) -> Iterator[None]:
-    """The parameters come from a file, and anybody may have written it."""
+def _report_damage(verb: str) -> Iterator[None]:
+    """Turn errors of a step's parameters into one line: they come from a file that anybody may have
+    written.
+    """
     try:
         yield
     except TrabeculaError:
@@ -184,7 +198,8 @@ def _undamaged(verb: str) -> Iterator[None]:
             ", or trabecula has a defect" if isinstance(error, (TypeError, AttributeError)) else ""
         )
         raise InputError(
-            f"the recipe is damaged{doubt}: its step {verb!r} cannot be done again ({type(error).__name__}: {error})"
+            f"the recipe is damaged{doubt}: its step {verb!r} cannot be done again "
+            f"({type(error).__name__}: {error})"
         ) from error
 
 
@@ -195,8 +210,7 @@ def model_and_request(
     exemplar: AnyPath | Sequence[AnyPath] | None = None,
     **parts: AnyPath | None,
 ) -> tuple[Model, Request]:
-    """The model and the request of a step "generate", which need not have been done; paths as for
-    `rerun`.
+    """Make the model and the request of a step "generate" again; paths as for `rerun`.
 
     Raises
     ------
@@ -207,26 +221,26 @@ def model_and_request(
     """
     if step.get("verb") != "generate":
         raise InputError(f"there is nothing to generate in a step {step.get('verb')!r}")
-    places = _places(folder, exemplar, parts)
-    with _undamaged("generate"):
-        return _model_again(step, places), _request_again(step, places)
+    sources = _recipe_files(folder, exemplar, parts)
+    with _report_damage("generate"):
+        return _make_model(step, sources), _make_request(step, sources)
 
 
-def _replayed(recipe: Recipe, places: RecipeFiles) -> Image:
+def _replay_steps(recipe: Recipe, sources: RecipeFiles) -> Image:
     image: Image | None = None
     for step in recipe.steps:
         check_name(step["verb"], _STEPS, name="step of a recipe")
-        with _undamaged(step["verb"]):
-            image = _STEPS[step["verb"]](image, step, places)
+        with _report_damage(step["verb"]):
+            image = _STEPS[step["verb"]](image, step, sources)
             same = digest(image.values) == step["sha256"]
         if not same:
-            raise NotReproducedError(_difference(step))
+            raise NotReproducedError(_explain_difference(step))
     if image is None:
         raise InputError("the recipe is empty: there is nothing to do again")
     return image
 
 
-def _difference(step: Mapping[str, Any]) -> str:
+def _explain_difference(step: Mapping[str, Any]) -> str:
     what = step.get("source") or step.get("method") or step.get("operation") or step["verb"]
     made = ", ".join(
         f"{name} {number}" for name, number in dict(step.get("versions") or {}).items()
@@ -237,58 +251,58 @@ def _difference(step: Mapping[str, Any]) -> str:
     )
 
 
-def _read_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
-    return files.read(places.find(step["source"]), **step["options"])
+def _repeat_read(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    return files.read(sources.find(step["source"]), **step["options"])
 
 
-def _array_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
-    if places.given is None:
+def _repeat_array(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    if sources.replacement is None:
         raise InputError(
-            f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): give it as a file with "
-            f"--{places.option}"
+            f"the recipe starts from an array in memory (SHA-256 {step['sha256'][:12]}): "
+            f"give it as a file with --{sources.option}"
         )
-    return files.read(places.given)
+    return files.read(sources.replacement)
 
 
-def _voxelise_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
-    surface = _surface_again(step["mesh"], places)
+def _repeat_voxelise(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    surface = _make_surface(step["mesh"], sources)
     return voxelise(surface, spacing=step["spacing"], shape=step["shape"], origin=step["origin"])
 
 
-def _surface_again(steps: Sequence[Mapping[str, Any]], places: RecipeFiles) -> Mesh:
+def _make_surface(steps: Sequence[Mapping[str, Any]], sources: RecipeFiles) -> Mesh:
     if not steps or steps[0]["verb"] != "read_mesh":
         raise InputError(
-            "the recipe voxelises a surface that was in memory: nothing says how to make it again"
+            "the recipe voxelises a surface that was in memory: it cannot be made again"
         )
-    surface = read_mesh(places.find(steps[0]["source"]), unit=steps[0]["unit"])
+    surface = read_mesh(sources.find(steps[0]["source"]), unit=steps[0]["unit"])
     if digest(surface.vertices) != steps[0]["sha256"]:
-        raise NotReproducedError(_difference(steps[0]))
+        raise NotReproducedError(_explain_difference(steps[0]))
     for step in steps[1:]:
         check_name(step["verb"], ("scale",), name="step of a surface's recipe")
         surface = scaled(surface, step["factor"], unit=step["unit"])
     return surface
 
 
-def _generate_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
-    return _model_again(step, places).generate(_request_again(step, places))
+def _repeat_generate(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    return _make_model(step, sources).generate(_make_request(step, sources))
 
 
-def _model_again(step: Mapping[str, Any], places: RecipeFiles) -> Model:
-    """The model: from its file where it learned for long, else learned again."""
+def _make_model(step: Mapping[str, Any], sources: RecipeFiles) -> Model:
+    """Return the model: from its file where learning took long, else learned again."""
     named = step.get("model")
     if named is not None:
-        path = _model_file(named, places.of("model"))
+        path = _model_file(named, sources.inside("model"))
         if path is not None:
-            return _same_model(load_model(path), named["sha256"], f"the model {path} is another")
+            return _check_model(load_model(path), named["sha256"], f"the model {path} is another")
         notify("the model was never in a file: learning again")
-    sources = [
-        _replayed(Recipe.from_json(steps), places.of("exemplar", number))
+    exemplars = [
+        _replay_steps(Recipe.from_json(steps), sources.inside("exemplar", number))
         for number, steps in enumerate(step["exemplars"])
     ]
     learner: Any = method(step["method"], **step["settings"])
-    model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(sources)
+    model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(exemplars)
     if named is not None:
-        _same_model(
+        _check_model(
             model,
             named["sha256"],
             "learning again gave another model (its time, threads, machine or versions differ)",
@@ -296,38 +310,39 @@ def _model_again(step: Mapping[str, Any], places: RecipeFiles) -> Model:
     return model
 
 
-def _model_file(named: Mapping[str, Any], places: RecipeFiles) -> AnyPath | None:
-    """Where a model lies: as given, beside the result, or shipped; None where it was never in a
-    file.
+def _model_file(named: Mapping[str, Any], sources: RecipeFiles) -> AnyPath | None:
+    """Return the file of a model: as given, beside the result, or shipped; None where it was never
+    in a file.
     """
-    if places.given is not None:
-        return places.given
+    if sources.replacement is not None:
+        return sources.replacement
     if named["name"] is None:
         return None
-    beside = places.folder / Path(named["name"]).name
+    beside = sources.folder / Path(named["name"]).name
     if beside.exists() or named["name"] in shipped_models():
         return beside if beside.exists() else named["name"]
     raise FileError(
-        f"the recipe needs the model {named['name']} (SHA-256 {named['sha256'][:12]}), which is not here: give its place "
-        "with --model"
+        f"the recipe needs the model {named['name']} (SHA-256 {named['sha256'][:12]}), "
+        "which is not here: give its place with --model"
     )
 
 
-def _same_model(model: Model, sha256: str, otherwise: str) -> Model:
+def _check_model(model: Model, sha256: str, otherwise: str) -> Model:
     if model.sha256 != sha256:
         raise NotReproducedError(
-            f"{otherwise}: its SHA-256 is {model.sha256[:12]}, the recipe's {sha256[:12]}; give the right one with --model"
+            f"{otherwise}: its SHA-256 is {model.sha256[:12]}, the recipe's {sha256[:12]}; "
+            "give the right one with --model"
         )
     return model
 
 
-def _request_again(step: Mapping[str, Any], places: RecipeFiles) -> Request:
+def _make_request(step: Mapping[str, Any], sources: RecipeFiles) -> Request:
     request = dict(step["request"])
     for name in PARTS:
         if name in request:
-            request[name] = _replayed(Recipe.from_json(request[name]), places.of(name))
+            request[name] = _replay_steps(Recipe.from_json(request[name]), sources.inside(name))
     request["target"] = {
-        name: _replayed(Recipe.from_json(value), places.of("target"))
+        name: _replay_steps(Recipe.from_json(value), sources.inside("target"))
         if isinstance(value, list)
         else value
         for name, value in dict(request.get("target", {})).items()
@@ -335,53 +350,53 @@ def _request_again(step: Mapping[str, Any], places: RecipeFiles) -> Request:
     return Request(**request)
 
 
-def _finish_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
+def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
     settings = dict(step["settings"])
     for steps in step.get("exemplars", ()):
-        settings["exemplar"] = _replayed(Recipe.from_json(steps), places.of("exemplar"))
+        settings["exemplar"] = _replay_steps(Recipe.from_json(steps), sources.inside("exemplar"))
     if "mask" in step:
-        settings["mask"] = _replayed(Recipe.from_json(step["mask"]), places.of("mask"))
-    return finish.OPERATIONS[step["operation"]](_given(image), **settings)
+        settings["mask"] = _replay_steps(Recipe.from_json(step["mask"]), sources.inside("mask"))
+    return finish.OPERATIONS[step["operation"]](_require(image), **settings)
 
 
-def _field_again(image: Image | None, step: Mapping[str, Any], places: RecipeFiles) -> Image:
+def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
     settings = dict(step["settings"])
     if step["make"] in fields.FROM_AN_IMAGE:
-        return fields.FROM_AN_IMAGE[step["make"]](_given(image), **settings)
+        return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
     check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
     return fields.FROM_NOTHING[step["make"]](**settings)
 
 
-def _given(image: Image | None) -> Image:
+def _require(image: Image | None) -> Image:
     if image is None:
         raise InputError("the recipe is damaged: its first step needs an image that no step made")
     return image
 
 
 _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image]] = {
-    "read": _read_again,
-    "array": _array_again,
-    "sample": lambda image, step, places: sample(step["name"]),
-    "voxelise": _voxelise_again,
-    "crop": lambda image, step, places: crop(_given(image), step["size"], corner=step["corner"]),
-    "slice": lambda image, step, places: _given(image)[indexing.from_json(step["index"])],
-    "place": lambda image, step, places: place(
-        _given(image),
+    "read": _repeat_read,
+    "array": _repeat_array,
+    "sample": lambda image, step, sources: sample(step["name"]),
+    "voxelise": _repeat_voxelise,
+    "crop": lambda image, step, sources: crop(_require(image), step["size"], corner=step["corner"]),
+    "slice": lambda image, step, sources: _require(image)[indexing.from_json(step["index"])],
+    "place": lambda image, step, sources: place(
+        _require(image),
         step["shape"],
         corner=step["corner"],
         plane=step.get("plane"),
         across=step.get("across", 1.0),
     ),
-    "block": lambda image, step, places: block(step["size"], step["shape"], corner=step["corner"]),
-    "declare": lambda image, step, places: declare_fields(_given(image), **step["fields"]),
-    "segment": lambda image, step, places: segment(
-        _given(image), step["threshold"], phases=step["phases"]
+    "block": lambda image, step, sources: block(step["size"], step["shape"], corner=step["corner"]),
+    "declare": lambda image, step, sources: declare_fields(_require(image), **step["fields"]),
+    "segment": lambda image, step, sources: segment(
+        _require(image), step["threshold"], phases=step["phases"]
     ),
-    "generate": _generate_again,
-    "finish": _finish_again,
-    "field": _field_again,
-    "render": lambda image, step, places: render(
-        _given(image),
+    "generate": _repeat_generate,
+    "finish": _repeat_finish,
+    "field": _repeat_field,
+    "render": lambda image, step, sources: render(
+        _require(image),
         **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")},
     ),
 }

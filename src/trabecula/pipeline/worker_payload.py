@@ -1,4 +1,4 @@
-"""A window model as another process gets it, to make boxes of one request."""
+"""A window model and a request as a worker process receives them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 
 class WorkerPayload:
-    """A model and a request as another process gets them: the model as its file's bytes, opened at
-    the first box.
+    """A model and a request that can be pickled; called with a box it gives the box's values.
+
+    The model travels as the bytes of its file; a worker opens them at its first box.
     """
 
     def __init__(self, model: WindowModel, request: Request) -> None:
@@ -35,7 +36,7 @@ class WorkerPayload:
         self._lock = threading.Lock()
 
     def __call__(self, box: Box) -> np.ndarray:
-        """The values of a box."""
+        """Return the values of a box."""
         with self._lock:  # a worker may make several boxes at once
             if self._model is None:
                 self._model = decode_model(self.data, Path("the model that was sent"))

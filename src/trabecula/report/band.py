@@ -1,11 +1,10 @@
-"""What real material differs by: equal parts of the exemplar, and the band in which another sample
-of it would lie.
+"""Bands: equal parts of the exemplar, and the interval of another sample of its material.
 
 The spread between parts is that of small samples. The variance of a mean over a volume V falls as 1
 / V once V is many correlation lengths wide (Matheron 1971; Lantuejoul 1991,
 doi:10.1111/j.1365-2818.1991.tb03111.x), and more slowly, as V to the power -a, where density also
 varies over long distances, as in bone (the exponent of Dirrenberger, Forest, Jeulin 2014,
-doi:10.1016/j.ijsolstr.2014.06.006). The exemplar's own windows tell a. So the spread of samples as
+doi:10.1016/j.ijsolstr.2014.06.006). The exemplar's own windows give a. So the spread of samples as
 large as the judged image follows from that of the parts. The exemplar is a sample as well, and its
 own uncertainty is added.
 
@@ -96,7 +95,7 @@ def part_boxes(
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the samples are that a band is about."""
+    """Sizes of the samples that a band is about."""
 
     part: float
     """Voxels of a part of the exemplar."""
@@ -133,7 +132,7 @@ def expected_value(values: Sequence[float], own: float, sizes: Sizes) -> float:
 
 
 def value_band(values: Sequence[float], own: float, sizes: Sizes) -> tuple[float, float]:
-    """Return where a figure of another sample of the image's size lies, 99 times in 100.
+    """Return the band of a figure of another sample of the image's size, 99 times in 100.
 
     Parameters
     ----------
@@ -161,8 +160,8 @@ def value_band(values: Sequence[float], own: float, sizes: Sizes) -> tuple[float
 
 
 def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
-    """Return how far from the exemplar another sample of the image's size lies at most, 99 times in
-    100.
+    """Return the largest distance of another sample of the image's size to the exemplar, 99 times
+    in 100.
 
     A part lies inside the exemplar, so that its squared distance to the whole has the variance of a
     part less that of the whole; that of an independent sample has its own variance and that of the
@@ -177,21 +176,17 @@ def distance_limit(values: Sequence[float], sizes: Sizes) -> float:
     count = len(values)
     # Some distances are of a single number, and scatter like a folded normal: the two-sided
     # quantile covers them as well.
-    further = (
-        student(count - 1, (1 + CONFIDENCE) / 2)
-        * float(np.std(values, ddof=1))
-        * math.sqrt(1 + 1 / count)
-    )
+    further = _reach_of_draw(count, float(np.std(values, ddof=1)))
     whole = sizes.variance(sizes.whole)
     scale = math.sqrt((sizes.variance(sizes.image) + whole) / (1 - whole))
     return scale * max(float(np.mean(values)) + further, float(np.max(values)))
 
 
 def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
-    """Return what a figure that is 0 but for chance, such as a norm of differences, stays below 99
+    """Return the limit of a figure that is 0 but for chance, such as a norm of differences, 99
     times in 100.
 
-    Its chance falls as the standard deviation of a mean does; what it is of the exemplar is no
+    Its chance falls as the standard deviation of a mean does; the exemplar's own value is no
     chance.
 
     Parameters
@@ -201,18 +196,19 @@ def excess_limit(values: Sequence[float], own: float, sizes: Sizes) -> float:
     """
     count = len(values)
     excess = np.abs(np.asarray(values) - own)
-    further = (
-        student(count - 1, (1 + CONFIDENCE) / 2)
-        * float(excess.std(ddof=1))
-        * math.sqrt(1 + 1 / count)
-    )
+    further = _reach_of_draw(count, float(excess.std(ddof=1)))
     scale = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
     return own + scale * (float(excess.mean()) + further)
 
 
+def _reach_of_draw(count: int, deviation: float) -> float:
+    """Return how far one more draw lies from the mean of `count`, which have that deviation."""
+    return student(count - 1, (1 + CONFIDENCE) / 2) * deviation * math.sqrt(1 + 1 / count)
+
+
 def draw_limit(values: Sequence[float], noise: float) -> float:
-    """Return what one more figure that no size changes stays below: three standard deviations above
-    the mean of those known.
+    """Return the limit of one more draw of a figure that no size changes: three standard deviations
+    above the mean of those known.
 
     Parameters
     ----------

@@ -14,15 +14,13 @@ LARGEST = 128
 
 
 def gaussian_field(exemplar: Image) -> Image:
-    """One field, always of the same seed, as large as the exemplar but for `LARGEST`; of a 2-D
-    exemplar a 2-D one.
+    """Generate a field, always of the same seed, as large as the exemplar but for `LARGEST`; of a
+    2-D exemplar a 2-D one.
     """
     flat = exemplar.ndim == 2
-    lifted = (
-        with_values(exemplar, exemplar.values[None], spacing=(1.0, *exemplar.spacing))
-        if flat
-        else exemplar
-    )
+    lifted = exemplar
+    if flat:
+        lifted = with_values(exemplar, exemplar.values[None], spacing=(1.0, *exemplar.spacing))
     shape = tuple(min(side, LARGEST) for side in lifted.shape)
     field = method("noise", exact=True).fit(lifted).generate(shape, seed=0)
     if not flat:

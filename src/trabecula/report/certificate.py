@@ -1,5 +1,5 @@
-"""The certificate: every descriptor of an image against the exemplar, and against what the
-exemplar's own parts differ by.
+"""The certificate: every descriptor of an image against the exemplar, and against the spread
+between the exemplar's own parts.
 
 The *real band* of a figure is where another sample of the material, as large as the image, would
 lie 99 times in 100. Equal parts of the exemplar say it (halves along every axis that is long
@@ -20,20 +20,26 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.measure.blockwise import LEFT_OUT
+from trabecula.measure.blockwise import names_without_slabs
 from trabecula.measure.copying import diversity
-from trabecula.measure.describe import LEVELS
 from trabecula.measure.fractions import porosity
+from trabecula.measure.registry import LEVELS
 from trabecula.report.band import parts
 from trabecula.report.baseline import gaussian_field
-from trabecula.report.compatibility import check_corresponds, check_same_kind
-from trabecula.report.descriptors import LabelDescriptors, Measured, Stick, TextureDescriptors
-from trabecula.report.evenness import Windows, local_fractions, choose_windows
-from trabecula.report.verdict import Certificate, Metric, about_image
+from trabecula.report.compatibility import check_corresponds, check_pictures, check_same_kind
+from trabecula.report.decidability import exemplar_reasons, level_reasons
+from trabecula.report.descriptors import (
+    DescriptorSet,
+    LabelDescriptors,
+    Measurements,
+    TextureDescriptors,
+)
+from trabecula.report.evenness import Windows, choose_windows, local_fractions
+from trabecula.report.metrics import Metric
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.reference import Reference
-from trabecula.report.slicewise import check_pictures, judge_volumes
-from trabecula.report.undecided import exemplar_reasons, level_reasons
+from trabecula.report.slicewise import judge_volumes
+from trabecula.report.verdict import Certificate, about_image
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
 
@@ -152,11 +158,8 @@ def verify(
     The baseline is a thresholded Gaussian field with the exemplar's fraction and two-point function
     (`noise`): where it passes as well, a figure says little.
     """
-    pictures: list[Any] = (
-        list(exemplar)
-        if isinstance(exemplar, (list, tuple)) and _are_images(exemplar)
-        else [exemplar]
-    )
+    several = isinstance(exemplar, (list, tuple)) and _are_images(exemplar)
+    pictures: list[Any] = list(cast(Sequence, exemplar)) if several else [exemplar]
     exemplars = [as_image(picture, name="exemplar") for picture in pictures]
     exemplar = exemplars[0]
     check_name(level, LEVELS, name="level")
@@ -169,7 +172,8 @@ def verify(
     for picture in exemplars:
         if picture.kind == "labels" and not 0 < porosity(picture) < 1:
             raise InputError(
-                "the exemplar is all void or holds none: there is nothing to compare; check its threshold"
+                "the exemplar is all void or holds none: there is nothing to compare; check its "
+                "threshold"
             )
     check_pictures(exemplars)
     others = [_as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
@@ -184,7 +188,8 @@ def verify(
             check_same_kind(exemplar, image, name)
         if slab_note:
             raise InputError(
-                f"{slab_note} A volume held against pictures has to fit into memory: give a crop of it"
+                f"{slab_note} A volume held against pictures has to fit into memory: give a crop "
+                "of it"
             )
         found = judge_volumes(
             exemplars, others, names, views=views, r_max=r_max, level=level, box=box
@@ -196,34 +201,32 @@ def verify(
     fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
     reach = max(1, min(reach, fits))
     windows = choose_windows(exemplar, others)
-    stick = _stick(exemplar, reach, level, windows, box, memory)
+    descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
     thorough = level != "quick" and exemplar.kind == "labels"
-    reference = Reference(exemplar, stick, copying=thorough)
+    reference = Reference(exemplar, descriptors, copying=thorough)
     baseline = _baseline(reference, reach) if thorough else None
     found = [
         _certificate(reference, image, name, level, baseline)
         for image, name in progress.track(list(zip(others, names, strict=True)), "comparing")
     ]
-    found = _with_diversity(found, others) if thorough else found
+    found = _add_diversity(found, others) if thorough else found
     found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
     return found[0] if len(found) == 1 else found
 
 
 def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
-    """Slabs stand for an Image wherever nobody asks for its values."""
+    """Return an Image; slabs stand for one wherever its values are not needed."""
     return cast(Image, image) if isinstance(image, Slabs) else as_image(image, name=name)
 
 
 def _level_for(images: Sequence[Any], names: Sequence[str], level: str) -> tuple[str, str | None]:
-    """How much is measured where an image is in slabs, and a note that says so."""
+    """Return the level at which images are measured, lower where one is in slabs, and a note."""
     large = [name for image, name in zip(images, names, strict=True) if isinstance(image, Slabs)]
     if not large:
         return level, None
-    left_out = (
-        f": {', '.join(LEFT_OUT)}, copying and the baseline were left out"
-        if level != "quick"
-        else ""
-    )
+    left_out = ""
+    if level != "quick":
+        left_out = f": {', '.join(names_without_slabs())}, copying and the baseline were left out"
     return (
         "quick",
         f'Measured slab by slab, at level "quick", for the size of {", ".join(large)}{left_out}.',
@@ -242,30 +245,26 @@ def _are_images(given: Sequence[Any]) -> bool:
     return bool(given) and all(isinstance(each, Image) for each in given)
 
 
-def _stick(
+def _choose_descriptors(
     exemplar: Image,
     r_max: int,
     level: str,
     windows: Windows | None,
     box: int | None,
     memory: int | None,
-) -> Stick:
+) -> DescriptorSet:
     if exemplar.kind != "labels":
         return TextureDescriptors(exemplar, lags=min(r_max, 32), windows=windows)
     return LabelDescriptors(r_max=r_max, level=level, windows=windows, box=box, memory=memory)
 
 
-def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measured]:
-    """Without transport and stiffness, which would take as long as those of an image, and no copy
-    by its making.
+def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measurements]:
+    """Judge the baseline, without transport and stiffness, which take as long as those of an image,
+    and without copying: it is no copy by its making.
     """
     field = gaussian_field(reference.exemplar)
-    stick = cast(LabelDescriptors, reference.stick)
-    fits = (
-        stick.windows
-        if stick.windows and min(field.shape) >= min(reference.exemplar.shape)
-        else None
-    )
+    windows = cast(LabelDescriptors, reference.descriptors).windows
+    fits = windows if windows and min(field.shape) >= min(reference.exemplar.shape) else None
     measured = LabelDescriptors(r_max=r_max, level="default", windows=fits).measure(field)
     return reference.judge(field, measured, copying=False), measured
 
@@ -275,7 +274,7 @@ def _certificate(
     image: Image,
     name: str,
     level: str,
-    baseline: tuple[dict[str, Metric], Measured] | None,
+    baseline: tuple[dict[str, Metric], Measurements] | None,
 ) -> Certificate:
     measured = reference.measure(image)
     metrics = reference.judge(image, measured)
@@ -304,8 +303,8 @@ def _certificate(
     return Certificate(metrics, notes, name, curves, about, noise, reasons, maps)
 
 
-def _with_diversity(certificates: list[Certificate], images: Sequence[Image]) -> list[Certificate]:
-    """Where several images are of one shape: how far they are from being one and the same."""
+def _add_diversity(certificates: list[Certificate], images: Sequence[Image]) -> list[Certificate]:
+    """Add a note where several images are of one shape: how far they are from being the same."""
     alike = [n for n, image in enumerate(images) if image.shape == images[0].shape]
     if len(alike) < 2:
         return certificates
@@ -315,9 +314,9 @@ def _with_diversity(certificates: list[Certificate], images: Sequence[Image]) ->
         return certificates
     others = ~np.eye(len(alike), dtype=bool)
     note = (
-        f"Of the {len(alike)} images of one shape the two most alike differ in {apart.distance[others].min():.0%} of what "
-        f"independent ones would, and at most {np.nanmax(apart.coherence):.0%} of one image's voxels continue a piece of "
-        "another."
+        f"Of the {len(alike)} images of one shape the two most alike differ in "
+        f"{apart.distance[others].min():.0%} of what independent ones would, and at most "
+        f"{np.nanmax(apart.coherence):.0%} of one image's voxels continue a patch of another."
     )
     return [
         replace(one, notes=(*one.notes, note)) if n in alike else one

@@ -1,5 +1,5 @@
-"""What is measured of an image, and how far two images are apart: one stick for labels, one for
-grey and colour.
+"""Sets of descriptors: how an image is measured and how far two images are apart, for labels and
+for grey and colour.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.measure.blockwise import LEFT_OUT, count_slabs, fitting_depth
+from trabecula.measure.blockwise import count_slabs, fitting_depth, names_without_slabs
 from trabecula.measure.components import component_sizes, sizes_distance
 from trabecula.measure.correlation import covariance_form
 from trabecula.measure.correlation.lineal_path import segments_that_fit
@@ -25,39 +25,24 @@ from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten
 from trabecula.measure.orientation import orientation
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.registry import AXES, DESCRIPTORS, PHYSICS, measure_one_by_one, select
 from trabecula.measure.streaming import LineTally
 from trabecula.measure.streaming.cells import CellMeans, CellSums, cells_of
 from trabecula.measure.streaming.lines import CrossingTally
 from trabecula.measure.thickness import mean_chord
 from trabecula.report.evenness import Windows, measure_evenness, phases_of
-from trabecula.report.metrics import FIGURES
 
 BINS = 64
-"""Of the histograms that are compared."""
-
-NOTHING = np.empty(0)
-
-_CURVE_STEMS = {
-    "two_point_cluster": "two_point_cluster_distance",
-    "two_point": "two_point_covariance",
-    "lineal_path": "lineal_path_distance",
-    "cross": "cross_correlation_distance",
-}
-"""Beginnings of the curves' names, each with that of its distance; an axis, a phase or a pair of
-phases follows.
-"""
-
-# None at level "quick": not measured, and not missing
-_SLOW = ("pore_size", "thickness", "anisotropy")
+"""Bins of the histograms that are compared."""
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurements:
     """One image, measured."""
 
     shape: tuple[int, ...]
     numbers: Mapping[str, Any]
-    """By the names of the table of figures: a number, truth values by axis, or None where it does
+    """By the names of the registry: a number, truth values by axis, or None where it does
     not exist.
     """
     curves: Mapping[str, np.ndarray]
@@ -65,27 +50,40 @@ class Measured:
     sizes: np.ndarray
     """Share of the volume that every component has; empty for grey and colour."""
     details: Mapping[str, Any]
-    """What is told and not judged: the stiffness matrix, whether solvers converged."""
+    """Reported and not judged: the stiffness matrix, the convergence of solvers."""
     evenness: Mapping[str, Evenness] = field(default_factory=dict)
     """Local figures of every phase by the suffix of their names; empty of parts."""
     cells: CellMeans | None = None
-    """What the local figures are added up from."""
+    """Sums over cells, which the local figures are added up from."""
     samples: float = 1.0
     """Independent images of this shape that the figures are means of."""
 
 
-class Stick(Protocol):
+class DescriptorSet(Protocol):
     """How images of one kind are measured and compared."""
 
-    def measure(self, image: Image, *, part: bool = False) -> Measured:
-        """Every number and curve of an image, or of a part of one."""
+    def measure(self, image: Image, *, part: bool = False) -> Measurements:
+        """Measure every number and curve of an image, or of a part of one."""
 
-    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
-        """Every distance of an image to the exemplar."""
+    def distances(self, image: Measurements, exemplar: Measurements) -> dict[str, float]:
+        """Return every distance of an image to the exemplar."""
 
 
 class LabelDescriptors:
-    """Measures of phases."""
+    """Descriptors of phases.
+
+    Parameters
+    ----------
+    r_max : int
+        Largest distance of the curves, voxels.
+    level : {"quick", "default", "full"}
+    windows : Windows, optional
+        Of the local figures. Default: none are measured.
+    box : int, optional
+        Edge of the centre box, voxels, that transport and stiffness are solved in.
+    memory : int, optional
+        Bytes that a volume in slabs may take.
+    """
 
     def __init__(
         self,
@@ -96,15 +94,10 @@ class LabelDescriptors:
         box: int | None = None,
         memory: int | None = None,
     ) -> None:
-        self.r_max, self.level, self.windows, self.box, self.memory = (
-            r_max,
-            level,
-            windows,
-            box,
-            memory,
-        )
+        self.r_max, self.level = r_max, level
+        self.windows, self.box, self.memory = windows, box, memory
 
-    def measure(self, image: Image | Slabs, *, part: bool = False) -> Measured:
+    def measure(self, image: Image | Slabs, *, part: bool = False) -> Measurements:
         """Measure numbers, curves and sizes of components; at level "full" transport and stiffness.
 
         Of a part neither local figures nor what halving the voxel changes are measured. A volume in
@@ -117,7 +110,7 @@ class LabelDescriptors:
         physics = (
             describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
         )
-        lines = _Axes(image.ndim, self.r_max)
+        lines = _AxisTallies(image.ndim, self.r_max)
         lines.add(image)
         each_numbers: dict[str, Any] = {}
         each_curves: dict[str, np.ndarray] = {}
@@ -125,44 +118,39 @@ class LabelDescriptors:
             each_numbers = phase_numbers(image, level=self.level)
             each_curves = phase_curves(image, r_max=self.r_max)
         local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
-        return Measured(
+        return Measurements(
             image.shape,
-            numbers_of(found, physics, self.level)
+            flat_numbers(found, physics, self.level)
             | lines.numbers(found["porosity"], image.spacing)
             | each_numbers,
             _curves_of(curves) | lines.curves(image.shape) | each_curves,
             component_sizes(image) / image.values.size,
             physics,
-            self._evenness(local, image),
+            _evenness(local, self.windows, image),
             local,
         )
 
-    def _measure_slabs(self, volume: Slabs) -> Measured:
+    def _measure_slabs(self, volume: Slabs) -> Measurements:
         depth = fitting_depth(volume, r_max=self.r_max, memory=self.memory)
-        lines = _Axes(3, self.r_max)
+        lines = _AxisTallies(3, self.r_max)
         sums = self.windows and CellSums(
             volume.shape, volume.spacing, len(volume.phases), cell=self.windows.cell
         )
         tallies = [lines, *([sums] if sums else [])]
-        found, pieces = count_slabs(volume, r_max=self.r_max, depth=depth, tallies=tallies)
-        found |= dict.fromkeys(LEFT_OUT)
+        found, components = count_slabs(volume, r_max=self.r_max, depth=depth, tallies=tallies)
+        found |= dict.fromkeys(names_without_slabs())
         local = sums.result() if sums else None
-        return Measured(
+        return Measurements(
             volume.shape,
-            numbers_of(found, {}, "quick") | lines.numbers(found["porosity"], volume.spacing),
+            flat_numbers(found, {}, "quick") | lines.numbers(found["porosity"], volume.spacing),
             _curves_of(found) | lines.curves(volume.shape),
-            pieces.sizes() / math.prod(volume.shape),
+            components.sizes() / math.prod(volume.shape),
             {},
-            self._evenness(local, volume),
+            _evenness(local, self.windows, volume),
             local,
         )
 
-    def _evenness(self, local: CellMeans | None, image: Image | Slabs) -> dict[str, Evenness]:
-        if local is None or self.windows is None:
-            return {}
-        return measure_evenness(local, self.windows, phases_of(image))
-
-    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
+    def distances(self, image: Measurements, exemplar: Measurements) -> dict[str, float]:
         """Return raw, relative and covariance-normalised distances of the curves, and of the
         component sizes.
         """
@@ -173,27 +161,24 @@ class LabelDescriptors:
             ),
             "component_distance": sizes_distance(image.sizes, exemplar.sizes),
         }
+        distances = {one.compares: one.name for one in select(kind="labels") if one.compares}
         for name, own in exemplar.curves.items():
             curve = image.curves[name]
-            stem = next(
-                (known for known in _CURVE_STEMS if name == known or name.startswith(f"{known}_")),
-                None,
-            )
-            if stem is None:
+            stems = [known for known in distances if f"{name}_".startswith(f"{known}_")]
+            if not stems:
                 continue
-            ending = name[len(stem) :].replace("_axis_", "_")
+            stem = max(stems, key=len)
+            ending = name[len(stem) :].replace("_axis_", "_")  # an axis, a phase or a pair of them
             if stem == "two_point":
                 if not ending:
                     found["two_point_relative"] = _relative(curve[1:], own[1:])
                 curve, own = covariance_form(curve), covariance_form(own)
-            found[_CURVE_STEMS[stem] + ending] = _relative(curve, own)
+            found[distances[stem] + ending] = _relative(curve, own)
         return found
 
 
-class _Axes:
-    """Chords and lineal paths of every axis for itself, of the solid and of the void, plane after
-    plane.
-    """
+class _AxisTallies:
+    """Chords and lineal paths of single axes, of the solid and of the void, plane after plane."""
 
     def __init__(self, ndim: int, r_max: int) -> None:
         self.ndim, self.r_max = ndim, r_max
@@ -239,7 +224,7 @@ class _Axes:
 
 
 class TextureDescriptors:
-    """Measures of grey values and colours as they are.
+    """Descriptors of grey values and colours as they are.
 
     Parameters
     ----------
@@ -253,19 +238,18 @@ class TextureDescriptors:
     def __init__(self, exemplar: Image, *, lags: int, windows: Windows | None = None) -> None:
         self.lags, self.windows = lags, windows
         self.bytes = exemplar.values.dtype == np.uint8
-        low, high = (
-            (0.0, 256.0)
-            if self.bytes
-            else (float(exemplar.values.min()), float(exemplar.values.max()))
-        )
+        low, high = 0.0, 256.0
+        if not self.bytes:
+            low, high = float(exemplar.values.min()), float(exemplar.values.max())
         self.edges = np.linspace(low, high if high > low else low + 1, BINS + 1)
 
-    def measure(self, image: Image, *, part: bool = False) -> Measured:
-        """First and second order statistics and local orientations."""
+    def measure(self, image: Image, *, part: bool = False) -> Measurements:
+        """Measure first and second order statistics and local orientations."""
         values = grey_values(image)
         numbers = {
             "mean": float(values.mean(dtype=np.float64)),
             "standard_deviation": float(values.std(dtype=np.float64)),
+            **measure_one_by_one(image, level="full"),
         }
         curves = {
             # Of a colour image the channels' one after another.
@@ -276,20 +260,18 @@ class TextureDescriptors:
             curves["ten_bins"] = ten_bins(image)
         lines = autocorrelation_lines(image, lags=self.lags)
         local = None if part or self.windows is None else cells_of(image, cell=self.windows.cell)
-        return Measured(
+        return Measurements(
             image.shape,
             numbers,
             curves | {f"autocorrelation_{axis}": line for axis, line in lines.items()},
-            NOTHING,
+            np.empty(0),
             {},
-            {}
-            if local is None or self.windows is None
-            else measure_evenness(local, self.windows, phases_of(image)),
+            _evenness(local, self.windows, image),
             local,
         )
 
-    def distances(self, image: Measured, exemplar: Measured) -> dict[str, float]:
-        """As the 2014 paper compares textures (its section VI), and the 2017 paper's ten bins."""
+    def distances(self, image: Measurements, exemplar: Measurements) -> dict[str, float]:
+        """Compare as the 2014 paper (section VI) does, and by the 2017 paper's ten bins."""
         ours, own = image.curves, exemplar.curves
         found = {
             "histogram_divergence": kullback_leibler(
@@ -310,25 +292,42 @@ class TextureDescriptors:
         return found
 
 
-def numbers_of(found: Mapping[str, Any], physics: Mapping[str, Any], level: str) -> dict[str, Any]:
-    """Flat: one name a number. A property that has one value an axis gives its mean and each of
-    them.
+def flat_numbers(
+    found: Mapping[str, Any], physics: Mapping[str, Any], level: str
+) -> dict[str, Any]:
+    """Return the numbers that `describe` and `describe_physics` found, one name a number.
+
+    A property that has one value an axis gives its mean and each of them. Descriptors above the
+    level are left out: they are not missing.
     """
-    numbers = {figure.name: found[figure.name] for figure in FIGURES if figure.name in found}
-    if level == "quick":
-        numbers = {name: value for name, value in numbers.items() if name not in _SLOW}
+    numbers = {
+        name: found[name]
+        for name, descriptor in DESCRIPTORS.items()
+        if descriptor.group and name in found and descriptor.is_measured(level)
+    }
     if len(found["fractions"]) > 2:
         numbers |= {f"fraction_{phase}": share for phase, share in found["fractions"].items()}
     numbers["percolating_fraction"] = float(np.mean(list(found["percolating_fraction"].values())))
     if found["morphometry"]:
         numbers["trabecular_number"] = found["morphometry"]["Tb.N"]
-    along = {name: physics.get(name) for name in ("diffusivity", "conductivity", "permeability")}
-    along["stiffness"] = physics["stiffness"]["moduli"] if physics.get("stiffness") else None
-    for name, axes in along.items():
+    by_axis = {one.name: physics.get(one.name) for one in select(source=PHYSICS) if one.group}
+    for one in select(source="", kind="labels"):
+        if one.by_axis and one.rule != AXES:
+            by_axis[one.name] = numbers.pop(one.name, None)
+    for name, axes in by_axis.items():
         if axes:
+            axes = axes["moduli"] if name == "stiffness" else axes
             numbers[name] = float(np.mean(list(axes.values())))
             numbers |= {f"{name}_{axis}": value for axis, value in axes.items()}
     return numbers
+
+
+def _evenness(
+    local: CellMeans | None, windows: Windows | None, image: Image | Slabs
+) -> dict[str, Evenness]:
+    if local is None or windows is None:
+        return {}
+    return measure_evenness(local, windows, phases_of(image))
 
 
 def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -336,8 +335,10 @@ def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
         "two_point": np.array(found["two_point"]["radial"]),
         "lineal_path": np.array(found["lineal_path"]),
     }
-    if found["two_point_cluster"] is not None:
-        curves["two_point_cluster"] = np.array(found["two_point_cluster"])
+    single = [one.name for one in select(source="", kind="labels") if one.curve]
+    for name in ("two_point_cluster", *single):
+        if found[name] is not None:
+            curves[name] = np.array(found[name])
     along = {
         f"two_point_axis_{axis}": np.array(c)
         for axis, c in found["two_point"].items()

@@ -1,5 +1,4 @@
-"""Evenness in the certificate: which figures there are, and the bands that another sample of the
-material keeps.
+"""Evenness in the certificate: its figures, and their bands in another sample of the material.
 
 Window means of one size are compared, so no size has to be extrapolated; what differs is how many
 windows an image holds. Windows overlap: a row of length S of means over windows of edge w holds as
@@ -39,7 +38,7 @@ SIZES = ("small", "medium", "large")
 """Of windows, as the names of figures end."""
 
 WHATS = ("fraction", "surface", "direction")
-"""What is local."""
+"""Quantities that are local."""
 
 LEAST_FREEDOM = 4.0
 """Fewer independent windows in the exemplar know no spread."""
@@ -50,7 +49,7 @@ SLOWEST = 0.3
 
 @dataclass(frozen=True)
 class Windows:
-    """Where local figures are taken: one for all images that are compared."""
+    """Windows of the local figures, the same for all images that are compared."""
 
     cell: int
     """Voxels a side of a cell."""
@@ -77,7 +76,7 @@ def measure_evenness(
     return {suffix: evenness_of(cells, counts, labels=labels) for suffix, labels in phases.items()}
 
 
-def merge_evenness(found: Sequence[Evenness]) -> Evenness:
+def average_evenness(found: Sequence[Evenness]) -> Evenness:
     """Return the evenness of several images of one size, such as slices: root mean squares, means
     and extremes.
     """
@@ -198,7 +197,7 @@ def scaling_exponent(exemplar: Evenness) -> float:
     one, other = exemplar.fraction[-2:]
     if not other.deviation > 0 or other.edge <= one.edge:
         return 1.0
-    variances = [each.deviation**2 / _unbiased(exemplar, each.edge) for each in (one, other)]
+    variances = [each.deviation**2 / _variance_share(exemplar, each.edge) for each in (one, other)]
     volumes = len(exemplar.extents) * math.log(other.edge / one.edge)
     return min(1.0, max(SLOWEST, math.log(variances[0] / variances[1]) / volumes))
 
@@ -206,10 +205,12 @@ def scaling_exponent(exemplar: Evenness) -> float:
 def _deviation_band(
     exemplar: Evenness, image: Evenness, own: Spread, freedom: float
 ) -> tuple[float, float]:
-    """Band of the standard deviation over windows; both samples are too even by what their own
-    means take away.
+    """Return the band of the standard deviation over windows; both samples are too even by what
+    their own means take away.
     """
-    expected = own.deviation * math.sqrt(_unbiased(image, own.edge) / _unbiased(exemplar, own.edge))
+    expected = own.deviation * math.sqrt(
+        _variance_share(image, own.edge) / _variance_share(exemplar, own.edge)
+    )
     upper = max(1.0, _freedom(image, own, own.kurtosis))
     ratios = [
         variance_ratio(round(upper, 1), round(freedom, 1), (1 + sign * CONFIDENCE) / 2)
@@ -222,11 +223,11 @@ def _deviation_band(
 def _trend_limits(
     exemplar: Evenness, extents: Sequence[float], largest: Spread, level: float, exponent: float
 ) -> dict[str, float]:
-    """How large a trend chance makes in a sample of these extents, by axis."""
+    """Return the trends that chance makes in a sample of these extents, by axis."""
     freedom = _freedom(exemplar, largest, 3.0)
     if freedom < LEAST_FREEDOM:
         return {}
-    variance = largest.deviation**2 / _unbiased(exemplar, largest.edge)
+    variance = largest.deviation**2 / _variance_share(exemplar, largest.edge)
     # of the window's volume to the sample's
     ratio = math.prod(min(1.0, largest.edge / length) for length in extents)
     noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio**exponent)
@@ -240,7 +241,7 @@ def _trend_limits(
 
 
 def _freedom(image: Evenness, spread: Spread, kurtosis: float) -> float:
-    """Degrees of freedom of the variance over windows.
+    """Return the degrees of freedom of the variance over windows.
 
     Means over windows that touch are kin as well, over about the material's own correlation: the
     smallest windows are about three correlation lengths wide, so two thirds of their edge stand for
@@ -252,16 +253,16 @@ def _freedom(image: Evenness, spread: Spread, kurtosis: float) -> float:
     return image.images * (count - 1) * 2 / (min(max(kurtosis, 1.5), 12.0) - 1)
 
 
-def _unbiased(image: Evenness, edge: float) -> float:
-    """Share of the variance that windows of one sample show around their own mean."""
+def _variance_share(image: Evenness, edge: float) -> float:
+    """Return the share of the variance that windows of one sample show around their own mean."""
     return 1 - 1 / max(
         1.01, math.prod(_independent(length - edge, edge, 1) for length in image.extents)
     )
 
 
 def _independent(span: float, edge: float, power: int) -> float:
-    """Independent means along a line over which a window of `edge` slides; of their squares with
-    power 2.
+    """Count the independent means along a line over which a window of `edge` slides; of their
+    squares with power 2.
     """
     if span <= 0:
         return 1.0
@@ -271,8 +272,8 @@ def _independent(span: float, edge: float, power: int) -> float:
 
 
 def _farthest(image: Evenness, own: Spread) -> float:
-    """Standard deviations that the farthest of all windows reaches, 99 times in 100; further where
-    the exemplar's own does.
+    """Return the standard deviations that the farthest of all windows reaches, 99 times in 100;
+    more where the exemplar's own does.
     """
     count = image.images * math.prod(max(1.0, 2 * length / own.edge) for length in image.extents)
     normal = NormalDist().inv_cdf(CONFIDENCE ** (1 / count))
@@ -310,6 +311,6 @@ def local_fractions(measured: Any) -> dict[str, np.ndarray]:
 
 
 def windows_note(found: Mapping[str, Evenness], unit: str) -> str:
-    """Return which windows the local figures are of."""
+    """Return a note on the windows of the local figures."""
     edges = ", ".join(f"{spread.edge:.4g}" for spread in next(iter(found.values())).fraction)
     return f"Local figures are of windows of {edges} {unit} a side (small to large)."

@@ -1,4 +1,4 @@
-"""`inspect`: what a scan is, what fits it, and what can be decided about it, before any work."""
+"""`inspect`: facts of a scan before any work, the method that fits, the scope of a certificate."""
 
 from __future__ import annotations
 
@@ -18,11 +18,17 @@ from trabecula.measure.fabric import fabric
 from trabecula.measure.grey import grey_values
 from trabecula.measure.percolation import percolates
 from trabecula.measure.thickness import thickness
-from trabecula.report.decidable import Decidable, decidable
-from trabecula.report.origins import origins_of
+from trabecula.report.decidability import Decidable, find_decidable
+from trabecula.report.inspection_text import origins_of, table
 from trabecula.report.recommend import Recommendation, recommend
 from trabecula.report.stationarity import Stationarity, find_trends
-from trabecula.report.structure import Structure, centre_box, has_bodies, indicator_of, structure_of
+from trabecula.report.structure import (
+    Structure,
+    centre_box,
+    has_bodies,
+    measure_structure,
+    solid_field,
+)
 
 SLAB_BOX = 256
 """Edge of the centre box, voxels, of a volume that does not fit into memory."""
@@ -76,7 +82,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found. All but `shape`, `kind`, `margins` and `grey` is of the image without
+    """Findings of `inspect`. All but `shape`, `kind`, `margins` and `grey` is of the image without
     its margins.
 
     Attributes
@@ -100,7 +106,7 @@ class Inspection:
         A phase that consists of separate bodies of one shape.
     recommendation : Recommendation
     decidable : Decidable
-        What a certificate will be able to decide.
+        The scope of a certificate.
     whole : tuple of int or None
         The shape of a volume of which the centre box alone was inspected.
     """
@@ -126,14 +132,14 @@ class Inspection:
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """The sides in correlation lengths."""
+        """Return the sides in correlation lengths."""
         return tuple(
             side / length if length > 0 else float("inf")
             for side, length in zip(self.margins.size, self.structure.lengths, strict=True)
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON; lengths in voxels, None where they are infinite."""
+        """Return plain JSON; lengths in voxels, None where they are infinite."""
         found = {
             name: getattr(self, name)
             for name in ("kind", "unit", "anisotropy", "longest", "bodies")
@@ -157,9 +163,7 @@ class Inspection:
         }
 
     def to_table(self) -> str:
-        """The findings in words, for a terminal: at most 40 lines."""
-        from trabecula.report.inspection_text import table
-
+        """Return the findings in words, for a terminal: at most 40 lines."""
         return table(self)
 
     def __str__(self) -> str:
@@ -173,14 +177,14 @@ def _finite(number: float) -> float | None:
 def inspect(
     image: Image | Slabs | ArrayLike, *, origin: Mapping[str, str] | None = None
 ) -> Inspection:
-    """Look at a scan before any work: what it is, what fits it, what can be decided about it.
+    """Inspect a scan before any work: what it is, what fits it, what can be decided about it.
 
     Parameters
     ----------
     image : Image, Slabs or array of labels, (Z, Y, X) or (Y, X)
         Labels, grey or colour. Of `Slabs` the centre box of 256 voxels a side is inspected.
     origin : mapping, optional
-        Where kind, phases, spacing and unit come from, in words. Default: what the recipe tells.
+        Where kind, phases, spacing and unit come from, in words. Default: from the recipe.
 
     Returns
     -------
@@ -206,17 +210,14 @@ def inspect(
         )
     image = as_image(image)
     # Of the centre of a larger volume nothing is a margin.
-    margins = (
-        Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
-        if whole
-        else find_margins(image)
-    )
-    kept = crop_margins(image) if margins else image
-    structure = structure_of(kept)
-    grey = None if image.kind == "labels" else _grey(kept, structure)
-    labels = _segmented(kept, grey)
+    none = Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
+    margins = none if whole else find_margins(image)
+    inner = crop_margins(image) if margins else image
+    structure = measure_structure(inner)
+    grey = None if image.kind == "labels" else _grey(inner, structure)
+    labels = _segment_scan(inner, grey)
     anisotropy, longest = (None, None) if labels is None else _direction(labels)
-    stationarity = find_trends(kept, structure.lengths)
+    stationarity = find_trends(inner, structure.lengths)
     return Inspection(
         shape=image.shape,
         kind=image.kind,
@@ -231,8 +232,10 @@ def inspect(
         anisotropy=anisotropy,
         longest=longest,
         bodies=None if labels is None else has_bodies(labels),
-        recommendation=_recommended(kept, labels),
-        decidable=decidable(kept if labels is None else labels, structure.lengths, stationarity),
+        recommendation=_recommend_for(inner, labels),
+        decidable=find_decidable(
+            inner if labels is None else labels, structure.lengths, stationarity
+        ),
         whole=whole,
         fractions={} if image.kind != "labels" else _fractions(image),
     )
@@ -245,17 +248,17 @@ def _fractions(image: Image) -> dict[str, float]:
     }
 
 
-def _segmented(image: Image, grey: Grey | None) -> Image | None:
-    """The image as labels, as methods would take it; None of colour, and of what has one value
-    alone.
+def _segment_scan(image: Image, grey: Grey | None) -> Image | None:
+    """Return the image as labels, as methods would take it; None of colour, and of an image of one
+    value.
     """
     if image.kind == "grey" and grey is not None and grey.threshold is not None:
         return segment(image)
     return image if image.kind == "labels" else None
 
 
-def _recommended(image: Image, labels: Image | None) -> Recommendation:
-    """What is learnt from is labels where there are any: a grey volume is segmented first."""
+def _recommend_for(image: Image, labels: Image | None) -> Recommendation:
+    """Choose a method for the labels where there are any: a grey volume is segmented first."""
     if image.kind == "grey" and labels is not None:
         found = recommend(labels)
         threshold = labels.recipe.steps[-1]["threshold"]
@@ -269,12 +272,9 @@ def _grey(image: Image, structure: Structure) -> Grey:
     values = grey_values(image)
     own = image.values
     low, high = float(values.min()), float(values.max())
-    ends = (
-        (np.iinfo(own.dtype).min, np.iinfo(own.dtype).max)
-        if own.dtype.kind in "iu"
-        else (own.min(), own.max())
-    )
-    saturated = np.count_nonzero((own == ends[0]) | (own == ends[1])) / own.size
+    ends = np.iinfo(own.dtype) if own.dtype.kind in "iu" else None
+    first, last = (ends.min, ends.max) if ends else (own.min(), own.max())
+    saturated = np.count_nonzero((own == first) | (own == last)) / own.size
     noise = float(values.std(dtype=np.float64)) * structure.noise**0.5
     threshold, share = (None, 0.0) if low == high else _otsu(image, values)
     return Grey(8 * own.dtype.itemsize, low, high, saturated, threshold, share, noise)
@@ -301,13 +301,10 @@ def _phases(image: Image) -> dict[str, Phase]:
             continue
         sizes = label_components(inside)[1]
         part = box == number
-        thick = (
-            thickness(part.astype(np.uint8))
-            if part.any() and not part.all() and min(part.shape) > 1
-            else None
-        )
+        mean = None
+        if part.any() and not part.all() and min(part.shape) > 1:
+            mean = float(thickness(part.astype(np.uint8)))
         through = percolates(inside.astype(np.uint8))
-        mean = None if thick is None else float(thick)
         share = float(sizes.max() / sizes.sum())
         found[name] = Phase(
             np.count_nonzero(inside) / inside.size, mean, len(sizes), share, through
@@ -316,8 +313,8 @@ def _phases(image: Image) -> dict[str, Phase]:
 
 
 def _direction(image: Image) -> tuple[float | None, str | None]:
-    """The degree of anisotropy, and the axis nearest to the longest mean intercepts."""
-    inside = indicator_of(image, THICK_BOX[image.ndim])
+    """Return the degree of anisotropy, and the axis nearest to the longest mean intercepts."""
+    inside = solid_field(image, THICK_BOX[image.ndim])
     if min(inside.shape) < 4 or inside.all() or not inside.any():
         return None, None
     found = fabric(inside.astype(np.uint8))

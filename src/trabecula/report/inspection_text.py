@@ -1,12 +1,18 @@
-"""An inspection as text for a terminal."""
+"""An inspection in words: a table for a terminal, and where the fields of a scan come from."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from trabecula.core.image import Image, default_phases
+from trabecula.report.decidability import Decidable
+
+if TYPE_CHECKING:
+    from trabecula.report.inspection import Inspection
 
 SEPARATE, WEAK = 0.8, 0.7
 """Otsu's share of the variance from which two classes are apart, and below which a normal
@@ -24,9 +30,11 @@ DIRECTED = 0.2
 """
 WIDTH, HEAD = 110, 14
 
+FIELDS = ("kind", "phases", "spacing", "unit")
 
-def table(found: Any) -> str:
-    """The findings of an `Inspection`, a topic a row: at most 40 lines."""
+
+def table(found: Inspection) -> str:
+    """Return the findings of an `Inspection`, a topic a row: at most 40 lines."""
     rows = [
         ("scan", _scan(found)),
         *_phase_rows(found),
@@ -43,31 +51,24 @@ def table(found: Any) -> str:
         *[("not decidable", text) for text in found.decidable.limits],
     ]
     lines: list[str] = []
-    before = ""
+    before, below = "", " " * (HEAD + 2)
     for head, text in rows:
         lead = ("" if head == before else head).ljust(HEAD + 2)
-        lines += textwrap.wrap(
-            text,
-            WIDTH,
-            initial_indent=lead,
-            subsequent_indent=" " * (HEAD + 2),
-            break_on_hyphens=False,
-        )
+        wrap = textwrap.TextWrapper(WIDTH, lead, below, break_on_hyphens=False)
+        lines += wrap.wrap(text)
         before = head
     text = "\n".join(lines)
     return text.replace("voxel", "pixel") if len(found.shape) == 2 else text
 
 
-def _scan(found: Any) -> str:
-    box = (
-        ""
-        if found.whole is None
-        else f", the centre box of {_size(found.whole)}: the rest was not looked at"
-    )
+def _scan(found: Inspection) -> str:
+    box = ""
+    if found.whole is not None:
+        box = f", the centre box of {_size(found.whole)}: the rest was not looked at"
     return f"{_size(found.shape)} voxels of {found.kind} ({found.origin.get('kind', 'given')}){box}"
 
 
-def _phase_rows(found: Any) -> Iterator[tuple[str, str]]:
+def _phase_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.kind == "labels":
         shares = ", ".join(f"{name} {share:.3f}" for name, share in found.fractions.items())
         where = found.origin.get("phases", "given")
@@ -75,7 +76,7 @@ def _phase_rows(found: Any) -> Iterator[tuple[str, str]]:
         yield "phases", f"{shares} ({where}{hint})"
 
 
-def _spacing(found: Any) -> str:
+def _spacing(found: Inspection) -> str:
     edges = found.spacing[:1] if len(set(found.spacing)) == 1 else found.spacing
     where, unit_from = (found.origin.get(name, "given") for name in ("spacing", "unit"))
     both = where if where == unit_from else f"{where}; unit: {unit_from}"
@@ -83,7 +84,7 @@ def _spacing(found: Any) -> str:
     return f"{' x '.join(f'{edge:g}' for edge in edges)} {found.unit} ({both}){advice}"
 
 
-def _margin_rows(found: Any) -> Iterator[tuple[str, str]]:
+def _margin_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     margins = found.margins
     if found.whole is not None:
         yield "margins", "not looked at: they lie outside the centre box"
@@ -101,7 +102,7 @@ def _margin_rows(found: Any) -> Iterator[tuple[str, str]]:
         yield "margins", "; ".join(changed)
 
 
-def _grey(found: Any) -> Iterator[str]:
+def _grey(found: Inspection) -> Iterator[str]:
     grey = found.grey
     if grey is None:
         return
@@ -111,24 +112,16 @@ def _grey(found: Any) -> Iterator[str]:
     yield f"{grey.bits} bit a value, from {grey.low:g} to {grey.high:g}, {lost}{noise}"
     if grey.threshold is None or found.kind == "colour":
         return
-    word = (
-        "well"
-        if grey.separability >= SEPARATE
-        else "weakly"
-        if grey.separability >= WEAK
-        else "badly"
-    )
-    more = (
-        ""
-        if word == "well"
-        else ": look at slices, give --threshold, or keep greys with --threshold none"
-    )
+    word, more = "well", ""
+    if grey.separability < SEPARATE:
+        word = "weakly" if grey.separability >= WEAK else "badly"
+        more = ": look at slices, give --threshold, or keep greys with --threshold none"
     share = f"{grey.separability:.2f} of the variance lies between the classes"
     yield f"threshold {grey.threshold:g} (Otsu) parts {word}: {share}{more}"
 
 
-def _correlation(found: Any) -> str:
-    axes = ", ".join(_axes(found.margins.size))
+def _correlation(found: Inspection) -> str:
+    axes = ", ".join("zyx"[3 - len(found.margins.size) :])
     lengths = ", ".join(
         f"{length:.1f}" if np.isfinite(length) else "unknown" for length in found.structure.lengths
     )
@@ -139,88 +132,74 @@ def _correlation(found: Any) -> str:
     return f"over {lengths} voxels along {axes}; the sides are {sizes} times as long"
 
 
-def _decidable(decidable: Any) -> str:
+def _decidable(decidable: Decidable) -> str:
     if not decidable.anything:
         return "nothing"
-    return f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} voxels"
+    return (
+        f"{decidable.figures}, by the spread of {decidable.parts} parts of {_size(decidable.part)} "
+        "voxels"
+    )
 
 
-def _direction_rows(found: Any) -> Iterator[tuple[str, str]]:
+def _direction_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.anisotropy is not None:
         directed = found.anisotropy > DIRECTED
         word = f"longest along {found.longest}" if directed else "alike in all directions"
         hint = ""
         if directed and len(found.shape) == 2:
-            hint = "; one picture cannot tell the third axis: give further pictures, or --set views=yx,zx"
+            hint = "; one picture cannot show the third axis: give more, or --set views=yx,zx"
         yield "direction", f"anisotropy {found.anisotropy:.2f} of mean intercepts: {word}{hint}"
 
 
-def _components(found: Any) -> Iterator[str]:
+def _components(found: Inspection) -> Iterator[str]:
     for name, phase in found.phases.items():
-        through = "".join(axis for axis, holds in phase.percolates.items() if holds)
-        spans = f"spans {', '.join(through)}" if through else "spans no axis"
-        count = (
-            "1 component"
-            if phase.components == 1
-            else (f"{phase.components} components, the largest {phase.largest_fraction:.3f} of it")
-        )
-        thick = "" if phase.thickness is None else f"; {phase.thickness:.1f} voxels thick"
-        thin = (
-            ": too few, thin parts will break; a finer scan helps"
-            if (phase.thickness is not None and phase.thickness < THIN)
-            else ""
-        )
-        yield f"{name}{_share(found, phase)}: {count}, {spans}{thick}{thin}"
+        share = "" if found.kind == "labels" else f" {phase.fraction:.3f}"
+        count, thick = "1 component", ""
+        if phase.components != 1:
+            count = f"{phase.components} components, the largest {phase.largest_fraction:.3f} of it"
+        spans = ", ".join(axis for axis, holds in phase.percolates.items() if holds) or "no axis"
+        if phase.thickness is not None:
+            thick = f"; {phase.thickness:.1f} voxels thick"
+            if phase.thickness < THIN:
+                thick += ": too few, thin parts will break; a finer scan helps"
+        yield f"{name}{share}: {count}, spans {spans}{thick}"
 
 
-def _share(found: Any, phase: Any) -> str:
-    return "" if found.kind == "labels" else f" {phase.fraction:.3f}"
-
-
-def _stationarity(found: Any) -> str:
+def _stationarity(found: Inspection) -> str:
     state = found.stationarity
     if state.stationary is None:
         return f"not decided: {state.windows} windows of {_size(state.edge)} voxels are too few"
-    names = (
-        [name for name in found.phases if name != "void"] if found.kind == "labels" else ["grey"]
-    )
-    what = (
-        names[-1]
-        if len(names) == 1
-        else "all but void"
-        if "void" in found.phases
-        else f"all but {names[0]}"
-    )
+    names = [name for name in found.phases if name != "void"]
+    names = names if found.kind == "labels" else ["grey"]
+    rest = "void" if "void" in found.phases else names[0]
+    what = names[0] if len(names) == 1 else f"all but {rest}"
     trends = [
-        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} ({trend.errors:.1f} standard errors)"
+        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} "
+        f"({trend.errors:.1f} standard errors)"
         for trend in state.trends
         if trend.found
     ]
     if trends:
         return f"no: {'; '.join(trends)}"
-    return f"no trend along the axes or from centre to rim ({state.windows} windows of {_size(state.edge)} voxels)"
-
-
-def _along(name: str) -> str:
     return (
-        f"along {name}"
-        if len(name) == 1
-        else f"from {name.replace(' to ', ' to the ')}".replace("from ", "from the ")
+        f"no trend along the axes or from centre to rim ({state.windows} windows of "
+        f"{_size(state.edge)} voxels)"
     )
 
 
-def _order(found: Any) -> str:
+def _along(name: str) -> str:
+    return f"along {name}" if len(name) == 1 else f"from the {name.replace(' to ', ' to the ')}"
+
+
+def _order(found: Inspection) -> str:
     structure = found.structure
     if structure.period is not None:
         offset = ", ".join(map(str, structure.period))
         text = f"regular: repeats {offset} voxels on, correlated by {structure.order:.2f}"
     else:
         text = "none beyond 5 correlation lengths"
-    return (
-        text
-        if found.bodies is None
-        else f"{text}; {found.bodies} consists of separate bodies of one shape"
-    )
+    bodies = f"; {found.bodies} consists of separate bodies of one shape" if found.bodies else ""
+    return text + bodies
 
 
 def _number(value: float) -> str:
@@ -231,5 +210,54 @@ def _size(shape: Sequence[int]) -> str:
     return " x ".join(map(str, shape))
 
 
-def _axes(shape: Sequence[int]) -> str:
-    return "zyx"[3 - len(shape) :]
+def origins_of(image: Image) -> dict[str, str]:
+    """Return the origin of each field, from the recipe: given, stated by the file, found in the
+    content, or the default.
+    """
+    found = {name: _unknown(image, name) for name in FIELDS}
+    for step in image.recipe.steps:
+        found.update(_of_step(step, image))
+    if image.kind != "labels":
+        del found["phases"]
+    return found
+
+
+def _unknown(image: Image, name: str) -> str:
+    if name == "phases" and image.phases == default_phases(len(image.phases)):
+        return "default names"
+    default = {"spacing": set(image.spacing) == {1.0}, "unit": image.unit == "voxel"}
+    if default.get(name):
+        return "default: nothing states it"
+    return "given with the array"
+
+
+def _of_step(step: Mapping[str, Any], image: Image) -> dict[str, str]:
+    """Return the origins of the fields that a step of a recipe sets."""
+    verb = step["verb"]
+    if verb == "sample":
+        return dict.fromkeys(FIELDS, "the sample")
+    if verb == "declare":
+        return dict.fromkeys(step.get("fields", {}), "given")
+    if verb == "segment":
+        how = step.get("found_by", "given")
+        threshold = step["threshold"]
+        numbers = threshold if isinstance(threshold, list) else [threshold]
+        text = ", ".join(f"{number:g}" for number in numbers)
+        found = {"kind": f"segmented at {text} ({'given' if how == 'given' else f'found: {how}'})"}
+        return found | {"phases": "default names" if image.phases == ("void", "solid") else "given"}
+    if verb == "generate":
+        return dict.fromkeys(FIELDS, "its exemplar")
+    if verb != "read":
+        return {}
+    found = dict.fromkeys(step.get("stated", ()), "stated in the file")
+    if "kind" not in found:
+        kinds = {"labels": "few levels", "grey": "more than 8 levels", "colour": "three channels"}
+        levels = ", ".join(f"{level:g}" for level in step.get("levels") or ())
+        found["kind"] = f"the file's levels {levels}" if levels else kinds[image.kind]
+    if "spacing_from" in step:
+        found |= dict.fromkeys(("spacing", "unit"), step["spacing_from"])
+    found |= dict.fromkeys((name for name in step.get("options", {}) if name in FIELDS), "given")
+    if "ignored" in step:
+        spacing = found.get("spacing", _unknown(image, "spacing"))
+        found["spacing"] = f"{spacing} (ignored: {step['ignored']})"
+    return found

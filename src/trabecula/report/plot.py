@@ -1,5 +1,5 @@
-"""Small SVG figures: curves with a band, and where a number lies in its range. Told apart by dashes
-and not by colour."""
+"""Small SVG figures: curves with a band, and the place of a number in its range. Lines differ by
+dashes and not by colour alone."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def curve_plot(
     step: float = 1.0,
     baseline: str | None = None,
 ) -> str:
-    """Curves over r = 0, step, 2 step, ...: the first drawn full, the others dashed each in its
-    way; the band hatched.
+    """Draw curves over r = 0, step, 2 step, ...: the first full, the others dashed each in its way;
+    the band hatched.
 
     Parameters
     ----------
@@ -66,15 +66,18 @@ def curve_plot(
             f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
         )
         body.append(
-            f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{tick:g}</text>'
+            f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" '
+            f'text-anchor="end">{tick:g}</text>'
         )
     for tick in ticks(0, right):
         x = across[0] + across[1] * tick
         body.append(
-            f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" text-anchor="middle">{tick:g}</text>'
+            f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" '
+            f'text-anchor="middle">{tick:g}</text>'
         )
     body.append(
-        f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 6}" text-anchor="end">{escape(x_label)}</text>'
+        f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 6}" '
+        f'text-anchor="end">{escape(x_label)}</text>'
     )
     if band:
         body.append(
@@ -86,7 +89,7 @@ def curve_plot(
 
 
 def _styles(names: Sequence[str], baseline: str | None) -> list[str]:
-    """Classes of lines: the exemplar's, then one for each image in turn, and the baseline's."""
+    """Return classes of lines: the exemplar's, then one for each image, and the baseline's."""
     images = 0
     styles = ["line0"]
     for name in names[1:]:
@@ -96,8 +99,9 @@ def _styles(names: Sequence[str], baseline: str | None) -> list[str]:
 
 
 def place_plot(values: Sequence[float | None], band: tuple[float, float], own: float | None) -> str:
-    """Where numbers (dots, numbered where they are several) lie: the band as a hatched bar, the
-    exemplar's own number as a tick. An arrow: beyond the figure."""
+    """Draw the places of numbers: dots (numbered where several), the band as a hatched bar, the
+    exemplar's own number as a tick. An arrow: beyond the figure.
+    """
     width, height = 150, 18
     spread = max(band[1] - band[0], 1e-9 * abs(band[1]), 1e-12)
     start, end = band[0] - spread, band[1] + spread
@@ -107,7 +111,8 @@ def place_plot(values: Sequence[float | None], band: tuple[float, float], own: f
 
     body = [
         f'<line class="grid" x1="0" x2="{width}" y1="9" y2="9"/>',
-        f'<rect class="band" x="{x(band[0]):.1f}" y="4" width="{x(band[1]) - x(band[0]):.1f}" height="10"/>',
+        f'<rect class="band" x="{x(band[0]):.1f}" y="4" width="{x(band[1]) - x(band[0]):.1f}" '
+        'height="10"/>',
     ]
     if own is not None:
         body.append(f'<line class="own" x1="{x(own):.1f}" x2="{x(own):.1f}" y1="1" y2="17"/>')
@@ -131,16 +136,19 @@ def _dot(at: float, below: bool, above: bool, width: int) -> str:
 
 
 def hatching() -> str:
-    """The pattern that bands are filled with: once a page."""
+    """Return the pattern that bands are filled with: once a page."""
     return (
-        '<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs><pattern id="hatch" width="5" '
-        'height="5" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect width="5" height="5" '
-        'fill="#eceae4"/><line x1="0" y1="0" x2="0" y2="5" stroke="#b9b4a6" stroke-width="1.6"/></pattern></defs></svg>'
+        '<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs><pattern '
+        'id="hatch" width="5" '
+        'height="5" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect width="5" '
+        'height="5" '
+        'fill="#eceae4"/><line x1="0" y1="0" x2="0" y2="5" stroke="#b9b4a6" '
+        'stroke-width="1.6"/></pattern></defs></svg>'
     )
 
 
 def key(names: Sequence[str], *, band: str | None, baseline: str | None = None) -> str:
-    """Which line is which, once for all figures of a page."""
+    """Draw the key of the lines, once for all figures of a page."""
     parts = []
     for style, name in zip(_styles(names, baseline), names, strict=True):
         line = f'<line class="{style}" x1="0" x2="36" y1="7" y2="7"/>'
@@ -176,17 +184,19 @@ def density_map(values: ArrayLike, *, low: float, high: float, side: float) -> s
         for x in range(columns):
             red, green, blue = (round(255 - (255 - end) * shares[y, x]) for end in (20, 60, 105))
             squares.append(
-                f'<rect x="{x}" y="{y}" width="1.02" height="1.02" fill="#{red:02x}{green:02x}{blue:02x}"/>'
+                f'<rect x="{x}" y="{y}" width="1.02" height="1.02" '
+                f'fill="#{red:02x}{green:02x}{blue:02x}"/>'
             )
     scale = side / max(rows, columns)
     return (
-        f'<svg width="{columns * scale:.0f}" height="{rows * scale:.0f}" viewBox="0 0 {columns} {rows}" role="img">'
+        f'<svg width="{columns * scale:.0f}" height="{rows * scale:.0f}" viewBox="0 0 {columns} '
+        f'{rows}" role="img">'
         f"{''.join(squares)}</svg>"
     )
 
 
 def ticks(low: float, high: float, *, count: int = 5) -> list[float]:
-    """About `count` round numbers from low to high."""
+    """Return about `count` round numbers from low to high."""
     if not high > low:
         return [low]
     raw = (high - low) / count
@@ -198,4 +208,7 @@ def ticks(low: float, high: float, *, count: int = 5) -> list[float]:
 
 def _svg(width: int, height: int, label: str, body: Sequence[str], *, fixed: bool = False) -> str:
     size = f' width="{width}" height="{height}"' if fixed or width < 200 else ""
-    return f'<svg viewBox="0 0 {width} {height}"{size} role="img" aria-label="{escape(label)}">{"".join(body)}</svg>'
+    return (
+        f'<svg viewBox="0 0 {width} {height}"{size} role="img" '
+        f'aria-label="{escape(label)}">{"".join(body)}</svg>'
+    )

@@ -1,4 +1,4 @@
-"""Quantiles of the distributions that bands are made of, from draws that are always the same.
+"""Quantiles of the distributions that bands are computed from, by draws that are always the same.
 
 A quarter of a million draws know a quantile of 0.995 to about a hundredth of its value, which is
 far finer than what eight parts of a scan know. It spares the base install a statistics library.
@@ -23,11 +23,13 @@ def student(freedom: float, level: float) -> float:
 
 @lru_cache
 def variance_ratio(upper: float, lower: float, level: float) -> float:
-    """Return the quantile of Fisher's F distribution: the ratio of two variances of one population."""
+    """Return the quantile of Fisher's F distribution, the ratio of two variances of one
+    population.
+    """
     rng = np.random.default_rng(0)
     return float(np.quantile(_variances(rng, upper) / _variances(rng, lower), level))
 
 
 def _variances(rng: np.random.Generator, freedom: float) -> np.ndarray:
-    """Draws of the sample variance of a standard normal population."""
+    """Draw sample variances of a standard normal population."""
     return rng.gamma(freedom / 2, 2 / freedom, _DRAWS)

@@ -1,8 +1,7 @@
-"""Which method and preset fit an exemplar, and why: from what the methods' cards and the tables of
-figures say.
+"""Recommendations: the method and preset that fit an exemplar, with the reason.
 
-Only what a card or a table says is used: docs/guide/figures.md for pictures, the known failures of
-`texture` for volumes.
+The rules are those of the methods' cards and of the tables of figures: docs/guide/figures.md for
+pictures, the known failures of `texture` for volumes.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trabecula.core.image import Image
-from trabecula.report.structure import has_bodies, structure_of
+from trabecula.report.structure import has_bodies, measure_structure
 
 LEAST = 12
 """Voxels along every axis that methods of neighbourhoods need: a neighbourhood of 8 and 4 places
@@ -50,7 +49,7 @@ class Recommendation:
         return f"--method {self.method}{preset}{settings}: {self.reason}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return plain JSON."""
         settings = dict(self.settings)
         return {
             "method": self.method,
@@ -78,23 +77,26 @@ def _for_little(image: Image) -> Recommendation:
     if image.ndim == 3 and image.kind == "labels" and min(image.shape) >= LEAST_NOISE:
         return Recommendation(
             "noise",
-            f"{size} is too small for neighbourhoods, which need {LEAST} voxels along every axis; noise takes over the fractions "
+            f"{size} is too small for neighbourhoods, which need {LEAST} voxels along every axis; "
+            "noise takes over the fractions "
             "and the two-point function alone",
         )
     return Recommendation(
         None,
-        f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a larger scan",
+        f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a "
+        "larger scan",
     )
 
 
 def _for_volume(image: Image) -> Recommendation:
-    period = structure_of(image).period
+    period = measure_structure(image).period
     if period is not None:
         offset = ", ".join(map(str, period))
         return Recommendation(
             "texture",
-            f"the material is regular (it repeats {offset} voxels on, as far as beyond 5 correlation lengths), and only moved "
-            "pieces of the scan keep such order; the result copies",
+            f"the material is regular (it repeats {offset} voxels on, as far as beyond 5 "
+            "correlation lengths), and only moved "
+            "patches of the scan keep such order; the result copies",
             preset="best",
         )
     if image.kind != "labels":
@@ -106,14 +108,16 @@ def _for_volume(image: Image) -> Recommendation:
     if body is not None:
         return Recommendation(
             "texture",
-            f"{body} consists of separate bodies of one shape, which the default preset turns into blobs; best keeps them, and "
+            f"{body} consists of separate bodies of one shape, which the default preset turns into "
+            "blobs; best keeps them, and "
             "copies",
             preset="best",
         )
     if len(image.phases) > 2:
         return Recommendation(
             "texture",
-            f"with {len(image.phases)} phases the default preset's two-point function drifts; best keeps it, and copies",
+            f"with {len(image.phases)} phases the default preset's two-point function drifts; best "
+            "keeps it, and copies",
             preset="best",
         )
     return Recommendation(
@@ -125,18 +129,20 @@ def _for_picture(image: Image) -> Recommendation:
     if image.kind != "labels":
         return Recommendation(
             "chen",
-            f"a {image.kind} picture: it takes the picture's own pixels, where means of three views lose their grain",
+            f"a {image.kind} picture: it takes the picture's own pixels, where means of three "
+            "views lose their grain",
         )
     width = _mean_run(image)
     if width < FINE:
         return Recommendation(
             "mrf",
-            f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws structures that fine",
+            f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws "
+            "structures that fine",
         )
     return Recommendation(
         "kopf",
-        "a picture of labels: in space its phases hang together most nearly as those of real scans do; mrf draws nearer slices, "
-        "in more pieces",
+        "a picture of labels: in space its phases are connected most nearly as those of real scans "
+        "are; mrf draws nearer slices, in more components",
     )
 
 
@@ -151,17 +157,17 @@ def _mean_run(image: Image) -> float:
 
 
 def misfit(image: Image, method: str, exemplar: str | None, *, flat: bool) -> str | None:
-    """Say why a method cannot learn from an exemplar of these axes, and which can; None where it
-    can.
+    """Explain why a method cannot learn from an exemplar of these axes, and which can; None where
+    it can.
 
     Parameters
     ----------
     image : Image
     method : str
     exemplar : {"2d", "3d", None}
-        What the method learns from.
+        Dimension of the exemplars that the method learns from.
     flat : bool
-        Whether it also learns from pictures.
+        It also learns from pictures.
     """
     if exemplar is None or f"{image.ndim}d" == exemplar or (flat and image.ndim == 2):
         return None

@@ -13,6 +13,16 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import coherence
 from trabecula.measure.evenness import Evenness
+from trabecula.measure.registry import (
+    AT_LEAST,
+    AT_MOST,
+    AXES,
+    COUNT,
+    DESCRIPTORS,
+    DISTANCE,
+    REPORTED,
+    SHOWN,
+)
 from trabecula.report.band import (
     LEAST_COUNT,
     Sizes,
@@ -22,24 +32,12 @@ from trabecula.report.band import (
     parts,
     value_band,
 )
-from trabecula.report.descriptors import Measured, Stick
+from trabecula.report.descriptors import DescriptorSet, Measurements
 from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
-from trabecula.report.verdict import Metric
-from trabecula.report.metrics import (
-    AT_LEAST,
-    AT_MOST,
-    AXES,
-    COUNT,
-    DISTANCE,
-    SHOWN,
-    TOLD,
-    figure_of,
-    in_order,
-    stem_of,
-)
+from trabecula.report.metrics import Metric, find_descriptor, in_order, stem
 
 LAG = 4
-"""Coherence is told over this many voxels: beyond chance, and shorter than the pieces that patch
+"""Voxels over which coherence is measured: beyond chance, and shorter than the patches that
 methods copy.
 """
 
@@ -49,24 +47,13 @@ independent 0.05.
 """
 
 
-NORMALISED = (
-    "two_point_covariance",
-    "axis_preference",
-    "anisotropy",
-    "texture_preference",
-    "autocorrelation_distance",
-    "orientation_divergence",
-)
-"""Figures that take the density, or the mean value, out."""
-
-
 class Reference:
-    """What images are compared with.
+    """The exemplar and its parts, which images are compared with.
 
     Parameters
     ----------
     exemplar : Image
-    stick : Stick
+    descriptors : DescriptorSet
         How it is measured.
     copying : bool
         Also search where every image was taken from.
@@ -75,17 +62,22 @@ class Reference:
     """
 
     def __init__(
-        self, exemplar: Image, stick: Stick, *, copying: bool, shape: Sequence[int] | None = None
+        self,
+        exemplar: Image,
+        descriptors: DescriptorSet,
+        *,
+        copying: bool,
+        shape: Sequence[int] | None = None,
     ) -> None:
-        self.exemplar, self.stick, self.copying = exemplar, stick, copying
-        pieces = list(parts(exemplar, shape=shape))
-        self.own = stick.measure(exemplar)
+        self.exemplar, self.descriptors, self.copying = exemplar, descriptors, copying
+        boxes = list(parts(exemplar, shape=shape))
+        self.own = descriptors.measure(exemplar)
         self.exponent = min(map(scaling_exponent, self.own.evenness.values()), default=1.0)
         self.parts = [
-            stick.measure(piece, part=True)
-            for piece in progress.track(pieces, "measuring the exemplar's parts")
+            descriptors.measure(part, part=True)
+            for part in progress.track(boxes, "measuring the exemplar's parts")
         ]
-        distances = [stick.distances(part, self.own) for part in self.parts]
+        distances = [descriptors.distances(part, self.own) for part in self.parts]
         first = distances[0] if distances else {}
         self.spread: dict[str, list[float | None]] = {
             name: [found[name] for found in distances] for name in first
@@ -95,21 +87,21 @@ class Reference:
                 list(parts(exemplar, shape=shape, share=2))
             )
 
-    def measure(self, image: Image) -> Measured:
-        """An image by the same stick."""
-        return self.stick.measure(image)
+    def measure(self, image: Image) -> Measurements:
+        """Measure an image by the same descriptors."""
+        return self.descriptors.measure(image)
 
     def judge(
-        self, image: Image, measured: Measured, *, copying: bool | None = None
+        self, image: Image, measured: Measurements, *, copying: bool | None = None
     ) -> dict[str, Metric]:
-        """Every figure of an image with its band and verdict, in the order of the table; whether it
-        is a copy only where that is asked for."""
-        found = self.judged(measured)
+        """Judge every figure of an image, in the order of the registry; `copying` says whether to
+        search for copies as well (default: as the reference does)."""
+        found = self.judge_measurements(measured)
         if self.copying if copying is None else copying:
-            found["coherence"] = self.judged_coherence(coherence_of(self.exemplar, image))
+            found["coherence"] = self.judge_coherence(try_coherence(self.exemplar, image))
         return {name: found[name] for name in in_order(found)}
 
-    def judged_coherence(self, share: float | None) -> Metric:
+    def judge_coherence(self, share: float | None) -> Metric:
         """Return the share of voxels that are copies, with its band and verdict."""
         known = [number for number in self.spread["coherence"] if number is not None]
         if not known:
@@ -118,50 +110,47 @@ class Reference:
         band = (0.0, min(1.0, draw_limit(known, noise)))
         return Metric(share, band, None if share is None else share <= band[1])
 
-    def judged(self, measured: Measured) -> dict[str, Metric]:
+    def judge_measurements(self, measured: Measurements) -> dict[str, Metric]:
         """Return every figure that is measured, with its band and verdict."""
         found = {
-            name: self._judged_distance(name, value, measured)
-            for name, value in self.stick.distances(measured, self.own).items()
+            name: self._judge_distance(name, value, measured)
+            for name, value in self.descriptors.distances(measured, self.own).items()
         }
         for name, own in self.own.numbers.items():
-            found[name] = self._judged(name, measured.numbers.get(name), own, measured)
-        return found | self.judged_evenness(measured)
+            found[name] = self._judge_number(name, measured.numbers.get(name), own, measured)
+        return found | self.judge_evenness(measured)
 
-    def judged_evenness(self, measured: Measured) -> dict[str, Metric]:
+    def judge_evenness(self, measured: Measurements) -> dict[str, Metric]:
         """Return local figures and trends of every phase, with bands and verdicts."""
         found: dict[str, Metric] = {}
         first = next(iter(self.own.evenness), "")
         if not measured.evenness:  # a baseline smaller than the exemplar has none
             return found
         for suffix, own in self.own.evenness.items():
-            found |= self._judged_local(own, measured.evenness[suffix], suffix, WHATS[:1])
+            found |= self._judge_local(own, measured.evenness[suffix], suffix, WHATS[:1])
         if first in self.own.evenness:
-            found |= self._judged_local(
+            found |= self._judge_local(
                 self.own.evenness[first], measured.evenness[first], "", WHATS[1:]
             )
         return found
 
-    def _judged_local(
+    def _judge_local(
         self, own: Evenness, image: Evenness, suffix: str, whats: Sequence[str]
     ) -> dict[str, Metric]:
-        bands = (
-            evenness_bands(own, image, suffix, whats=whats)
-            if len(self.parts) >= LEAST_COUNT
-            else {}
-        )
+        enough = len(self.parts) >= LEAST_COUNT
+        bands = evenness_bands(own, image, suffix, whats=whats) if enough else {}
         known = evenness_numbers(own, suffix, whats=whats)
         found = {}
         for name, value in evenness_numbers(image, suffix, whats=whats).items():
             band = bands.get(name)
-            passed = None if band is None else _passes(value, band, figure_of(name).rule)
+            passed = None if band is None else _passes(value, band, find_descriptor(name).rule)
             found[name] = Metric(value, band, passed, known[name])
         return found
 
-    def _sizes(self, measured: Measured, name: str) -> Sizes:
+    def _sizes(self, measured: Measurements, name: str) -> Sizes:
         # Long waves move the density and what goes with it; figures that take the density out do
         # not feel them.
-        exponent = 1.0 if stem_of(name) in NORMALISED else self.exponent
+        exponent = 1.0 if DESCRIPTORS[stem(name)].normalised else self.exponent
         return Sizes(
             float(np.prod(self.parts[0].shape)),
             float(np.prod(self.exemplar.shape)),
@@ -170,35 +159,31 @@ class Reference:
             exponent,
         )
 
-    def _judged_distance(self, name: str, value: float, measured: Measured) -> Metric:
+    def _judge_distance(self, name: str, value: float, measured: Measurements) -> Metric:
         known = [number for number in self.spread.get(name, []) if number is not None]
         if len(known) < LEAST_COUNT:
             return Metric(value, None, None, 0.0)
         high = distance_limit(known, self._sizes(measured, name))
         return Metric(
-            value, (0.0, high), None if figure_of(name).rule == SHOWN else value <= high, 0.0
+            value, (0.0, high), None if find_descriptor(name).rule == SHOWN else value <= high, 0.0
         )
 
-    def _judged(self, name: str, value: Any, own: Any, measured: Measured) -> Metric:
-        figure = figure_of(name)
+    def _judge_number(self, name: str, value: Any, own: Any, measured: Measurements) -> Metric:
+        figure = find_descriptor(name)
         rule = figure.rule
         if rule == AXES:
             holds = all(value[axis] for axis, through in own.items() if through)
             return Metric(value, None, holds if self.parts else None, own)
-        # Counts grow with the volume: their density is judged, and told for the volume of the
+        # Counts grow with the volume: their density is judged, and shown for the volume of the
         # image.
-        volumes = (
-            [np.prod(part.shape) for part in self.parts]
-            if rule == COUNT
-            else [1.0] * len(self.parts)
-        )
-        scale, whole = (
-            (np.prod(measured.shape), np.prod(self.exemplar.shape)) if rule == COUNT else (1.0, 1.0)
-        )
+        counted = rule == COUNT
+        volumes = [np.prod(part.shape) if counted else 1.0 for part in self.parts]
+        scale = np.prod(measured.shape) if counted else 1.0
+        whole = np.prod(self.exemplar.shape) if counted else 1.0
         numbers = [part.numbers.get(name) for part in self.parts]
         known = [n / volume for n, volume in zip(numbers, volumes, strict=True) if n is not None]
         shown = None if own is None else own * scale / whole
-        if rule == TOLD or len(known) < LEAST_COUNT or own is None:
+        if rule == REPORTED or len(known) < LEAST_COUNT or own is None:
             return Metric(value, None, None, shown)
         sizes = self._sizes(measured, name)
         if rule == AT_MOST:
@@ -216,20 +201,20 @@ def _passes(value: float, band: tuple[float, float], rule: str) -> bool:
     return bool(enough and (rule == AT_LEAST or value <= band[1]))
 
 
-def independent_coherence(pieces: Sequence[Image]) -> list[float | None]:
-    """The coherence of real material that was not copied: parts of the exemplar searched in the
-    part farthest away.
+def independent_coherence(boxes: Sequence[Image]) -> list[float | None]:
+    """Measure the coherence of real material that was not copied: parts of the exemplar, searched
+    in the part farthest away.
     """
-    count = len(pieces)
-    pairs = [(pieces[n], pieces[count - 1 - n]) for n in range(max(count // 2, min(count, 2)))]
+    count = len(boxes)
+    pairs = [(boxes[n], boxes[count - 1 - n]) for n in range(max(count // 2, min(count, 2)))]
     return [
-        coherence_of(there, here)
+        try_coherence(there, here)
         for here, there in progress.track(pairs, "searching the exemplar's parts")
     ]
 
 
-def coherence_of(exemplar: Image, image: Image) -> float | None:
-    """Coherence over `LAG` voxels, or None where the images are too small or too plain for it."""
+def try_coherence(exemplar: Image, image: Image) -> float | None:
+    """Return the coherence over `LAG` voxels; None where images are too small or plain for it."""
     try:
         return coherence(exemplar, image, k=(LAG,), samples=SAMPLES)[LAG]
     except InputError:

@@ -1,8 +1,8 @@
 """The certificate of a volume whose exemplar is a picture, or one for each of several views.
 
-Slices of the volume are measured by the same stick as the picture and its parts, and their means
-are judged; what only a volume has (connectivity in 3-D, transport) is told and not judged, since no
-picture says what it should be.
+Slices of the volume are measured as the picture and its parts are, and their means are judged;
+figures that only a volume has (connectivity in 3-D, transport) are reported and not judged, since
+no picture says what they should be.
 """
 
 from __future__ import annotations
@@ -13,49 +13,35 @@ from typing import Any
 import numpy as np
 
 from trabecula.core import progress
-from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.components import largest_fraction
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
 from trabecula.measure.percolation import percolates
+from trabecula.measure.registry import DESCRIPTORS
 from trabecula.report.band import LEAST_PART
 from trabecula.report.baseline import gaussian_field
-from trabecula.report.descriptors import LabelDescriptors, Measured, TextureDescriptors, numbers_of
-from trabecula.report.evenness import local_fractions, choose_windows
-from trabecula.report.verdict import Certificate, Metric, about_image
-from trabecula.report.metrics import VOLUME, in_order
+from trabecula.report.compatibility import check_volume
+from trabecula.report.decidability import exemplar_reasons, level_reasons, picture_reason
+from trabecula.report.descriptors import (
+    LabelDescriptors,
+    Measurements,
+    TextureDescriptors,
+    flat_numbers,
+)
+from trabecula.report.evenness import choose_windows, local_fractions
+from trabecula.report.metrics import VOLUME, Metric, in_order, stem
 from trabecula.report.notes import exemplar_notes, span_note
-from trabecula.report.planes import SLICES, SlicePlane, check_volume, slice_planes, take_slices
-from trabecula.report.reference import Reference, coherence_of
-from trabecula.report.slices import SliceStick, reach_of
-from trabecula.report.undecided import exemplar_reasons, level_reasons, picture_reason
-
-_TOLD = (
-    "components",
-    "floating",
-    "floating_voxels",
-    "largest_fraction",
-    "percolates",
-    "percolating_fraction",
-    "euler_density",
-    "euler",
-    "thickness",
-    "pore_size",
-    "anisotropy",
+from trabecula.report.planes import (
+    SLICES,
+    SliceDescriptors,
+    SlicePlane,
+    reach_of,
+    slice_planes,
+    take_slices,
 )
-_PHYSICS = ("diffusivity", "conductivity", "permeability", "stiffness")
-_WORST = (
-    *(f"two_point_covariance_{axis}" for axis in "yx"),
-    *(f"lineal_path_distance{void}_{axis}" for void in ("", "_void") for axis in "yx"),
-    "axis_preference",
-    "autocorrelation_distance",
-    "texture_preference",
-)
-"""Of these the worst plane counts: a mean over planes would hide one that is wrong."""
-
-_BY_PLANE = ("porosity", "mean", "two_point_covariance", "histogram_divergence")
-"""Told for each plane as well."""
+from trabecula.report.reference import Reference, try_coherence
+from trabecula.report.verdict import Certificate, about_image
 
 
 def judge_volumes(
@@ -68,7 +54,7 @@ def judge_volumes(
     level: str,
     box: int | None,
 ) -> list[Certificate]:
-    """One certificate for every volume; the parameters are those of `verify`.
+    """Judge volumes by pictures, with a certificate each; the parameters are those of `verify`.
 
     Raises
     ------
@@ -76,7 +62,7 @@ def judge_volumes(
         Images that are not volumes of the pictures' voxels, or pictures and views that do not fit
         each other.
     """
-    faces = slice_planes(pictures, views)
+    planes = slice_planes(pictures, views)
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
     smallest = min(
@@ -85,23 +71,21 @@ def judge_volumes(
     reach = max(
         1, min(r_max, smallest // 2, *(max(LEAST_PART, min(p.shape) // 2) - 1 for p in pictures))
     )
-    judges = [_Judge(face, images, reach, level) for face in faces]
+    judges = [_Judge(plane, images, reach, level) for plane in planes]
     found = []
     for image, name in progress.track(list(zip(images, names, strict=True)), "comparing"):
         metrics: dict[str, Metric] = {}
         for judge in judges:
             metrics |= judge.judge(image)
-        told, details = _of_volume(image, level, box)
-        metrics |= told
+        whole, details = _measure_volume(image, level, box)
+        metrics |= whole
         about = {"exemplar": about_image(pictures[0]), "image": about_image(image), "level": level}
-        about["planes"] = {face.suffix or "all": list(face.planes) for face in faces}
+        about["planes"] = {plane.suffix or "all": list(plane.planes) for plane in planes}
         if details:
             about["physics"] = {"exemplar": {}, "image": details}
         ordered = {name: metrics[name] for name in in_order(metrics)}
-        notes = (
-            *(note for judge in judges for note in judge.notes()),
-            *_volume_notes(ordered, details),
-        )
+        own_notes = (note for judge in judges for note in judge.notes())
+        notes = (*own_notes, *_volume_notes(ordered, details))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
         reasons = [reason for judge in judges for reason in judge.reasons(level)]
         reasons += [picture_reason()] if images[0].kind == "labels" else []
@@ -117,63 +101,67 @@ def judge_volumes(
 class _Judge:
     """A picture, measured once, and the planes that are judged by it."""
 
-    def __init__(self, face: SlicePlane, images: Sequence[Image], r_max: int, level: str) -> None:
-        self.face, picture = face, face.picture
+    def __init__(self, own: SlicePlane, images: Sequence[Image], r_max: int, level: str) -> None:
+        self.own, picture = own, own.picture
         labels = picture.kind == "labels"
-        cuts = [take_slices(image, plane, 1)[0] for image in images for plane in face.planes]
+        cuts = [take_slices(image, plane, 1)[0] for image in images for plane in own.planes]
         windows = choose_windows(picture, cuts)
         inner: Any = TextureDescriptors(picture, lags=min(r_max, 32), windows=windows)
         if labels:
             inner = LabelDescriptors(
                 r_max=r_max, level="quick" if level == "quick" else "default", windows=windows
             )
-        self.stick = SliceStick(inner, reach=reach_of(picture, r_max))
+        self.descriptors = SliceDescriptors(inner, reach=reach_of(picture, r_max))
         self.copying = labels and level != "quick"
         # Counts and shares depend on how much is seen at once: parts of the picture are as large as
         # slices.
         shape = [min(cut.shape[n] for cut in cuts) for n in range(2)]
-        self.reference = Reference(picture, self.stick, copying=self.copying, shape=shape)
-        self._measured: tuple[Image, Measured] | None = None
-        self.field = self.stick.measure(gaussian_field(picture)) if self.copying else None
-        self.baseline = self._named(self.reference.judged(self.field)) if self.field else {}
+        self.reference = Reference(picture, self.descriptors, copying=self.copying, shape=shape)
+        self._measured: tuple[Image, Measurements] | None = None
+        self.field = self.descriptors.measure(gaussian_field(picture)) if self.copying else None
+        self.baseline = {}
+        if self.field:
+            self.baseline = self._rename(self.reference.judge_measurements(self.field))
 
     def judge(self, image: Image) -> dict[str, Metric]:
-        """Every figure of a volume's slices, and of single planes those of `_BY_PLANE`."""
-        planes = {plane: self.stick.measure_plane(image, plane) for plane in self.face.planes}
-        whole = self.stick.mean(list(planes.values()))
+        """Judge every figure of a volume's slices, and some of single planes."""
+        planes = {plane: self.descriptors.measure_plane(image, plane) for plane in self.own.planes}
+        whole = self.descriptors.mean(list(planes.values()))
         self._measured = image, whole
-        found = self.reference.judged(whole)
-        each = {plane: self.reference.judged(measured) for plane, measured in planes.items()}
+        found = self.reference.judge_measurements(whole)
+        each = {
+            plane: self.reference.judge_measurements(measured) for plane, measured in planes.items()
+        }
         for name in found:
-            if name in _WORST:
+            if _is_worst_plane(name):
                 found[name] = max(
                     (metrics[name] for metrics in each.values()), key=lambda metric: metric.value
                 )
         if self.copying:
             # Not the middle slice, which may be the picture itself, asked for.
-            cuts = [take_slices(image, plane, 2)[0] for plane in self.face.planes]
-            shares = [coherence_of(self.face.picture, cut) for cut in cuts]
+            cuts = [take_slices(image, plane, 2)[0] for plane in self.own.planes]
+            shares = [try_coherence(self.own.picture, cut) for cut in cuts]
             known = [share for share in shares if share is not None]
-            found["coherence"] = self.reference.judged_coherence(
+            found["coherence"] = self.reference.judge_coherence(
                 float(np.mean(known)) if known else None
             )
-        found = self._named(found)
+        found = self._rename(found)
         if len(planes) > 1:
             found |= {
                 f"{name}_{plane}": each[plane][name]
                 for plane in planes
-                for name in _BY_PLANE
-                if name in each[plane]
+                for name, descriptor in DESCRIPTORS.items()
+                if descriptor.by_plane and name in each[plane]
             }
         return found
 
-    def _named(self, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
-        suffix = f"_{self.face.suffix}" if self.face.suffix else ""
+    def _rename(self, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
+        suffix = f"_{self.own.suffix}" if self.own.suffix else ""
         return {name + suffix: metric for name, metric in metrics.items()}
 
     def curves(self, image: Image) -> dict[str, Any]:
-        """Of the picture, the slices of the image that was judged last, the picture's parts and the
-        baseline.
+        """Return the curves of the picture, of the slices of the image that was judged last, of the
+        picture's parts and of the baseline.
         """
         reference = self.reference
         found = {
@@ -198,75 +186,52 @@ class _Judge:
         }
 
     def reasons(self, level: str) -> Iterable[str]:
-        """Return what the picture cannot decide."""
-        yield from exemplar_reasons(self.reference, what=self._what()[0].lower() + self._what()[1:])
+        """Yield the reasons why the picture cannot decide."""
+        title = self._title()
+        yield from exemplar_reasons(self.reference, what=title[0].lower() + title[1:])
         yield from level_reasons(self.reference, level, self.baseline or None, {})
 
-    def _what(self) -> str:
+    def _title(self) -> str:
         return (
-            f"The picture of {' and '.join(self.face.planes)}"
-            if self.face.suffix
-            else "The picture"
+            f"The picture of {' and '.join(self.own.planes)}" if self.own.suffix else "The picture"
         )
 
     def notes(self) -> Iterable[str]:
-        """Return what to know of the picture."""
-        return exemplar_notes(self.reference, what=self._what())
+        """Return the notes on the picture."""
+        return exemplar_notes(self.reference, what=self._title())
 
 
-def _of_volume(
+def _is_worst_plane(name: str) -> bool:
+    """Return whether the worst plane counts for a figure, and not the mean over planes."""
+    base = stem(name)
+    return name[len(base) :] in DESCRIPTORS[base].worst
+
+
+def _measure_volume(
     image: Image, level: str, box: int | None
 ) -> tuple[dict[str, Metric], dict[str, Any]]:
-    """What is told of the volume as such, and what there is to say of its solvers."""
+    """Measure the figures that are reported of the volume itself, and details of its solvers."""
     if image.kind != "labels":
         return {}, {}
     details = describe_physics(image, box=box, halving=True) if level == "full" else {}
-    numbers = numbers_of(describe_numbers(image, level=level), details, level)
-    named = {
-        name: numbers[name] for name in numbers if name in _TOLD or name.split("_")[0] in _PHYSICS
+    numbers = flat_numbers(describe_numbers(image, level=level), details, level)
+    found = {
+        f"{stem(name)}_{VOLUME}{name[len(stem(name)) :]}": value
+        for name, value in numbers.items()
+        if DESCRIPTORS[stem(name)].in_volume
     }
-    told = {
-        f"{name}_{VOLUME}" if name in _TOLD else _with_volume(name): value
-        for name, value in named.items()
-    }
-    told |= {
+    found |= {
         f"largest_fraction_{VOLUME}_void": largest_fraction(image, phase="void"),
         f"percolates_{VOLUME}_void": percolates(image, phase="void"),
     }
-    return {name: Metric(value) for name, value in told.items()}, details
-
-
-def _with_volume(name: str) -> str:
-    stem, _, axis = name.partition("_")
-    return f"{stem}_{VOLUME}" + (f"_{axis}" if axis else "")
+    return {name: Metric(value) for name, value in found.items()}, details
 
 
 def _volume_notes(metrics: Mapping[str, Metric], details: Mapping[str, Any]) -> Iterable[str]:
     yield (
-        f"The exemplar is a picture: at most {SLICES} slices a plane are judged by it. Figures in 3-D are told and not "
-        "judged, for no picture says what they should be."
+        f"The exemplar is a picture: at most {SLICES} slices a plane are judged by it. Figures in "
+        "3-D are reported and not judged, for no picture says what they should be."
     )
     if f"percolates_{VOLUME}" in metrics:
         yield from span_note(metrics[f"percolates_{VOLUME}"])
     yield from physics_notes(details)
-
-
-def check_pictures(pictures: Sequence[Image]) -> None:
-    """Raise where several exemplars are not pictures of one kind.
-
-    Raises
-    ------
-    InputError
-        A volume among several exemplars; kinds or phases that differ.
-    """
-    first = pictures[0]
-    for picture in pictures:
-        if picture.ndim != 2 and len(pictures) > 1:
-            raise InputError(
-                f"several exemplars are pictures, one is {picture.ndim}-D: give one volume, or pictures"
-            )
-        if picture.kind != first.kind or set(picture.phases) != set(first.phases):
-            raise InputError(
-                f"pictures of one material agree in kind and phases: got {first.kind} {'/'.join(first.phases)} and "
-                f"{picture.kind} {'/'.join(picture.phases)}; segment or name them alike"
-            )

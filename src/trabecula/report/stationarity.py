@@ -1,17 +1,15 @@
-"""Whether a scan is the same material everywhere: trends of the local fraction along the axes and
-from the centre to the rim.
+"""Stationarity: trends of the local fraction along the axes and from the centre to the rim.
 
 The image is cut into windows about `WIDE` correlation lengths wide. Their fractions are fitted by a
 constant, a slope along every axis and a term in the squared distance from the centre. A term counts
 as a trend where both hold:
 
 - it is larger than `SURE` standard errors. Windows next to each other are still a little alike,
-which makes fewer of them
-  independent: the variance is multiplied by (1 + rho) / (1 - rho) for every axis, rho being the
-  correlation of the residuals of neighbours (the effective number of observations of a first-order
-  process: Bayley and Hammersley 1946, doi:10.2307/2983560).
+  which makes fewer of them independent: the variance is multiplied by (1 + rho) / (1 - rho) for
+  every axis, rho being the correlation of the residuals of neighbours (the effective number of
+  observations of a first-order process: Bayley and Hammersley 1946, doi:10.2307/2983560).
 - it changes the fraction by more than `MATTERS` of the rarer phase's (grey: of the standard
-deviation).
+  deviation).
 """
 
 from __future__ import annotations
@@ -23,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.report.structure import indicator_of
+from trabecula.measure.grey import grey_values
+from trabecula.report.structure import solid_field
 
 WIDE = 3.0
 """Correlation lengths: an exponential covariance is .05 there."""
@@ -51,11 +50,11 @@ class Trend:
     name : str
         "z", "y", "x", or "centre to rim".
     start, end : float
-        At the two ends: fitted fractions of what is solid, or greys.
+        At the two ends: fitted fractions of the solid, or greys.
     errors : float
         The size of the change in standard errors.
     found : bool
-        Whether it counts as a trend.
+        It counts as a trend.
     """
 
     name: str
@@ -77,11 +76,11 @@ class Stationarity:
 
     @property
     def stationary(self) -> bool | None:
-        """Whether no trend was found."""
+        """Return whether no trend was found."""
         return not any(trend.found for trend in self.trends) if self.trends else None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return plain JSON."""
         trends = {
             trend.name: {k: v for k, v in vars(trend).items() if k != "name"}
             for trend in self.trends
@@ -103,7 +102,7 @@ def find_trends(image: Image, lengths: Sequence[float]) -> Stationarity:
     lengths : sequence of float
         Correlation length along every axis, voxels; infinite ones count as a quarter of the side.
     """
-    field = indicator_of(image)
+    field = solid_field(image)
     edges = []
     for side, length in zip(field.shape, lengths, strict=True):
         wide = WIDE * length if np.isfinite(length) else side / 4
@@ -122,7 +121,7 @@ def find_trends(image: Image, lengths: Sequence[float]) -> Stationarity:
     least = MATTERS * (
         min(p, 1 - p) if image.kind == "labels" else float(field.std(dtype=np.float64))
     )
-    scale = 1.0 if image.kind == "labels" else _unscaled(image, field)
+    scale = 1.0 if image.kind == "labels" else _grey_scale(image, field)
     trends = []
     for n, (name, term) in enumerate(zip(names, terms, strict=True), start=1):
         span = term.max() - term.min()
@@ -138,10 +137,8 @@ def find_trends(image: Image, lengths: Sequence[float]) -> Stationarity:
     return Stationarity(tuple(trends), windows.size, tuple(edges))
 
 
-def _unscaled(image: Image, field: np.ndarray) -> float:
+def _grey_scale(image: Image, field: np.ndarray) -> float:
     """Return the factor from the field back to greys: the power of two that brought them near 1."""
-    from trabecula.measure.grey import grey_values
-
     top = float(np.abs(field).max())
     return float(np.abs(grey_values(image)).max()) / top if top else 1.0
 
@@ -158,8 +155,8 @@ def _window_means(field: np.ndarray, edges: Sequence[int]) -> np.ndarray:
 
 
 def _terms(counts: Sequence[int], ndim: int) -> tuple[list[np.ndarray], list[str]]:
-    """Return what the windows' fractions are fitted by, each of mean 0, for axes of three windows
-    or more.
+    """Return the terms that the windows' fractions are fitted by, each of mean 0, for axes of three
+    windows or more.
     """
     places = np.meshgrid(*((2 * np.arange(n) + 1 - n) / n for n in counts), indexing="ij")
     long = [n for n, count in enumerate(counts) if count >= 3]
@@ -173,7 +170,7 @@ def _terms(counts: Sequence[int], ndim: int) -> tuple[list[np.ndarray], list[str
 
 
 def _inflation(rest: np.ndarray) -> float:
-    """Return by how much neighbours that are alike raise the variance of what is fitted."""
+    """Return the factor by which neighbours that are alike raise the variance of the fit."""
     factor, variance = 1.0, float((rest**2).mean())
     for axis, count in enumerate(rest.shape):
         if count < 3 or variance == 0:

@@ -1,5 +1,5 @@
-"""What a scan is like, from its own covariance and components: correlation lengths, noise, order,
-bodies of one shape.
+"""Structure of a scan from its covariance and components: correlation lengths, noise, order, bodies
+of one shape.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.numerics.transforms import sums_by_offset
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
+from trabecula.numerics.transforms import sums_by_offset
 
 BOX = {2: 512, 3: 128}
 """Edge of the centre box, voxels, that the covariance of every offset is measured in: about a
@@ -32,7 +32,7 @@ ORDER_DEEP = 0.2
 """By how much the covariance has to fall between a place and its peak: a slow gradient has no peak.
 """
 BODIES, BODY = 20, 60
-"""As many components, of so many voxels at least, tell whether they are of one shape."""
+"""Components, of so many voxels each, that show whether they are of one shape."""
 ALONE = 0.3
 """Of a phase: the largest share of one component at which the phase still consists of bodies."""
 COMPACT = 0.75
@@ -64,9 +64,9 @@ class Structure:
     period: tuple[int, ...] | None
 
 
-def indicator_of(image: Image, side: int | None = None) -> np.ndarray:
-    """Return the field that figures are measured on: 1 in what is solid (all but void, or but the
-    first phase), or the grey.
+def solid_field(image: Image, side: int | None = None) -> np.ndarray:
+    """Return the field that figures are measured on: 1 in the solid (all but void, or but the first
+    phase), or the grey.
 
     With a side only of the centre box of at most so many voxels an axis.
     """
@@ -83,9 +83,9 @@ def centre_box(values: np.ndarray, side: int) -> np.ndarray:
     return values[tuple(slice(start, start + side) for start in starts)]
 
 
-def structure_of(image: Image) -> Structure:
-    """Measure the covariance of every offset, about a linear trend, and what follows from it."""
-    field = _detrended(indicator_of(image, BOX[image.ndim]))
+def measure_structure(image: Image) -> Structure:
+    """Measure the covariance of every offset about a linear trend: lengths, noise and order."""
+    field = _detrend(solid_field(image, BOX[image.ndim]))
     reach = tuple(side // 2 for side in field.shape)
     covariance = sums_by_offset(field, reach).astype(np.float64)
     overlap = np.ones(covariance.shape)
@@ -111,7 +111,7 @@ def structure_of(image: Image) -> Structure:
     return Structure(lengths, noise, order, period)
 
 
-def _detrended(field: np.ndarray) -> np.ndarray:
+def _detrend(field: np.ndarray) -> np.ndarray:
     """Return the field less its mean and its linear trend along every axis."""
     found = field.astype(np.float32)
     found -= np.float32(found.mean(dtype=np.float64))
@@ -146,11 +146,9 @@ def _first_below(curve: np.ndarray) -> float:
 def _last_below(curve: np.ndarray) -> float:
     """Return where a curve falls below 1/e for good, between its samples."""
     r = int(np.flatnonzero(curve >= np.exp(-1))[-1])
-    return (
-        float("inf")
-        if r == len(curve) - 1
-        else float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
-    )
+    if r == len(curve) - 1:
+        return float("inf")
+    return float(r + (curve[r] - np.exp(-1)) / (curve[r] - curve[r + 1]))
 
 
 def _order(
@@ -202,18 +200,18 @@ def has_bodies(image: Image) -> str | None:
 
 
 def _are_bodies(inside: np.ndarray) -> bool:
-    pieces, sizes = label_components(inside)
+    labels, sizes = label_components(inside)
     if not len(sizes) or sizes.max() > ALONE * sizes.sum():
         return False
     whole = sizes >= BODY
     for axis in range(inside.ndim):  # what the faces cut has another shape
         for end in (0, -1):
-            cut = np.unique(pieces.take(end, axis=axis))
+            cut = np.unique(labels.take(end, axis=axis))
             whole[cut[cut > 0] - 1] = False
     if whole.sum() < BODIES:
         return False
     places = np.nonzero(inside)
-    numbers = pieces[places] - 1
+    numbers = labels[places] - 1
     spread = np.full(len(sizes), 3 / 12)  # of a voxel about its own centre
     for place in places:
         mean = np.bincount(numbers, weights=place, minlength=len(sizes)) / sizes

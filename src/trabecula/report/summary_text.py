@@ -1,27 +1,21 @@
-"""The verdict in words: what matches, what does not, by how much."""
+"""The certificate as text: the verdict in words, and tables for a terminal."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trabecula.report.verdict import Certificate, Metric
-from trabecula.report.metrics import AT_LEAST, AT_MOST, COUNT, DISTANCE, GROUPS, figure_of, stem_of
+from trabecula.measure.registry import AT_LEAST, AT_MOST, COUNT, DESCRIPTORS, DISTANCE, GROUPS
+from trabecula.report.metrics import Metric, find_descriptor, stem
+
+if TYPE_CHECKING:
+    from trabecula.report.verdict import Certificate
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}
 
 MOST = 4
 """Figures of a group that fail and are named in a sentence; the table has the rest."""
-
-_UNEVEN = {"fraction_spread", "fraction_lowest", "fraction_highest", "fraction_trend"}
-_BROKEN = {
-    "floating",
-    "floating_voxels",
-    "components",
-    "largest_fraction",
-    "percolates",
-    "percolating_fraction",
-}
 
 
 def headline(certificate: Certificate) -> str:
@@ -31,12 +25,15 @@ def headline(certificate: Certificate) -> str:
         return f"{certificate.name}: FAIL in {len(certificate.failed)} of {judged} figures"
     if certificate.passed is None:
         return f"{certificate.name}: NOT DECIDED, though none of {judged} figures failed"
-    return f"{certificate.name}: PASS, all {judged} figures lie within what other samples of the material differ by"
+    return (
+        f"{certificate.name}: PASS, all {judged} figures lie within what other samples of the "
+        "material differ by"
+    )
 
 
 def sentences(certificate: Certificate) -> list[str]:
-    """Return why nothing is decided, what matches, and of every group that fails what is wrong and
-    by how much.
+    """Return the reasons why nothing is decided, the groups that match, and of each that fails its
+    figures and by how much they fail.
     """
     verdicts = certificate.groups
     matching = [GROUPS[group].lower() for group, passed in verdicts.items() if passed]
@@ -45,26 +42,28 @@ def sentences(certificate: Certificate) -> list[str]:
     found += [f"Matches real material in: {', '.join(matching)}."] if matching else []
     for group, passed in verdicts.items():
         if passed is False:
-            wrong = [name for name in certificate.failed if figure_of(name).group == group]
+            wrong = [name for name in certificate.failed if find_descriptor(name).group == group]
             lead = GROUPS[group]
-            if _BROKEN & {stem_of(name) for name in wrong}:
+            faults = {DESCRIPTORS[stem(name)].fault for name in wrong}
+            if "broken" in faults:
                 lead += (
                     ": BROKEN, though its two-point function matches"
                     if verdicts.get("two-point")
                     else ": BROKEN"
                 )
-            elif _UNEVEN & {stem_of(name) for name in wrong}:
+            elif "uneven" in faults:
                 lead += ": UNEVEN, its density differs from place to place unlike the exemplar's"
             elif group == "copying":
                 lead += ": COPIED from the exemplar"
             more = f"; and {len(wrong) - MOST} more" if len(wrong) > MOST else ""
-            told = "; ".join(_wrong(name, certificate.metrics[name]) for name in wrong[:MOST])
-            found.append(f"{lead}: {told}{more}.")
+            figures = "; ".join(_failure(name, certificate.metrics[name]) for name in wrong[:MOST])
+            found.append(f"{lead}: {figures}{more}.")
     return found
 
 
-def _wrong(name: str, metric: Metric) -> str:
-    figure = figure_of(name)
+def _failure(name: str, metric: Metric) -> str:
+    """Return a figure that failed beside the band that it missed."""
+    figure = find_descriptor(name)
     title = figure.title[0].lower() + figure.title[1:]
     if metric.real_band is None:
         return f"{title} {number(metric.value)} (exemplar: {number(metric.exemplar)})"
@@ -77,14 +76,14 @@ def _wrong(name: str, metric: Metric) -> str:
 
 
 def band(metric: Metric) -> str:
-    """The band of a figure, or nothing where it has none."""
+    """Return the band of a figure, or nothing where it has none."""
     return (
         "" if metric.real_band is None else " .. ".join(number(edge) for edge in metric.real_band)
     )
 
 
 def number(value: Any) -> str:
-    """A figure with four digits; axes by name; nothing where there is nothing."""
+    """Return a value with four digits; axes by name; "none" where there is no value."""
     if value is None:
         return "none"
     if isinstance(value, Mapping):
@@ -92,3 +91,62 @@ def number(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def table(certificate: Certificate) -> str:
+    """Return the verdict in words, then the figures by group, one a line."""
+    baseline = certificate.baseline
+    heads = [
+        "figure",
+        certificate.name,
+        "exemplar",
+        "real band",
+        *(["Gaussian"] if baseline else []),
+    ]
+    rows: dict[str, list[list[str]]] = {}
+    for name, metric in certificate.metrics.items():
+        cells = [name, number(metric.value), number(metric.exemplar), band(metric)]
+        if baseline:
+            cells.append(number(baseline[name].value) if name in baseline else "")
+        rows.setdefault(find_descriptor(name).group, []).append([*cells, VERDICTS[metric.passed]])
+    everything = [heads, *(cells for group in rows.values() for cells in group)]
+    widths = [max(len(cells[column]) for cells in everything) for column in range(len(heads))]
+
+    def line(cells: list[str]) -> str:
+        numbers = [
+            cell.rjust(width) for cell, width in zip(cells[1 : len(heads)], widths[1:], strict=True)
+        ]
+        return "  ".join([cells[0].ljust(widths[0]), *numbers, *cells[len(heads) :]]).rstrip()
+
+    lines = [
+        headline(certificate),
+        *(_fold("", text) for text in sentences(certificate)),
+        "",
+        line(heads),
+    ]
+    verdicts = certificate.groups
+    for group, members in rows.items():
+        lines.append(f"[{GROUPS[group]}: {VERDICTS[verdicts[group]]}]")
+        lines += [line(cells) for cells in members]
+    return "\n".join([*lines, *(_fold("note: ", note) for note in certificate.notes)])
+
+
+def summary(certificate: Certificate) -> str:
+    """Return the verdict in words and a line a group, at most 60 lines: the certificate as a
+    terminal shows it.
+    """
+    lines = [headline(certificate), *(_fold("", text) for text in sentences(certificate)), ""]
+    members: dict[str, list[bool | None]] = {}
+    for name, metric in certificate.metrics.items():
+        members.setdefault(find_descriptor(name).group, []).append(metric.passed)
+    width = max(len(title) for title in GROUPS.values())
+    for group, passed in certificate.groups.items():
+        judged = [verdict for verdict in members[group] if verdict is not None]
+        count = f"{sum(judged)} of {len(judged)} figures" if judged else "no figure judged"
+        lines.append(f"{GROUPS[group].ljust(width)}  {VERDICTS[passed].ljust(4)}  {count}")
+    lines.append("Every figure: .to_table(), .metrics; as a page: .to_html(PATH)")
+    return "\n".join("\n".join(lines).split("\n")[:60])
+
+
+def _fold(lead: str, text: str) -> str:
+    return textwrap.fill(text, 100, initial_indent=lead, subsequent_indent=" " * max(len(lead), 2))

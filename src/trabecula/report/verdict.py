@@ -1,4 +1,4 @@
-"""What a certificate holds."""
+"""The certificate: figures, verdict and reasons, as JSON, text and page."""
 
 from __future__ import annotations
 
@@ -8,44 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from trabecula.core.image import Image, describe_fields
-from trabecula.report.metrics import GROUPS, figure_of
+from trabecula.report.metrics import Metric, all_passed, group_verdicts
+from trabecula.report.page import page, summary_html, write_page
+from trabecula.report.summary_text import summary, table
 
 IN_SPACE = ("connectivity", "physics")
 """Groups that are about three dimensions: no picture can pass them."""
 
 
-@dataclass(frozen=True)
-class Metric:
-    """One figure of the certificate."""
-
-    value: Any
-    """Number; for `percolates` one truth value per axis; `None` where it does not exist."""
-    real_band: tuple[float, float] | None = None
-    """The figure's spread between parts of the exemplar; `None` where the exemplar is too small, or
-    no band makes sense."""
-    passed: bool | None = None
-    """Inside the band; `None` where there is nothing to judge by."""
-    exemplar: Any = None
-    """The exemplar's own value (0 for a distance to it; a count is scaled to the image's volume).
-    """
-
-    def to_json(self) -> dict[str, Any]:
-        """Value, band and verdict by the names that scripts rely on."""
-        return {
-            "value": self.value,
-            "real_band": list(self.real_band) if self.real_band else None,
-            "pass": self.passed,
-        }
-
-
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """What `verify` found about one image."""
+    """The findings of `verify` about one image."""
 
     metrics: Mapping[str, Metric]
     """By name, in the order of the table of figures."""
     notes: tuple[str, ...] = ()
-    """What to know before believing the figures."""
+    """Facts to know before believing the figures."""
     name: str = "image"
     curves: Mapping[str, Any] = field(default_factory=dict)
     """By "exemplar", "image", "baseline" and "parts" (a list): the curves that were compared, by
@@ -60,7 +38,7 @@ class Certificate:
     function: what a method has to beat. `None` where none was made."""
     undecided: tuple[str, ...] = ()
     """Why nothing can be passed even where nothing fails: an exemplar that is too small or not
-    stationary, figures that noise passes as well, what a picture cannot tell, what was not
+    stationary, figures that noise passes as well, limits of a picture, parts that were not
     examined."""
     local_fractions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across
@@ -69,25 +47,25 @@ class Certificate:
 
     @property
     def passed(self) -> bool | None:
-        """False where a metric failed; None where none did and `undecided` says why that proves
-        nothing; else True.
+        """Return the verdict: False where a metric failed, None where none did and `undecided` says
+        why that proves nothing, else True.
         """
-        verdict = _all_passed(self.metrics.values())
+        verdict = all_passed(self.metrics.values())
         return None if verdict and self.undecided else verdict
 
     @property
     def verdict(self) -> str:
-        """The verdict as a word: "pass", "fail" or "not decided"."""
+        """Return the verdict as a word: "pass", "fail" or "not decided"."""
         return {True: "pass", False: "fail", None: "not decided"}[self.passed]
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Names of the metrics that failed."""
+        """Return the names of the metrics that failed."""
         return tuple(name for name, metric in self.metrics.items() if metric.passed is False)
 
     @property
     def groups(self) -> dict[str, bool | None]:
-        """The verdict of every group of figures that was measured: "two-point", "connectivity", ...
+        """Return the verdict of each group of figures that was measured: "two-point", "shape", ...
         None where none was judged; slices that match a picture decide nothing about connections in
         space."""
         found = group_verdicts(self.metrics)
@@ -98,8 +76,8 @@ class Certificate:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON: metrics with value, real_band and pass; the verdict, whole and by group; the
-        baseline's metrics; notes."""
+        """Return plain JSON: metrics with value, real_band and pass; the verdict, whole and by
+        group; the baseline's metrics; notes."""
         return {
             "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
             "verdict": self.verdict,
@@ -114,19 +92,13 @@ class Certificate:
         }
 
     def __repr__(self) -> str:
-        from trabecula.report.table import summary
-
         return summary(self)
 
     def _repr_html_(self) -> str:
-        from trabecula.report.page import summary_html
-
         return summary_html(self)
 
     def to_table(self) -> str:
         """Return a table for a terminal."""
-        from trabecula.report.table import table
-
         return table(self)
 
     def to_html(
@@ -135,7 +107,7 @@ class Certificate:
         *,
         pictures: Iterable[tuple[str, str | Path | bytes]] = (),
     ) -> str:
-        """One self-contained page; written to `path` where one is given.
+        """Build one self-contained page; write it to `path` where one is given.
 
         Parameters
         ----------
@@ -147,8 +119,6 @@ class Certificate:
         -------
         html : str
         """
-        from trabecula.report.page import page, write_page
-
         html = page([self], pictures=pictures)
         if path is not None:
             write_page(html, path)
@@ -156,18 +126,5 @@ class Certificate:
 
 
 def about_image(image: Image) -> dict[str, Any]:
-    """Shape and fields of an image, as plain JSON."""
+    """Return shape and fields of an image, as plain JSON."""
     return {"shape": list(image.shape), **describe_fields(image)}
-
-
-def group_verdicts(metrics: Mapping[str, Metric]) -> dict[str, bool | None]:
-    """The verdict of every group that has a figure, in the order of the groups."""
-    members: dict[str, list[Metric]] = {}
-    for name, metric in metrics.items():
-        members.setdefault(figure_of(name).group, []).append(metric)
-    return {group: _all_passed(members[group]) for group in GROUPS if group in members}
-
-
-def _all_passed(metrics: Iterable[Metric]) -> bool | None:
-    verdicts = [metric.passed for metric in metrics if metric.passed is not None]
-    return all(verdicts) if verdicts else None

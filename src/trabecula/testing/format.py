@@ -22,7 +22,7 @@ def check_format(
     kinds: Sequence[str] = ("labels", "grey", "colour"),
     greys: Sequence[str] = ("uint8", "uint16", "float32"),
 ) -> None:
-    """Assert that a format keeps the contract: an image comes back as it was, and a file that is
+    """Check that a format keeps the contract: an image comes back as it was, and a file that is
     cut off is refused.
 
     Parameters
@@ -49,7 +49,7 @@ def check_format(
 
 
 def _check_one(folder: Path, suffix: str, image: Image) -> None:
-    """Assert that one image comes back, and that half of its file is refused."""
+    """Check that one image comes back, and that half of its file is refused."""
     what = f"{suffix}: {image.ndim}-D {image.kind} {image.values.dtype}"
     path = write(image, f"{folder}/x{suffix}")
     back = read(path)

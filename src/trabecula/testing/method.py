@@ -32,8 +32,8 @@ from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint, memmap, parallel, store
-from trabecula.engine.parallel import threads
 from trabecula.engine.memory import GIB
+from trabecula.engine.parallel import threads
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.samples import sample
 from trabecula.io.files import read, write
@@ -42,7 +42,7 @@ from trabecula.pipeline.generate import generate_to
 from trabecula.pipeline.replay import replay, rerun
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.model import Model
-from trabecula.synth.api.registry import method, methods, registered
+from trabecula.synth.api.registry import method, methods, register
 from trabecula.synth.api.serialize import load_model
 from trabecula.synth.api.windows import WindowModel
 from trabecula.testing.method_case import (
@@ -68,7 +68,7 @@ def check_method(
     small: Image | None = None,
     leave_out: tuple[str, ...] = (),
 ) -> list[str]:
-    """Assert that a method keeps the contract.
+    """Check that a method keeps the contract.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def check_method(
     []
     """
     case, inapplicable = MethodCase(method, exemplar=exemplar, small=small), []
-    with known(case):
+    with register_case(case):
         for name, check in METHOD_CHECKS.items():
             if name in leave_out:
                 continue
@@ -114,11 +114,11 @@ def check_method(
 
 
 @contextmanager
-def known(case: MethodCase) -> Iterator[None]:
+def register_case(case: MethodCase) -> Iterator[None]:
     """Let the registry know the method of a case while the block lasts."""
     with ExitStack() as stack:
         if case.capabilities.name not in methods():
-            stack.enter_context(registered(case.cls))
+            stack.enter_context(register(case.cls))
         yield
 
 
@@ -134,7 +134,7 @@ def _check(name: str) -> Callable[[Check], Check]:
 
 @_check("capabilities")
 def _check_capabilities(case: MethodCase) -> None:
-    """Assert that CAPABILITIES and the classes agree."""
+    """Check that CAPABILITIES and the classes agree."""
     told, model = case.capabilities, case.model
     boxes = isinstance(model, WindowModel)
     assert boxes == (told.large == "box"), (
@@ -143,7 +143,7 @@ def _check_capabilities(case: MethodCase) -> None:
     )
     mapped = type(model).resident_memory is not Model.resident_memory
     assert mapped or told.large != "memmap", (
-        'large="memmap" needs the hook mapped_memory, the bytes that stay in memory'
+        'large="memmap" needs the hook resident_memory, the bytes that stay in memory'
     )
     for preset in told.presets:
         case.cls.configured(preset=preset)
@@ -154,7 +154,7 @@ def _check_capabilities(case: MethodCase) -> None:
 
 @_check("card")
 def _check_card(case: MethodCase) -> None:
-    """Assert that the folder of a method of this package has its card."""
+    """Check that the folder of a method of this package has its card."""
     module = case.capabilities.method.partition(":")[0]
     if not module.startswith("trabecula.synth."):
         raise Inapplicable("the method is not in this package")
@@ -168,7 +168,7 @@ def _check_card(case: MethodCase) -> None:
 
 @_check("config")
 def _check_config(case: MethodCase) -> None:
-    """Assert that the config is frozen and every field has a docstring."""
+    """Check that the config is frozen and every field has a docstring."""
     config = case.cls.configured().config
     for field in dataclasses.fields(config):
         with raises(dataclasses.FrozenInstanceError, "", "the config should be frozen"):
@@ -182,15 +182,16 @@ def _check_config(case: MethodCase) -> None:
 
 @_check("unknown setting")
 def _check_unknown_setting(case: MethodCase) -> None:
-    """Assert that an unknown setting suggests the nearest."""
+    """Check that an unknown setting suggests the nearest."""
     for field in dataclasses.fields(case.cls.configured().config)[:1]:
         with raises(UnknownNameError, field.name, "an unknown setting should be refused"):
-            case.cls.configured(**{field.name[:-1] + "_": 1})
+            wrong: dict[str, Any] = {field.name[:-1] + "_": 1}
+            case.cls.configured(**wrong)
 
 
 @_check("result")
 def _check_result(case: MethodCase) -> None:
-    """Assert that the result has the shape of the request and the exemplar's kind, voxels and
+    """Check that the result has the shape of the request and the exemplar's kind, voxels and
     phases.
     """
     made, first = case.material, case.exemplar
@@ -212,7 +213,7 @@ def _check_result(case: MethodCase) -> None:
 
 @_check("seed")
 def _check_seed(case: MethodCase) -> None:
-    """Assert that the same seed gives the same voxels, and another seed others, unless the method
+    """Check that the same seed gives the same voxels, and another seed others, unless the method
     is deterministic.
     """
     again = case.model.generate(SHAPE, seed=SEED).values
@@ -228,7 +229,7 @@ def _check_seed(case: MethodCase) -> None:
 
 @_check("threads")
 def _check_threads(case: MethodCase) -> None:
-    """Assert that the number of threads changes no voxel."""
+    """Check that the number of threads changes no voxel."""
     for count in (1, 3):
         model = case.again(count)
         with threads(count):
@@ -238,23 +239,23 @@ def _check_threads(case: MethodCase) -> None:
 
 @_check("slabs")
 def _check_slabs(case: MethodCase) -> None:
-    """Assert that slabs of random heights, worked on in random order, change no voxel."""
+    """Check that slabs of random heights, worked on in random order, change no voxel."""
     rng = np.random.default_rng(1)
 
-    def shuffled(work: Callable[[int, int], Any], length: int, count: int, least: int) -> None:
+    def shuffle(work: Callable[[int, int], Any], length: int, count: int, least: int) -> None:
         cuts = np.unique(rng.integers(0, length + 1, 5))
         bounds = [0, *(int(cut) for cut in cuts if 0 < cut < length), length]
         for i in rng.permutation(len(bounds) - 1):
             work(bounds[i], bounds[i + 1])
 
-    with patch.object(parallel, "_run", shuffled):
+    with patch.object(parallel, "_run", shuffle):
         made = case.again().generate(SHAPE, seed=SEED).values
     same(made, case.material.values, "other slabs give other voxels")
 
 
 @_check("presets")
 def _check_presets(case: MethodCase) -> None:
-    """Assert that every preset makes the shape, and the same for one thread and two."""
+    """Check that every preset makes the shape, and the same for one thread and two."""
     # Of a method that trains the first alone: each costs a training, which its own tests try in
     # miniature.
     presets = case.capabilities.presets
@@ -276,7 +277,7 @@ _BOXES = (((0, 10), (5, 30), (3, 4)), ((20, 34), (0, 30), (30, 37)), ((33, 34), 
 
 @_check("windows")
 def _check_windows(case: MethodCase) -> None:
-    """Assert that any window is a part of the whole, and of the material around it."""
+    """Check that any window is a part of the whole, and of the material around it."""
     model = _window_model(case)
     for box in _BOXES:
         part = tuple(slice(*ends) for ends in box)
@@ -299,7 +300,7 @@ def _check_windows(case: MethodCase) -> None:
 
 @_check("periodic windows")
 def _check_periodic_windows(case: MethodCase) -> None:
-    """Assert that windows of a periodic request repeat."""
+    """Check that windows of a periodic request repeat."""
     model = _window_model(case)
     if "periodic" not in case.capabilities.honours:
         raise Inapplicable("the method makes nothing periodic")
@@ -320,7 +321,7 @@ def _window_model(case: MethodCase) -> WindowModel:
 
 @_check("blocks")
 def _check_blocks(case: MethodCase) -> None:
-    """Assert that a volume made or streamed in blocks is the one that is made at once."""
+    """Check that a volume made or streamed in blocks is the one that is made at once."""
     folder, request = case.folder(), case.request()
     with patch.object(store, "CHUNK", 16), patch.object(memmap, "LEAST", 256):
         at_once = generate_to(case.model, request, folder / "whole.zarr")
@@ -374,7 +375,7 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
 
 @_check("parts")
 def _check_parts(case: MethodCase) -> None:
-    """Assert that parts of a request are honoured, with the same voxels in blocks and at once."""
+    """Check that parts of a request are honoured, with the same voxels in blocks and at once."""
     if case.capabilities.large == "box":
         raise Inapplicable("the windows are checked with them")
     for part, words in _parts(case).items():
@@ -395,7 +396,7 @@ def _check_parts(case: MethodCase) -> None:
 
 @_check("resume")
 def _check_resume(case: MethodCase) -> None:
-    """Assert that a run that is interrupted again and again, each time later, gives the voxels of
+    """Check that a run that is interrupted again and again, each time later, gives the voxels of
     one that was not.
     """
     folder, stops, result = case.folder(), 0, None
@@ -425,7 +426,7 @@ def _check_resume(case: MethodCase) -> None:
 
 @_check("model file")
 def _check_model_file(case: MethodCase) -> None:
-    """Assert that a model from its file makes the same voxels, and a result finds its model."""
+    """Check that a model from its file makes the same voxels, and a result finds its model."""
     folder, model = case.folder(), case.model
     again = load_model(model.save(folder / "one.model"))
     made = again.generate(SHAPE, seed=SEED)
@@ -439,8 +440,8 @@ def _check_model_file(case: MethodCase) -> None:
     needs = r"needs the model one.model \(SHA-256 .*--model"
     with raises(FileError, needs, "a recipe without its model should be refused"):
         rerun(folder / "made.npy")
-    again = rerun(folder / "made.npy", model=folder / "elsewhere.model")
-    same(again.values, made.values, "the model in another place gives other voxels")
+    moved = rerun(folder / "made.npy", model=folder / "elsewhere.model")
+    same(moved.values, made.values, "the model in another place gives other voxels")
     method("noise", reach=4).fit(crop(sample("bone"), 16)).save(folder / "other.model")
     with raises(NotReproducedError, r"other\.model is another", "another model should be refused"):
         rerun(folder / "made.npy", model=folder / "other.model")
@@ -448,7 +449,7 @@ def _check_model_file(case: MethodCase) -> None:
 
 @_check("recipe")
 def _check_recipe(case: MethodCase) -> None:
-    """Assert that the recipe makes the same voxels."""
+    """Check that the recipe makes the same voxels."""
     with threads(1 if case.trains else 2):  # learning is repeated with as many threads as it had
         again = replay(case.material.recipe, folder=case.folder())
     same(again.values, case.material.values, "the recipe makes other voxels")
@@ -459,7 +460,7 @@ def _check_recipe(case: MethodCase) -> None:
 _DIGEST = """
 import importlib, sys
 import trabecula as tb
-from trabecula.synth.api.registry import registered
+from trabecula.synth.api.registry import register
 
 module, _, name = sys.argv[1].partition(":")
 cls, given = getattr(importlib.import_module(module), name), sys.argv[2:]
@@ -481,7 +482,7 @@ NumPy, BLAS and the C library.
 
 @_check("old processor")
 def _check_old_processor(case: MethodCase) -> None:
-    """Assert that a processor without wide instructions makes the same voxels."""
+    """Check that a processor without wide instructions makes the same voxels."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         raise Inapplicable("instruction sets of x86-64")
     if case.capabilities.extras:
@@ -505,7 +506,7 @@ def _check_old_processor(case: MethodCase) -> None:
 
 @_check("exemplar unchanged")
 def _check_exemplar_unchanged(case: MethodCase) -> None:
-    """Assert that the exemplar is not written into."""
+    """Check that the exemplar is not written into."""
     before = case.need_exemplar().values.copy()
     case.fit().generate((16, 16, 16), seed=1)
     same(case.need_exemplar().values, before, "the exemplar is written into")
@@ -513,7 +514,7 @@ def _check_exemplar_unchanged(case: MethodCase) -> None:
 
 @_check("refused parts")
 def _check_refused_parts(case: MethodCase) -> None:
-    """Assert that parts of a request that the method does not honour are refused by name."""
+    """Check that parts of a request that the method does not honour are refused by name."""
     first = np.arange(np.prod(SHAPE)).reshape(SHAPE) == 0
     parts: dict[str, dict[str, Any]] = {
         "periodic": {"periodic": True},
@@ -529,7 +530,7 @@ def _check_refused_parts(case: MethodCase) -> None:
 
 @_check("budget")
 def _check_budget(case: MethodCase) -> None:
-    """Assert that a run over its budget is refused before it starts."""
+    """Check that a run over its budget is refused before it starts."""
     _ = case.model
     tracemalloc.start()
     try:
@@ -546,7 +547,7 @@ _OUTSIDE = ("interpreter and kernels", "exemplar", "network")  # what tracemallo
 
 @_check("memory forecast")
 def _check_memory(case: MethodCase) -> None:
-    """Assert that a run takes no more memory than was forecast, and not much less."""
+    """Check that a run takes no more memory than was forecast, and not much less."""
     hook = "box_memory" if case.capabilities.large == "box" else "memory"
     if getattr(type(case.model), hook) is getattr(WindowModel, hook, None):
         raise Inapplicable(f"the model has no hook {hook}")
@@ -558,14 +559,14 @@ def _check_memory(case: MethodCase) -> None:
     plan = model.plan(request)
     arrays = plan.peak - sum(plan.memory.get(part, 0) for part in _OUTSIDE)
     model.generate(Request((16, 16, 16), seed=1))  # so that loading kernels is not counted
-    peak = _traced(lambda: model.generate(request))
+    peak = _peak_bytes(lambda: model.generate(request))
     assert peak <= arrays, f"the run takes {peak} bytes, {arrays} were forecast"
     assert arrays <= 1.5 * peak, f"{arrays} bytes are forecast, the run takes {peak}"
 
 
 @_check("memory-mapped forecast")
-def _check_mapped_memory(case: MethodCase) -> None:
-    """Assert that a run in memory-mapped arrays takes no more memory than was forecast."""
+def _check_resident_memory(case: MethodCase) -> None:
+    """Check that a run in memory-mapped arrays takes no more memory than was forecast."""
     if case.capabilities.large != "memmap":
         raise Inapplicable("the method makes nothing in memory-mapped arrays")
     model, folder = case.fit(preset=_fast(case)), case.folder()
@@ -575,14 +576,14 @@ def _check_mapped_memory(case: MethodCase) -> None:
     arrays = plan.peak - sum(plan.memory[part] for part in _OUTSIDE[:2])
     generate_to(model, Request((16, 16, 16), seed=1), folder / "small.zarr", chunks=16)
     path = folder / "x.zarr"
-    peak = _traced(lambda: generate_to(model, request, path, memory=budget, chunks=32))
+    peak = _peak_bytes(lambda: generate_to(model, request, path, memory=budget, chunks=32))
     assert plan.peak <= budget and plan.disk > np.prod(request.shape), f"{plan} for {budget} bytes"
     assert peak <= arrays, f"{peak} bytes are in memory beside the files, {arrays} were forecast"
 
 
 @_check("learning forecast")
 def _check_learning(case: MethodCase) -> None:
-    """Assert that learning takes no more memory than was forecast, and keeps to its budget."""
+    """Check that learning takes no more memory than was forecast, and keeps to its budget."""
     if case.trains:
         raise Inapplicable("the method learns in memory that tracemalloc does not see")
     if case.cls.memory is Method.memory:
@@ -590,7 +591,7 @@ def _check_learning(case: MethodCase) -> None:
     exemplar, chosen = case.need_exemplar(), case.method()
     plan = chosen.plan_fit(exemplar)
     chosen.fit(exemplar)  # so that loading kernels is not counted
-    peak = _traced(lambda: chosen.fit(exemplar))
+    peak = _peak_bytes(lambda: chosen.fit(exemplar))
     arrays = plan.peak - plan.memory.get("interpreter and kernels", 0)
     assert peak <= arrays <= 1.5 * peak, f"learning takes {peak} bytes, {arrays} were forecast"
     with raises(MemoryBudgetError, "smaller crop", "learning over its budget should be refused"):
@@ -601,7 +602,7 @@ def _fast(case: MethodCase) -> str | None:
     return "fast" if "fast" in case.capabilities.presets else None
 
 
-def _traced(work: Callable[[], object]) -> int:
+def _peak_bytes(work: Callable[[], object]) -> int:
     """Return the peak of the bytes that `work` takes."""
     tracemalloc.start()
     try:
@@ -613,7 +614,7 @@ def _traced(work: Callable[[], object]) -> int:
 
 @_check("refused exemplars")
 def _check_refused_exemplars(case: MethodCase) -> None:
-    """Assert that exemplars that cannot be used are refused with the reason."""
+    """Check that exemplars that cannot be used are refused with the reason."""
     image, told = case.need_exemplar(), case.capabilities
     other = image.values[0] if image.ndim == 3 else np.stack([image.values] * 30)
     wrong: dict[str, tuple[Any, str]] = {
@@ -638,7 +639,7 @@ def _check_refused_exemplars(case: MethodCase) -> None:
 
 @_check("settings alone")
 def _check_alone(case: MethodCase) -> None:
-    """Assert that the settings alone are enough, or that an exemplar is asked for."""
+    """Check that the settings alone are enough, or that an exemplar is asked for."""
     told, chosen, folder = case.capabilities, case.method(), case.folder()
     if not told.alone:
         with raises(InputError, "no exemplar was given", "an exemplar should be asked for"):
@@ -668,7 +669,7 @@ def _check_alone(case: MethodCase) -> None:
 _SMALL = (16, 18, 20)
 
 
-def _targeted(case: MethodCase) -> Model:
+def _target_model(case: MethodCase) -> Model:
     """Return a model for targets, or say that the method honours none."""
     if "target" not in case.capabilities.honours:
         raise Inapplicable("the method honours no target")
@@ -677,8 +678,8 @@ def _targeted(case: MethodCase) -> Model:
 
 @_check("target fraction")
 def _check_fraction(case: MethodCase) -> None:
-    """Assert that a volume fraction is 1 minus the porosity, and is met within .06."""
-    model = _targeted(case)
+    """Check that a volume fraction is 1 minus the porosity, and is met within .06."""
+    model = _target_model(case)
     if "porosity" not in case.capabilities.targets:
         raise Inapplicable("the method honours no porosity")
     # what walls between bubbles leave, or what is near to the exemplar's
@@ -692,8 +693,8 @@ def _check_fraction(case: MethodCase) -> None:
 
 @_check("refused targets")
 def _check_refused_targets(case: MethodCase) -> None:
-    """Assert that a descriptor that is not honoured is refused by name."""
-    model = _targeted(case)
+    """Check that a descriptor that is not honoured is refused by name."""
+    model = _target_model(case)
     others = ("surface", "mean_curvature", "euler", "perimeter", "volume_fraction:solid")
     for name in others:
         head = f"{name.partition(':')[0]}:" if ":" in name else name
@@ -704,8 +705,8 @@ def _check_refused_targets(case: MethodCase) -> None:
 
 @_check("target field")
 def _check_field(case: MethodCase) -> None:
-    """Assert that a field of porosity is followed, or refused before the work."""
-    model, shape = _targeted(case), (60, 20, 20)
+    """Check that a field of porosity is followed, or refused before the work."""
+    model, shape = _target_model(case), (60, 20, 20)
     ramp = np.linspace(0.68, 0.9, 60, dtype=np.float32)[:, None, None]
     field = np.broadcast_to(ramp, shape)
     try:

@@ -164,7 +164,7 @@ def _of_kind(image: Image, kind: str) -> Image:
 
 @contextmanager
 def raises(kind: type[BaseException], pattern: str, message: str) -> Iterator[None]:
-    """Assert that the block raises an error whose text matches a pattern."""
+    """Check that the block raises an error whose text matches a pattern."""
     try:
         yield
     except kind as error:
@@ -174,7 +174,7 @@ def raises(kind: type[BaseException], pattern: str, message: str) -> Iterator[No
 
 
 def same(found: np.ndarray, expected: np.ndarray, message: str) -> None:
-    """Assert that two arrays hold the same values."""
+    """Check that two arrays hold the same values."""
     if found.shape != expected.shape:
         raise AssertionError(f"{message}: the shapes are {found.shape} and {expected.shape}")
     differing = int(np.count_nonzero(found != expected))

@@ -5,16 +5,6 @@ all of them.
 room can be called and passes the call on (as `trabecula.mesh`).
 """
 
-import sys
-from types import ModuleType
-from typing import Any
+from trabecula.core.lazy import make_callable
 
-
-class _Room(ModuleType):
-    def __call__(self, *args: Any, **options: Any) -> Any:
-        from trabecula.view.page import view
-
-        return view(*args, **options)
-
-
-sys.modules[__name__].__class__ = _Room
+make_callable(__name__, "trabecula.view.page:view")

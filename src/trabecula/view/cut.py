@@ -1,4 +1,4 @@
-"""What a picture cuts away: a corner, halves along axes, one side of a free plane."""
+"""Cuts of a picture: a corner, halves along axes, one side of a free plane."""
 
 from __future__ import annotations
 
@@ -16,39 +16,41 @@ WORDS = ("corner", "none", "x", "y", "z", "plane")
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """For `rays`.
+    """Box and plane of a cut, for `rays`.
 
     Parameters
     ----------
     box : (4, 3) float
-        Lower and upper corner of what is kept, then of what is taken out of it; (x, y, z) in
-        voxels.
+        Lower and upper corner of the part that is kept, then of the part that is taken out of it;
+        (x, y, z) in voxels.
     plane : (4,) float
-        Normal (x, y, z) in true space and offset in smallest voxel edges: what lies beyond is cut
-        away.
+        Normal (x, y, z) in true space and offset in smallest voxel edges: all beyond is cut away.
     """
 
     box: np.ndarray
     plane: np.ndarray
 
 
-def as_words(cut: str | Sequence[str]) -> tuple[str, ...]:
-    """The words of a cut, checked; see `make`."""
+def parse_cut(cut: str | Sequence[str]) -> tuple[str, ...]:
+    """Check the words of a cut; see `make_cut`."""
     words = (cut,) if isinstance(cut, str) else tuple(cut)
     names = [str(word).partition("=")[0] for word in words]
     for name in names:
         check_name(name, WORDS, name="cut")
     if not words or len(set(names)) < len(names) or ("none" in names and len(names) > 1):
         raise InputError(
-            f"cut {' '.join(words) or '()'}: give none alone, or each of corner, x, y, z and plane once"
+            f"cut {' '.join(words) or '()'}: give none alone, or each of corner, x, y, z and plane "
+            "once"
         )
     for word in words:
         _numbers(word)
     return words
 
 
-def make(words: Sequence[str], shape: Sequence[int], edges: np.ndarray, viewer: np.ndarray) -> Cut:
-    """The cut of a volume.
+def make_cut(
+    words: Sequence[str], shape: Sequence[int], edges: np.ndarray, viewer: np.ndarray
+) -> Cut:
+    """Make the cut of a volume.
 
     Parameters
     ----------
@@ -80,12 +82,12 @@ def make(words: Sequence[str], shape: Sequence[int], edges: np.ndarray, viewer: 
 
 def _plane(numbers: Sequence[float], extent: np.ndarray) -> np.ndarray:
     azimuth, elevation, at = (*numbers, 0.5)[:3]
-    normal = direction(azimuth, elevation)
+    normal = viewer_direction(azimuth, elevation)
     return np.array([*normal, normal @ extent / 2 + (at - 0.5) * (np.abs(normal) @ extent)])
 
 
-def direction(azimuth: float, elevation: float) -> np.ndarray:
-    """(3,) unit vector (x, y, z) to a viewer at that azimuth and elevation, degrees."""
+def viewer_direction(azimuth: float, elevation: float) -> np.ndarray:
+    """Return the (3,) unit vector (x, y, z) to a viewer at that azimuth and elevation, degrees."""
     turn, lift = math.radians(azimuth), math.radians(elevation)
     return np.array(
         [math.sin(turn) * math.cos(lift), -math.cos(turn) * math.cos(lift), math.sin(lift)]
@@ -103,6 +105,7 @@ def _numbers(word: str) -> list[float]:
     at = numbers[0] if name in "xyz" and numbers else numbers[2] if len(numbers) == 3 else 0.5
     if not (least <= len(numbers) <= most and all(map(math.isfinite, numbers)) and 0 <= at <= 1):
         raise InputError(
-            f"cut {word!r}: write corner, none, x=0.5 (a share 0..1 of the axis; y, z) or plane=AZ,EL,0.5 (degrees, share)"
+            f"cut {word!r}: write corner, none, x=0.5 (a share 0..1 of the axis; y, z) or "
+            "plane=AZ,EL,0.5 (degrees, share)"
         )
     return numbers

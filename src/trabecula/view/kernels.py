@@ -1,14 +1,12 @@
-"""The ray marcher of stills: plain functions on arrays; see `rays` for what meets a ray, `shading`
-for its light.
-"""
+"""The ray marcher of stills, on arrays: `rays` finds the surface, `shading` gives its light."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.view.rays import FAR, hit
-from trabecula.view.shading import DEPTH, openness, reflected, way_through
+from trabecula.view.rays import FAR, hit, point
+from trabecula.view.shading import DEPTH, add_reflection, openness, way_through
 
 
 @kernel
@@ -30,7 +28,7 @@ def blur_axis(values, weights, out):
 
 @inline
 def _label(labels, x, y, z, normal):
-    """The label a quarter of a voxel below the surface."""
+    """Return the label a quarter of a voxel below the surface."""
     i = min(max(int(x - 0.25 * normal[0]), 0), labels.shape[2] - 1)
     j = min(max(int(y - 0.25 * normal[1]), 0), labels.shape[1] - 1)
     k = min(max(int(z - 0.25 * normal[2]), 0), labels.shape[0] - 1)
@@ -39,8 +37,8 @@ def _label(labels, x, y, z, normal):
 
 @kernel
 def march(
-    field, labels, occupied, pyramid, offsets, shapes, camera, stretch, box, plane, directions, lights, strength,
-    palette, finishes, sampling, first, last, out,
+    field, labels, occupied, pyramid, offsets, shapes, camera, stretch, box, plane, directions,
+    lights, strength, palette, finishes, sampling, first, last, out,
 ):  # fmt: skip
     """Shade the rows `first`..`last` of `out` (H, W, 3), linear light, with sampling**2 rays a
     pixel.
@@ -66,11 +64,7 @@ def march(
                     for c in range(3):
                         out[row, column, c] += share * palette[0, c]
                     continue
-                x, y, z = (
-                    origin[0] + t * direction[0],
-                    origin[1] + t * direction[1],
-                    origin[2] + t * direction[2],
-                )
+                x, y, z = point(origin, direction, t)
                 phase = _label(labels, x, y, z, normal)
                 nx, ny, nz = normal[0] / stretch[0], normal[1] / stretch[1], normal[2] / stretch[2]
                 way = way_through(
@@ -79,13 +73,14 @@ def march(
                 inner = 0.0
                 if finishes[phase, 3] > 0:
                     inner = way_through(
-                        pyramid, offsets, shapes, x - DEPTH * nx, y - DEPTH * ny, z - DEPTH * nz, lights[0], box, plane,
-                        stretch,
+                        pyramid, offsets, shapes, x - DEPTH * nx, y - DEPTH * ny, z - DEPTH * nz,
+                        lights[0], box, plane, stretch,
                     )  # fmt: skip
                 around = openness(
-                    pyramid, offsets, shapes, directions, x + nx, y + ny, z + nz, normal, box, plane, stretch
+                    pyramid, offsets, shapes, directions, x + nx, y + ny, z + nz, normal, box,
+                    plane, stretch,
                 )  # fmt: skip
-                reflected(
-                    palette[3 + phase], finishes[phase], palette[1 if flat else 2], normal, lights, strength, way, inner,
-                    around, out[row, column], share,
+                add_reflection(
+                    palette[3 + phase], finishes[phase], palette[1 if flat else 2], normal, lights,
+                    strength, way, inner, around, out[row, column], share,
                 )  # fmt: skip

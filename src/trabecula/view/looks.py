@@ -1,4 +1,4 @@
-"""The one table of looks: what materials are made to look like, and the colours of phases.
+"""The one table of looks: materials by their answer to light, and the colours of phases.
 
 Stills and the page in a browser are shaded by the same model with these figures (see `kernels` and
 page/march.frag). Colours are sRGB, 0..255; both work on linear light.
@@ -20,7 +20,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Look:
-    """How a material answers to light, in the words of Burley (2012), which Baravalle et al. (2016,
+    """Answer of a material to light, in the words of Burley (2012), which Baravalle et al. (2016,
     section 5) render with.
 
     Parameters
@@ -62,30 +62,30 @@ class Look:
 
     @property
     def finish(self) -> tuple[float, float, float, float]:
-        """Roughness, specular, absorption and scattering."""
+        """Return roughness, specular, absorption and scattering."""
         return self.roughness, self.specular, self.absorption, self.scattering
 
 
 LOOKS = {
     "bone": Look(
-        solid=(238, 222, 190), shade=(218, 218, 230), cut=(252, 222, 198), roughness=0.5, specular=0.45, absorption=2.5,
-        scattering=1.0,
+        solid=(238, 222, 190), shade=(218, 218, 230), cut=(252, 222, 198),
+        roughness=0.5, specular=0.45, absorption=2.5, scattering=1.0,
     ),
     "foam": Look(
-        solid=(196, 206, 212), shade=(214, 224, 242), cut=(222, 234, 248), roughness=0.4, specular=0.6, absorption=3.0,
-        scattering=0.6,
+        solid=(196, 206, 212), shade=(214, 224, 242), cut=(222, 234, 248),
+        roughness=0.4, specular=0.6, absorption=3.0, scattering=0.6,
     ),
     "bread": Look(
-        solid=(236, 202, 146), void=(74, 48, 28), shade=(238, 214, 186), cut=(255, 250, 240), roughness=0.9, specular=0.1,
-        absorption=1.6, scattering=0.5,
+        solid=(236, 202, 146), void=(74, 48, 28), shade=(238, 214, 186), cut=(255, 250, 240),
+        roughness=0.9, specular=0.1, absorption=1.6, scattering=0.5,
     ),
     "sponge": Look(
-        solid=(240, 204, 84), void=(70, 54, 16), shade=(236, 224, 196), cut=(255, 240, 214), roughness=0.8, specular=0.15,
-        absorption=1.4, scattering=0.45,
+        solid=(240, 204, 84), void=(70, 54, 16), shade=(236, 224, 196), cut=(255, 240, 214),
+        roughness=0.8, specular=0.15, absorption=1.4, scattering=0.45,
     ),
     "stone": Look(
-        solid=(196, 186, 172), void=(40, 40, 44), shade=(208, 216, 232), cut=(250, 240, 228), roughness=0.7, specular=0.35,
-        absorption=12.0, scattering=0.0,
+        solid=(196, 186, 172), void=(40, 40, 44), shade=(208, 216, 232), cut=(250, 240, 228),
+        roughness=0.7, specular=0.35, absorption=12.0, scattering=0.0,
     ),
 }  # fmt: skip
 
@@ -108,22 +108,23 @@ _FURTHER: tuple[Colour, ...] = (
 )
 
 
-def look_named(name: str) -> Look:
-    """The look of that name, or an error that suggests the nearest."""
+def find_look(name: str) -> Look:
+    """Return the look of that name; raise an error that suggests the nearest."""
     check_name(name, LOOKS, name="look")
     return LOOKS[name]
 
 
 def all_round() -> np.ndarray:
-    """(14, 3): directions in which light from all round is looked for, the faces and the corners of
-    a cube; the second half is opposite to the first."""
+    """Return (14, 3) directions from which light from all round comes, the faces and corners of a
+    cube; the second half is opposite to the first.
+    """
     corners = np.array([(x, y, 1) for x in (-1, 1) for y in (-1, 1)]) / np.sqrt(3)
     half = np.concatenate([np.eye(3), corners])
     return np.concatenate([half, -half])
 
 
 def phase_colours(image: Image, look: Look) -> np.ndarray:
-    """(N, 3) uint8: a colour for every phase of an image of labels; the phase named "void" is dark."""
+    """Return (N, 3) uint8, a colour for every phase of an image; the phase named "void" is dark."""
     colours: list[Colour] = []
     drawn = (look.solid, *_FURTHER)
     others = [name for name in image.phases if name != "void"]
@@ -133,20 +134,20 @@ def phase_colours(image: Image, look: Look) -> np.ndarray:
 
 
 def to_linear(colour: ArrayLike) -> np.ndarray:
-    """sRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
+    """Convert sRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
     value = np.asarray(colour, np.float64) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(light: np.ndarray) -> np.ndarray:
-    """Linear light 0..1 to sRGB uint8."""
+    """Convert linear light 0..1 to sRGB uint8."""
     light = np.clip(light, 0.0, 1.0)
     value = np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.round(value * 255).astype(np.uint8)
 
 
 def as_table() -> dict[str, Any]:
-    """Looks, light and further colours as plain JSON, for the page in a browser."""
+    """Return looks, light and further colours as plain JSON, for the page in a browser."""
     light = {
         "lamp": LAMP,
         "strength": (LAMP_STRENGTH, AMBIENCE, FILL),

@@ -1,6 +1,4 @@
-"""What a notebook shows for an Image: a line, the slices through its middle and, of a volume of
-labels, a still.
-"""
+"""An Image in a notebook: a line, slices through its middle and, of a volume of labels, a still."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ picture.
 
 
 def as_html(image: Image) -> str:
-    """The image as HTML without script."""
+    """Return the image as HTML without script."""
     pictures = [("slices", slices(image, side=240))]
     drawn = (
         image.kind == "labels" and image.ndim == 3 and any(name != "void" for name in image.phases)

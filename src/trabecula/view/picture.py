@@ -1,4 +1,4 @@
-"""What every picture shares: its file and its lettering."""
+"""Files and lettering of all pictures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WRITTEN = {".png": "pictures are", ".gif": "a turntable is", ".html": "a page i
 
 
 def check_suffix(path: str | PathLike[str] | None, suffix: str) -> None:
-    """Raise where a path does not end in .png (.gif, .html); asked before the work, not after it."""
+    """Raise where a path does not end in .png (.gif, .html); call it before the work."""
     if path is not None and Path(path).suffix.lower() != suffix:
         found = Path(path).suffix
         raise InputError(
@@ -27,8 +27,8 @@ def check_suffix(path: str | PathLike[str] | None, suffix: str) -> None:
         )
 
 
-def kept(picture: Image, path: str | PathLike[str] | None) -> Image:
-    """The picture, also written with its recipe where a path is given."""
+def save_picture(picture: Image, path: str | PathLike[str] | None) -> Image:
+    """Write a picture with its recipe where a path is given; return the picture."""
     if path is not None:
         write(picture, path)
     return picture
@@ -59,12 +59,12 @@ def save_gif(pictures: Sequence[np.ndarray], path: str | PathLike[str], *, secon
 
 @cache
 def font(size: int) -> Any:
-    """The lettering that Pillow brings, in pixels."""
+    """Return the lettering of Pillow, `size` pixels high."""
     from PIL import ImageFont
 
     return ImageFont.load_default(size=size)
 
 
 def ink_on(background: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Dark letters on a light ground, light ones on a dark."""
+    """Return the colour of letters: dark on a light ground, light on a dark one."""
     return (40, 44, 52) if sum(background) > 384 else (232, 234, 238)

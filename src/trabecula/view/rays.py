@@ -1,11 +1,11 @@
-"""Where rays meet a surface: plain functions on arrays.
+"""Meeting of rays and a surface: plain functions on arrays.
 
 Glossary: positions are in voxels as (x, y, z), the corner of voxel 0 at 0, so a voxel's centre is
 at +0.5. `stretch` is the spacing over its smallest axis; directions of rays are divided by it, so
 that their parameter t is a true length in smallest voxel edges. `field` is the drawn phases'
 indicator, slightly blurred, 0..255; the surface is where it crosses ISO. `box` (4, 3): the lower
-and upper corner of what is kept, then of what is taken out of it. `plane` (4,): a normal in true
-space and an offset in smallest voxel edges; kept is where normal . position <= offset.
+and upper corner of the part that is kept, then of the part taken out of it. `plane` (4,): a normal
+in true space and an offset in smallest voxel edges; kept is where normal . position <= offset.
 """
 
 from __future__ import annotations
@@ -22,18 +22,25 @@ FAR = 1e30
 
 
 @inline
+def point(origin, direction, t):
+    """Return the point of a ray at length t."""
+    return (
+        origin[0] + t * direction[0],
+        origin[1] + t * direction[1],
+        origin[2] + t * direction[2],
+    )
+
+
+@inline
 def sample(field, x, y, z):
-    """Trilinear, edge values repeated."""
+    """Interpolate trilinearly, edge values repeated."""
     u = min(max(x - 0.5, 0.0), field.shape[2] - 1.0)
     v = min(max(y - 0.5, 0.0), field.shape[1] - 1.0)
     w = min(max(z - 0.5, 0.0), field.shape[0] - 1.0)
     i, j, k = int(u), int(v), int(w)
     fu, fv, fw = u - i, v - j, w - k
-    i1, j1, k1 = (
-        min(i + 1, field.shape[2] - 1),
-        min(j + 1, field.shape[1] - 1),
-        min(k + 1, field.shape[0] - 1),
-    )
+    i1, j1 = min(i + 1, field.shape[2] - 1), min(j + 1, field.shape[1] - 1)
+    k1 = min(k + 1, field.shape[0] - 1)
     low = (field[k, j, i] * (1 - fu) + field[k, j, i1] * fu) * (1 - fv) + (
         field[k, j1, i] * (1 - fu) + field[k, j1, i1] * fu
     ) * fv
@@ -45,8 +52,8 @@ def sample(field, x, y, z):
 
 @inline
 def is_cut(box, plane, stretch, x, y, z):
-    """Whether a point was cut away: beyond what is kept, inside what is taken out, or beyond the
-    plane.
+    """Return whether a point was cut away: beyond the kept part, inside the part taken out, or
+    beyond the plane.
     """
     if (
         x < box[0, 0]
@@ -66,7 +73,7 @@ def is_cut(box, plane, stretch, x, y, z):
 
 @inline
 def _span(origin, direction, low, high):
-    """Where a ray is inside a box: entry, exit, and the axes of the faces it passes."""
+    """Return the span of a ray inside a box: entry, exit, and the axes of the faces it passes."""
     enter, leave, enter_axis, leave_axis = -FAR, FAR, 0, 0
     for axis in range(3):
         if abs(direction[axis]) < 1e-12:
@@ -85,9 +92,9 @@ def _span(origin, direction, low, high):
 
 
 @inline
-def _kept(origin, direction, box, plane, stretch, normal):
-    """Where a ray is inside what is kept: start and stop; `normal` is written, outward at the
-    start.
+def _kept_span(origin, direction, box, plane, stretch, normal):
+    """Return the span of a ray inside the kept part: start and stop; `normal` is written, outward
+    at the start.
     """
     start, stop, axis, _ = _span(origin, direction, box[0], box[1])
     normal[:] = 0.0
@@ -108,7 +115,7 @@ def _kept(origin, direction, box, plane, stretch, normal):
 
 @inline
 def _skip(occupied, x, y, z, direction):
-    """Length to the far side of the block around a point where the block holds no surface, else 0."""
+    """Return the length to the far side of a block that holds no surface, else 0."""
     i = min(max(int(x) // BLOCK, 0), occupied.shape[2] - 1)
     j = min(max(int(y) // BLOCK, 0), occupied.shape[1] - 1)
     k = min(max(int(z) // BLOCK, 0), occupied.shape[0] - 1)
@@ -126,17 +133,13 @@ def _skip(occupied, x, y, z, direction):
 
 @inline
 def _first_inside(field, occupied, origin, direction, start, stop):
-    """Length at which the ray enters the surface after `start`, or FAR. Half a voxel a step, then
-    bisection.
+    """Find the length at which the ray enters the surface after `start`, or FAR: half a voxel a
+    step, then bisection.
     """
     before = start
     t = start
     while t < stop:
-        x, y, z = (
-            origin[0] + t * direction[0],
-            origin[1] + t * direction[1],
-            origin[2] + t * direction[2],
-        )
+        x, y, z = point(origin, direction, t)
         jump = _skip(occupied, x, y, z, direction)
         if jump > 0:
             before = t
@@ -146,11 +149,7 @@ def _first_inside(field, occupied, origin, direction, start, stop):
             inside = t
             for _ in range(6):
                 middle = (before + inside) / 2
-                x, y, z = (
-                    origin[0] + middle * direction[0],
-                    origin[1] + middle * direction[1],
-                    origin[2] + middle * direction[2],
-                )
+                x, y, z = point(origin, direction, middle)
                 if sample(field, x, y, z) >= ISO:
                     inside = middle
                 else:
@@ -163,8 +162,8 @@ def _first_inside(field, occupied, origin, direction, start, stop):
 
 @inline
 def _gradient(field, x, y, z, stretch, normal):
-    """Outward normal of the surface: minus the gradient of the field over a voxel to each side;
-    False where it is flat.
+    """Compute the outward normal of the surface, minus the gradient of the field over a voxel to
+    each side; return False where it is flat.
     """
     for axis in range(3):
         dx, dy, dz = 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2)
@@ -178,30 +177,26 @@ def _gradient(field, x, y, z, stretch, normal):
 
 @inline
 def _in_plane(field, origin, direction, t):
-    """Whether a ray that comes through a plane at `t` is in the solid there."""
-    x, y, z = (
-        origin[0] + t * direction[0],
-        origin[1] + t * direction[1],
-        origin[2] + t * direction[2],
-    )
+    """Return whether a ray that comes through a plane at `t` is in the solid there."""
+    x, y, z = point(origin, direction, t)
     return sample(field, x, y, z) >= ISO
 
 
 @inline
 def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal):
-    """Length to the surface (or FAR), and whether it lies in a plane; `normal` is written.
+    """Return the length to the surface (or FAR), and whether it lies in a plane; write `normal`.
 
     Where a ray enters the solid through a face of the box or of a cut, the normal is the plane's:
     the gradient there is that of the inside and would come out speckled.
     """
-    start, stop = _kept(origin, direction, box, plane, stretch, normal)
+    start, stop = _kept_span(origin, direction, box, plane, stretch, normal)
     out, back, _, axis = _span(origin, direction, box[2], box[3])
     out, back = max(out, start), min(back, stop)
     if start >= stop:
         return FAR, False
     for part in range(2):
         first, last = start, stop
-        if out < back:  # the ray crosses what is taken out: a part before it, a part behind it
+        if out < back:  # the ray crosses the part taken out: one span before it, one behind it
             first, last = (start, out) if part == 0 else (back, stop)
             if part == 1:
                 normal[:] = 0.0
@@ -214,11 +209,7 @@ def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal)
             return first, True
         t = _first_inside(field, occupied, origin, direction, first, last - 1e-6)
         if t < FAR:
-            x, y, z = (
-                origin[0] + t * direction[0],
-                origin[1] + t * direction[1],
-                origin[2] + t * direction[2],
-            )
+            x, y, z = point(origin, direction, t)
             if not _gradient(field, x, y, z, stretch, normal):
                 normal[:] = viewer
             return t, False

@@ -1,19 +1,17 @@
-"""How a point of a surface is lit: plain functions on arrays; the page's march.frag does the same.
+"""Light of a point of a surface: plain functions on arrays; the page's march.frag does the same.
 
 1. From the lamp, a soft shadow: a narrow cone through a pyramid of densities gives the length of
-the way through
-   material, tau. Behind it light is left by exp(-sigma tau), per channel, with the transport
-   coefficient of a thick medium, sigma = sqrt(3 a (a + s)) (Jensen et al. 2001,
-   doi:10.1145/383259.383319, section 2), where a is the absorption times what the colour does not
-   reflect and s the scattering.
-2. The share s / (s + a) of that light goes in and comes out nearby. What comes out is what the lamp
-sends to a point
-   DEPTH below the surface: soft shadows, lit rims, glowing thin walls.
+   the way through material, tau. Behind it light is left by exp(-sigma tau), per channel, with the
+   transport coefficient of a thick medium, sigma = sqrt(3 a (a + s)) (Jensen et al. 2001,
+   doi:10.1145/383259.383319, section 2), where a is the absorption times the share that the colour
+   does not reflect and s the scattering.
+2. The share s / (s + a) of that light goes in and comes out nearby: as much as the lamp sends to a
+   point DEPTH below the surface. Soft shadows, lit rims, glowing thin walls.
 3. The rest is reflected by Burley's diffuse term (2012, section 5.3), with retro-reflection by
-roughness, and his
-   specular one (section 5.4): GGX distribution, Smith shadowing, Schlick's Fresnel.
+   roughness, and his specular one (section 5.4): GGX distribution, Smith shadowing, Schlick's
+   Fresnel.
 4. Light from all round by wide cones, more of it between bright walls; and a little from the
-viewer.
+   viewer.
 
 Positions, `stretch`, `box` and `plane` are as in `rays`. `pyramid` holds means of the field over
 cells of 1, 2, 4, ... voxels, one level after the other (`offsets` and `shapes` say where); beyond
@@ -28,7 +26,7 @@ from trabecula.engine.compile import inline
 from trabecula.view.rays import is_cut
 
 DEPTH = 1.5
-"""How far below the surface light is turned, voxels."""
+"""Depth below the surface at which light is turned, voxels."""
 
 ENTRY = 0.8
 """The way through material that a cone finds from there to a flat face above, as far as it counts:
@@ -41,7 +39,7 @@ LEAST = 0.04
 
 @inline
 def _density(pyramid, offsets, shapes, level, x, y, z):
-    """Trilinear mean density 0..1 at a level of the pyramid, void outside."""
+    """Interpolate the mean density 0..1 at a level of the pyramid, void outside."""
     size = 1.0 / (1 << level)
     u, v, w = x * size - 0.5, y * size - 0.5, z * size - 0.5
     depth, height, width = shapes[level, 0], shapes[level, 1], shapes[level, 2]
@@ -65,8 +63,8 @@ def _density(pyramid, offsets, shapes, level, x, y, z):
 
 @inline
 def openness(pyramid, offsets, shapes, directions, x, y, z, normal, box, plane, stretch):
-    """Share of the light from all round that reaches a point: wide cones along fixed directions,
-    weighted by cosine.
+    """Return the share of the light from all round that reaches a point: wide cones along fixed
+    directions, weighted by cosine.
     """
     total, weight = 0.0, 0.0
     for c in range(len(directions)):
@@ -95,8 +93,8 @@ def openness(pyramid, offsets, shapes, directions, x, y, z, normal, box, plane, 
 
 @inline
 def way_through(pyramid, offsets, shapes, x, y, z, lamp, box, plane, stretch):
-    """Length of the way through material from a point to the lamp: a narrow cone, so that shadows
-    soften with distance.
+    """Return the length of the way through material from a point to the lamp: a narrow cone, so
+    that shadows soften with distance.
     """
     way, reach = 0.0, 1.0
     limit = 1.8 * max(
@@ -131,18 +129,18 @@ def way_through(pyramid, offsets, shapes, x, y, z, lamp, box, plane, stretch):
 
 
 @inline
-def diffuse(roughness, to_lamp, to_viewer, between):
-    """Burley's diffuse term over that of Lambert; cosines of the normal with both, and of the lamp
-    with the half way.
+def diffuse_term(roughness, to_lamp, to_viewer, between):
+    """Return Burley's diffuse term over that of Lambert; cosines of the normal with both, and of
+    the lamp with the half way.
     """
     grazing = 2 * roughness * between * between - 0.5
     return (1 + grazing * (1 - to_lamp) ** 5) * (1 + grazing * (1 - to_viewer) ** 5)
 
 
 @inline
-def mirrored(roughness, specular, to_lamp, to_viewer, to_half, between):
-    """Burley's specular term times pi, so that the lamp's strength is that of a white surface
-    facing it.
+def specular_term(roughness, specular, to_lamp, to_viewer, to_half, between):
+    """Return Burley's specular term times pi, so that the lamp's strength is that of a white
+    surface facing it.
     """
     sharp = max(0.02, roughness * roughness) ** 2
     peak = sharp / (1 + (sharp - 1) * to_half * to_half) ** 2
@@ -155,7 +153,7 @@ def mirrored(roughness, specular, to_lamp, to_viewer, to_half, between):
 
 
 @inline
-def reflected(albedo, finish, tint, normal, lights, strength, way, inner, around, out, share):
+def add_reflection(albedo, finish, tint, normal, lights, strength, way, inner, around, out, share):
     """Add to `out` the light that a point sends to the viewer.
 
     albedo (3,): linear colour. finish (4,): roughness, specular, absorption, scattering. lights (4,
@@ -170,8 +168,8 @@ def reflected(albedo, finish, tint, normal, lights, strength, way, inner, around
     between = lamp[0] * half[0] + lamp[1] * half[1] + lamp[2] * half[2]
     faces, gloss = 0.0, 0.0
     if to_lamp > 0:
-        faces = to_lamp * diffuse(finish[0], to_lamp, to_viewer, between)
-        gloss = to_lamp * mirrored(finish[0], finish[1], to_lamp, to_viewer, to_half, between)
+        faces = to_lamp * diffuse_term(finish[0], to_lamp, to_viewer, between)
+        gloss = to_lamp * specular_term(finish[0], finish[1], to_lamp, to_viewer, to_half, between)
     for c in range(3):
         absorbed = finish[2] * (1 - albedo[c])
         sigma = np.sqrt(3 * absorbed * (absorbed + finish[3]))

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.recipe import Recipe
-from trabecula.view.looks import Look, look_named, phase_colours
-from trabecula.view.picture import check_suffix, font, ink_on, kept
+from trabecula.view.looks import Look, find_look, phase_colours
+from trabecula.view.picture import check_suffix, font, ink_on, save_picture
 from trabecula.view.scale import draw_bar
 
 _GAP = 14
@@ -47,8 +47,8 @@ def slices(
     look: str = "bone",
     side: int = 320,
 ) -> Image:
-    """A sheet of slices across z, y and x: labels in the colours of their phases, grey and colour
-    as they are.
+    """Draw a sheet of slices across z, y and x: labels in the colours of their phases, grey and
+    colour as they are.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def slices(
     check_suffix(path, ".png")
     if not 1 <= per_axis <= 16:
         raise InputError(f"per_axis {per_axis} is outside 1..16")
-    chosen = look_named(look)
+    chosen = find_look(look)
     smallest = min(image.spacing)
     zoom = _zoom(image, smallest, side)
     rows = [
@@ -91,7 +91,8 @@ def slices(
         rows = [[row[0] for row in rows]]
     values = _sheet(rows, [None] * len(rows), chosen)
     made = {"per_axis": per_axis, "look": look, "side": side}
-    return kept(Image(values, "colour", recipe=image.recipe.then("slices", values, **made)), path)
+    recipe = image.recipe.then("slices", values, **made)
+    return save_picture(Image(values, "colour", recipe=recipe), path)
 
 
 def montage(
@@ -102,8 +103,8 @@ def montage(
     look: str = "bone",
     side: int = 320,
 ) -> Image:
-    """The middle slices of several images below each other, all at one scale where they share a
-    unit.
+    """Draw the middle slices of several images below each other, all at one scale where they share
+    a unit.
 
     Parameters
     ----------
@@ -128,9 +129,10 @@ def montage(
     several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
     if not several or len(names) != len(several):
         raise InputError(
-            f"a montage needs images and a name for each: got {len(several)} images, {len(names)} names"
+            f"a montage needs images and a name for each: got {len(several)} images, {len(names)} "
+            "names"
         )
-    chosen = look_named(look)
+    chosen = find_look(look)
     rows = []
     for image in several:
         peers = [other for other in several if other.unit == image.unit]
@@ -149,22 +151,23 @@ def montage(
         "side": side,
         "images": [image.recipe.to_json() for image in several],
     }
-    return kept(Image(values, "colour", recipe=Recipe().then("montage", values, **made)), path)
+    recipe = Recipe().then("montage", values, **made)
+    return save_picture(Image(values, "colour", recipe=recipe), path)
 
 
 def _axes(image: Image) -> Sequence[int]:
-    """Axes to cut across; a 2-D image is shown as it is, as if across z."""
+    """Return the axes to cut across; a 2-D image is shown as it is, as if across z."""
     return range(3) if image.ndim == 3 else (-1,)
 
 
 def _places(length: int, count: int) -> list[int]:
-    """Evenly spaced positions; one is the middle."""
+    """Return evenly spaced positions; one is the middle."""
     return [min(length - 1, (2 * k + 1) * length // (2 * count)) for k in range(count)]
 
 
 def _zoom(image: Image, smallest: float, side: int) -> float:
-    """Pixels per smallest voxel edge: a whole number, or 1 / a whole number where the image is
-    larger than a panel.
+    """Return the pixels per smallest voxel edge: a whole number, or 1 / a whole number where the
+    image is larger than a panel.
     """
     if not 32 <= side <= 4096:
         raise InputError(f"side {side} is outside 32..4096 pixels")
@@ -188,7 +191,7 @@ def _distortion(ratios: Sequence[float], zoom: int) -> float:
 def _panel(image: Image, axis: int, at: int, look: Look, smallest: float, zoom: float) -> _Panel:
     plane = image.values if axis < 0 else np.take(image.values, at, axis=axis)
     edges = [edge for index, edge in enumerate(image.spacing) if index != axis]
-    pixels = _coloured(image, plane, look)
+    pixels = _colour_plane(image, plane, look)
     pixel = 0.0
     for index, edge in enumerate(edges):
         factor = edge / smallest * zoom
@@ -206,9 +209,9 @@ def _panel(image: Image, axis: int, at: int, look: Look, smallest: float, zoom: 
     return _Panel(pixels, caption, pixel, image.unit)
 
 
-def _coloured(image: Image, plane: np.ndarray, look: Look) -> np.ndarray:
-    """(H, W, 3) uint8; grey of other types than uint8 runs from the image's lowest to its highest
-    value.
+def _colour_plane(image: Image, plane: np.ndarray, look: Look) -> np.ndarray:
+    """Colour a plane, (H, W, 3) uint8; grey of other types than uint8 runs from the image's lowest
+    to its highest value.
     """
     if image.kind == "colour":
         return plane
@@ -223,7 +226,7 @@ def _coloured(image: Image, plane: np.ndarray, look: Look) -> np.ndarray:
 
 
 def _sheet(rows: list[list[_Panel]], titles: Sequence[str | None], look: Look) -> np.ndarray:
-    """Rows of panels on the look's background."""
+    """Draw rows of panels on the look's background."""
     from PIL import Image as Pillow
     from PIL import ImageDraw
 
@@ -251,12 +254,12 @@ def _sheet(rows: list[list[_Panel]], titles: Sequence[str | None], look: Look) -
 
 
 def _least(panel: _Panel) -> int:
-    """Pixels that caption and scale bar need side by side."""
+    """Return the pixels that caption and scale bar need side by side."""
     return int(font(_LETTERS).getlength(panel.caption)) + 90
 
 
 def _letter(canvas: Any, panel: _Panel, left: int, top: int, ink: tuple[int, int, int]) -> None:
-    """Caption to the left below the panel, scale bar to the right of it."""
+    """Draw the caption to the left below the panel, the scale bar to the right of it."""
     canvas.text((left, top + 6), panel.caption, fill=ink, font=font(_LETTERS))
     start = left + int(font(_LETTERS).getlength(panel.caption)) + 16
     room = max(panel.pixels.shape[1], _least(panel)) + left - start

@@ -1,14 +1,13 @@
 """`render` and `turntable`: stills of a volume, by a ray marcher on the CPU.
 
 1. The drawn phases' indicator, blurred by 0.7 voxel, is the field whose middle value is the
-surface.
+   surface.
 2. A ray per sample, parallel to the others, steps through the box and skips empty blocks. Where it
-enters the solid
-   through a face of the box or of a cut, the normal is that plane's; elsewhere it is the field's
-   gradient.
+   enters the solid through a face of the box or of a cut, the normal is that plane's; elsewhere it
+   is the field's gradient.
 3. A lamp from the upper left with soft shadows, light that goes through thin walls, and light from
-all round, by cones
-   through a pyramid of densities: without random numbers, so without speckle (see `shading`).
+   all round, by cones through a pyramid of densities: without random numbers, so without speckle
+   (see `shading`).
 4. A scale bar, exact since the view is orthographic.
 """
 
@@ -23,8 +22,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
-from trabecula.view.picture import check_suffix, kept, save_gif
-from trabecula.view.scene import scene_of
+from trabecula.view.picture import check_suffix, save_gif, save_picture
+from trabecula.view.scene import prepare_scene
 
 
 def render(
@@ -38,7 +37,7 @@ def render(
     cut: str | Sequence[str] = "corner",
     threshold: float | None = None,
 ) -> Image:
-    """A still of a volume.
+    """Render a still of a volume.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ def render(
         of range.
     """
     check_suffix(path, ".png")
-    scene, angles = scene_of(image, look, phase, camera, cut, size, threshold)
+    scene, angles = prepare_scene(image, look, phase, camera, cut, size, threshold)
     values, pixel = scene.picture(angles)
     made = {
         "look": look,
@@ -86,7 +85,8 @@ def render(
     recipe = scene.image.recipe.then(
         "render", values, cut=cut if isinstance(cut, str) else list(cut), **made
     )
-    return kept(Image(values, "colour", (pixel, pixel), scene.image.unit, recipe=recipe), path)
+    still = Image(values, "colour", (pixel, pixel), scene.image.unit, recipe=recipe)
+    return save_picture(still, path)
 
 
 def turntable(
@@ -102,7 +102,7 @@ def turntable(
     cut: str | Sequence[str] = "corner",
     threshold: float | None = None,
 ) -> Path:
-    """A moving picture of a volume that turns once around z, with what is cut away turning along.
+    """Render a moving picture of a volume that turns once around z, the cut turning along.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def turntable(
         raise InputError(
             f"a turn of {frames} frames in {seconds} s: 2..360 frames and at most 600 s are needed"
         )
-    scene, (azimuth, elevation) = scene_of(image, look, phase, camera, cut, size, threshold)
+    scene, (azimuth, elevation) = prepare_scene(image, look, phase, camera, cut, size, threshold)
     turns = [(azimuth + 360 * k / frames, elevation) for k in range(frames)]
     pixel = max(scene.camera(angles).pixel for angles in turns)
     pictures = [

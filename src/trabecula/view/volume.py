@@ -1,11 +1,9 @@
-"""What the ray marcher needs of an image: a smooth field, an index of empty blocks, a pyramid of
-densities.
-"""
+"""A volume for the ray marcher: smooth field, index of empty blocks, pyramid of densities."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +19,7 @@ LEVELS = 6
 WEIGHTS = np.array([3, 51, 148, 51, 3], np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(NamedTuple):
     """Arrays for `kernels.march`; see there."""
 
     field: np.ndarray
@@ -33,9 +30,9 @@ class Volume:
     shapes: np.ndarray
 
 
-def drawn_phases(image: Image, phase: str | int | Sequence[str | int] | None) -> list[int]:
-    """The labels that a still shows: those asked for, by default every phase but the one named
-    "void".
+def visible_phases(image: Image, phase: str | int | Sequence[str | int] | None) -> list[int]:
+    """Return the labels that a still shows: those requested, by default every phase but the one
+    named "void".
     """
     if phase is None:
         others = [index for index, name in enumerate(image.phases) if name != "void"]
@@ -46,8 +43,8 @@ def drawn_phases(image: Image, phase: str | int | Sequence[str | int] | None) ->
     return sorted({phase_index(image, one, default="solid") for one in several})
 
 
-def prepare(labels: np.ndarray, drawn: Sequence[int]) -> Volume:
-    """The arrays of one volume.
+def prepare_volume(labels: np.ndarray, drawn: Sequence[int]) -> Volume:
+    """Prepare the arrays of one volume.
 
     Parameters
     ----------
@@ -57,19 +54,19 @@ def prepare(labels: np.ndarray, drawn: Sequence[int]) -> Volume:
     """
     table = np.zeros(256, np.uint8)
     table[list(drawn)] = 255
-    field = _blurred(table[labels])
+    field = _blur(table[labels])
     levels = _levels(field)
     return Volume(
         field=field,
         labels=_spread(labels, table),
-        occupied=_occupied(field),
+        occupied=_find_surface_blocks(field),
         pyramid=np.concatenate([level.ravel() for level in levels]),
         offsets=np.cumsum([0, *(level.size for level in levels[:-1])]),
         shapes=np.array([level.shape for level in levels], np.int64),
     )
 
 
-def _blurred(values: np.ndarray) -> np.ndarray:
+def _blur(values: np.ndarray) -> np.ndarray:
     depth, height, width = values.shape
     other = np.empty_like(values)
     for shape in ((1, depth, height * width), (depth, height, width), (depth * height, width, 1)):
@@ -79,8 +76,8 @@ def _blurred(values: np.ndarray) -> np.ndarray:
 
 
 def _spread(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Labels where hidden voxels beside drawn ones take theirs: smoothing may move a surface by
-    half a voxel.
+    """Return labels where hidden voxels beside drawn ones take theirs: smoothing may move a surface
+    by half a voxel.
     """
     if np.count_nonzero(table) == 1:
         return np.full((1, 1, 1), np.flatnonzero(table)[0], np.uint8)
@@ -93,8 +90,8 @@ def _spread(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
     return spread
 
 
-def _occupied(field: np.ndarray) -> np.ndarray:
-    """Blocks of BLOCK voxels an axis where interpolation can reach ISO, (Z/B, Y/B, X/B) bool."""
+def _find_surface_blocks(field: np.ndarray) -> np.ndarray:
+    """Return the blocks where interpolation can reach ISO, (Z/BLOCK, Y/BLOCK, X/BLOCK) bool."""
     solid = field > int(ISO)
     for axis, length in enumerate(field.shape):
         starts = np.arange(0, length, BLOCK)

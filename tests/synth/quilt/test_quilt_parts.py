@@ -138,7 +138,9 @@ def two_stubs():
     canvas[4, 4, :5] = canvas[4, 4, 10:] = 1
     canvas[2:7, 2:7, 5:10] = EMPTY
     grid = PatchGrid(canvas.shape, (False,) * 3, (5, 5, 5), (5, 5, 5), (2, 2, 5))
-    components = ComponentTracker(canvas, grid.wraps, voxel_classes("solid", 0, 2))
+    components = ComponentTracker(
+        canvas, np.zeros(canvas.shape, np.int32), grid.wraps, voxel_classes("solid", 0, 2)
+    )
     old, numbers = np.empty((13, 13, 13), np.uint8), np.empty((13, 13, 13), np.int32)
     grid.read_window(canvas, (2, 2, 5), old, OUT)
     grid.read_window(components.numbers, (2, 2, 5), numbers, 0)
@@ -285,7 +287,7 @@ def lay_random(seed, connected, density):
     canvas = np.full(shape, EMPTY, np.uint8)
     grid = PatchGrid(shape, (False,) * 3, patch, step, (0, 0, 0))
     classes = voxel_classes(connected, 0, 2)
-    components = ComponentTracker(canvas, grid.wraps, classes)
+    components = ComponentTracker(canvas, np.zeros(canvas.shape, np.int32), grid.wraps, classes)
     window = tuple(side + 2 * m for side, m in zip(patch, grid.margin, strict=True))
     check = ConnectivityCheck(window, grid.margin, island=0)
     inner = tuple(slice(m, -m) for m in grid.margin)

@@ -18,7 +18,7 @@ from trabecula.measure.labelling import label_components
 from trabecula.synth.quilt import candidates, connectivity, method
 from trabecula.synth.quilt.candidates import CandidateDescriptors, CandidatePools
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT, PatchGrid
-from trabecula.synth.quilt.compatibility import REASONS, PlacementTrace
+from trabecula.synth.quilt.compatibility import REASONS, RECORDS, PlacementTrace
 from trabecula.synth.quilt.connectivity import SOLID, VOID, ComponentTracker, voxel_classes
 from trabecula.synth.quilt.method import _count_pooled
 from trabecula.synth.quilt.period import phase_key
@@ -131,7 +131,7 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     for stopped in (True, False):
         stops = pytest.raises(KeyboardInterrupt) if stopped else nullcontext()
         with slabs(tmp_path / "files"), stops, checkpoint.kept_at(tmp_path / "part"):
-            values, report = lattice_model.made(request)
+            values, report = lattice_model.compute(request)
             assert np.array_equal(values, whole) and report["places"] == trace.summary()["places"]
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
@@ -163,7 +163,7 @@ def test_parts_found_in_slabs_are_those_of_the_whole(seed, thick, wraps, share):
     labels, sizes = label_components(values == 1, periodic=wraps)
     into = np.full(values.shape, 99, np.int32)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connectivity, "_AT_ONCE", 42 * thick)
+        patch.setattr(connectivity, "LABELLED_AT_ONCE", 42 * thick)
         part, found = connectivity.label_slabwise(values, np.arange(256) == 1, wraps, into=into)
         _, counted = connectivity.label_slabwise(values, np.arange(256) == 1, wraps)
     assert found.tolist() == sizes.tolist() == counted.tolist()
@@ -188,7 +188,7 @@ def test_given_voxels_begin_with_their_components(wraps, tmp_path):
         canvas[z, y, x] = FIXED
     classes = voxel_classes("both", 0, 2)
     with slabs(tmp_path, memory=1):
-        made = ComponentTracker(canvas, wraps, classes)
+        made = ComponentTracker(canvas, memmap.zeros(canvas.shape, np.int32), wraps, classes)
         numbers, ends, sizes = (
             np.array(made.numbers),
             np.array(made.ends[: made.count]),
@@ -229,7 +229,9 @@ def test_given_voxels_begin_with_their_components(wraps, tmp_path):
 
 def test_a_trace_sums_what_was_laid():
     grid = PatchGrid((20, 20, 20), (False,) * 3, (8, 8, 8), (5, 5, 5), (0, -2, 0))
-    trace = PlacementTrace(grid)
+    trace = PlacementTrace(
+        grid, {name: memmap.empty(grid.counts, dtype) for name, dtype in RECORDS.items()}
+    )
     shares = np.random.default_rng(0).random(int(np.prod(grid.counts)))
     for number, share in enumerate(shares[:-3]):
         trace.add(
@@ -288,13 +290,13 @@ def test_the_forecast_counts_the_pools_of_all_phases(out_of_step):
 def test_what_must_stay_in_memory_does_not_grow(lattice_model):
     """Check that memory does not grow, except by a plane; the rest is memory-mapped."""
     short, long = (tb.Request((length, 64, 64), seed=1) for length in (64, 640))
-    assert lattice_model._plan_spilled(short) == lattice_model._plan_spilled(long)
+    assert lattice_model.resident_memory(short) == lattice_model.resident_memory(long)
     more = lattice_model.plan(long).peak - lattice_model.plan(short).peak
     assert 5 * 576 * 64 * 64 < more < 6 * 576 * 64 * 64
 
 
 def test_a_form_in_pieces_is_found_in_slabs(monkeypatch):
-    monkeypatch.setattr(connectivity, "_AT_ONCE", 1)
+    monkeypatch.setattr(connectivity, "LABELLED_AT_ONCE", 1)
     mask = np.zeros((9, 6, 6), bool)
     mask[:, 1:3] = True
     method._check_one_form(mask, (False,) * 3)

@@ -22,7 +22,7 @@ from trabecula.engine.memory import Plan, check_budget
 from trabecula.measure.margins import margin_note
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, without_exemplar
-from trabecula.synth.api.model import Model, ModelState, as_request, changed_settings
+from trabecula.synth.api.model import Model, ModelState, as_request, nondefault_settings
 
 __all__ = ["Capabilities", "Method", "Model", "ModelState", "as_exemplars", "as_request"]
 
@@ -51,7 +51,7 @@ class Method(ABC):
         self.config = config
 
     def __repr__(self) -> str:
-        return f"<Method {self.capabilities.name}: {changed_settings(self.config)}>"
+        return f"<Method {self.capabilities.name}: {nondefault_settings(self.config)}>"
 
     @classmethod
     def configured(cls, /, *, preset: str | None = None, **settings: Any) -> Method:

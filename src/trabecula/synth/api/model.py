@@ -62,7 +62,7 @@ class Model(ABC):
     """A method that has learned.
 
     A subclass names its `capabilities` and gives the hook `make` (a `WindowModel`: `make_box`). It
-    may override `state`, `memory` and `mapped_memory`; to refuse what the base class lets pass,
+    may override `state`, `memory` and `resident_memory`; to refuse what the base class lets pass,
     `_check_request` and `_check_target`; where a result differs from the exemplar in kind, spacing,
     unit or phases, `_result_fields`.
 
@@ -94,7 +94,7 @@ class Model(ABC):
         ]
         more = f" and {len(seen) - 1} more" if seen[1:] else ""
         of = f" of {seen[0]}{more}" if seen else ""
-        return f"<Model{name}: {self.capabilities.name}{of}; {changed_settings(self.config)}>"
+        return f"<Model{name}: {self.capabilities.name}{of}; {nondefault_settings(self.config)}>"
 
     @abstractmethod
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
@@ -381,7 +381,7 @@ def as_request(shape: Any, seed: int | None, parts: dict[str, Any]) -> Request:
     return Request(shape, seed=0 if seed is None else as_seed(seed), **parts)
 
 
-def changed_settings(config: Any) -> str:
+def nondefault_settings(config: Any) -> str:
     """Return the settings that differ from a method's defaults, as NAME=VALUE."""
     usual = type(config)()
     changed = [

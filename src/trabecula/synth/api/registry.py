@@ -27,7 +27,7 @@ GROUP = "trabecula.methods"
 """Group of the entry points of methods."""
 
 _NO_METHODS = ("api", "shared")
-_given: dict[str, type[Method]] = {}  # `registered` for the time being
+_given: dict[str, type[Method]] = {}  # `register` for the time being
 
 
 def methods() -> dict[str, Capabilities]:
@@ -103,7 +103,7 @@ def method_class(capabilities: Capabilities) -> type[Method]:
 
 
 @contextmanager
-def registered(cls: type[Method]) -> Iterator[None]:
+def register(cls: type[Method]) -> Iterator[None]:
     """Let the registry know a method's class while the block lasts, for tests."""
     _given[cls.capabilities.name] = cls
     try:

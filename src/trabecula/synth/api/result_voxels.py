@@ -1,6 +1,4 @@
-"""How large a result's voxels are: as the exemplar's, or as the form's where the exemplar states no
-size.
-"""
+"""The size of a result's voxels: the exemplar's, or the form's where the exemplar states none."""
 
 from __future__ import annotations
 
@@ -19,13 +17,13 @@ _ALIKE = 1e-4
 def result_voxels(
     request: Request, spacing: Sequence[float], unit: str
 ) -> tuple[tuple[float, ...], str]:
-    """Return spacing and unit of what is made for a request.
+    """Return spacing and unit of the result of a request.
 
     Parameters
     ----------
     request : Request
     spacing : sequence of float
-        Of what the model makes, along as many axes as the request has.
+        Of the model's results, along as many axes as the request has.
     unit : str
 
     Raises
@@ -50,8 +48,9 @@ def result_voxels(
         else "; a surface without a unit is read with one by tb.read_mesh(..., unit=)"
     )
     raise RequestError(
-        f"the mask's voxels are {_size(edges)} {named}, the result's {_size(spacing)} {unit}: voxelise the form at the result's "
-        f"spacing (tb.voxelise), resample it, or correct the spacing of either (--spacing, --unit){no_unit}"
+        f"the mask's voxels are {_size(edges)} {named}, the result's {_size(spacing)} {unit}: "
+        "voxelise the form at the result's spacing (tb.voxelise), resample it, or correct the "
+        f"spacing of either (--spacing, --unit){no_unit}"
     )
 
 

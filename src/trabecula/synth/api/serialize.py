@@ -146,14 +146,14 @@ def _build(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any
             return chosen.from_state(exemplars, ModelState(state, about["learned"], history))
         history = dict(about.get("history") or {})
         found = ModelState(state, about.get("found") or {}, history)
-        return _learned_again(chosen, exemplars, voxels, found)
+        return _restore(chosen, exemplars, voxels, found)
     except MissingExtraError:
         raise
     except InputError as error:
         raise FileError(f"cannot read {path} as a model: {error}") from error
 
 
-def _learned_again(
+def _restore(
     chosen: Method,
     exemplars: Sequence[ExemplarInfo],
     voxels: Mapping[str, np.ndarray],

@@ -27,11 +27,10 @@ def makes_boxes(model: Model) -> TypeGuard[WindowModel]:
 
 
 class WindowModel(Model):
-    """A model that gives the hook `make_box` and gets the rest: whole volumes, windows, forms,
-    streams.
+    """A model that gives the hook `make_box` and gets the rest: volumes, windows, forms, streams.
 
-    It may also override `box_memory`; `report_run`, for the recipe; and `_check_windows`, where some
-    settings let no box be made alone (such a model gives `make` as well).
+    It may also override `box_memory`; `report_run`, for the recipe; and `_check_windows`, where
+    some settings let no box be made alone (such a model gives `make` as well).
 
     Attributes
     ----------
@@ -139,14 +138,16 @@ class WindowModel(Model):
         """Raise where the settings let no box be made alone."""
 
 
-def field_in(field: np.ndarray, box: Box) -> np.ndarray:
-    """Return the part of a request's field, such as a target, in a box.
+def field_in(field: Any, box: Box) -> Any:
+    """Return the part of a target's field in a box; a number, or None, as it is.
 
     Raises
     ------
     InputError
         The box leaves the field.
     """
+    if not isinstance(field, np.ndarray):
+        return field
     for (start, stop), side in zip(box, field.shape, strict=True):
         if start < 0 or stop > side:
             raise InputError(
@@ -185,7 +186,7 @@ def _as_box(box: Sequence[Sequence[int]], request: Request) -> Box:
     )
     if request.mask is not None and not inside:
         raise InputError(
-            f"the box {found} leaves the mask of shape {request.shape}: nothing says what is filled "
-            "there"
+            f"the box {found} leaves the mask of shape {request.shape}: nothing says what is "
+            "filled there"
         )
     return found

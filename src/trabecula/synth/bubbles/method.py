@@ -14,9 +14,8 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.engine.blocks import Box, slices_of
-from trabecula.engine.memory import Plan
 from trabecula.synth.api.exemplar_info import ExemplarInfo
-from trabecula.synth.api.method import Method
+from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.bubbles import CAPABILITIES
 from trabecula.synth.bubbles.calibrate import calibrate
@@ -40,22 +39,19 @@ class Bubbles(Method):
     capabilities = CAPABILITIES
     config_type = BubblesConfig
 
-    def _blank(self, facts: ExemplarInfo) -> BubblesModel:
-        return BubblesModel(self.config, [facts])
-
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         shape = exemplars[0].shape
         search = bytes_of_search(shape) if self.config.trials else 0
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "search": search,
-                "its phases": 3 * math.prod(shape) + 4096,
-            }
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "search": search,
+            "its phases": 3 * math.prod(shape) + 4096,
+        }
 
-    def learn(self, exemplars: Sequence[Image]) -> BubblesModel:
+    def learn(self, exemplars: Sequence[Any]) -> BubblesModel:
         exemplar = exemplars[0]
+        if isinstance(exemplar, ExemplarInfo):  # the settings alone
+            return BubblesModel(self.config, exemplars)
         present = np.unique(exemplar.values)
         if len(exemplar.phases) != 2:
             names = ", ".join(exemplar.phases[label] for label in present)
@@ -70,10 +66,9 @@ class Bubbles(Method):
         found, report = calibrate(self.config, exemplar, BubblesModel)
         return BubblesModel(self.config, exemplars, found, report)
 
-    def _fit_again(self, exemplars: Sequence[Image], found: Mapping[str, Any]) -> BubblesModel:
-        return BubblesModel(
-            self.config, exemplars, BubblesConfig(**found["settings"]), found["report"]
-        )
+    def from_state(self, exemplars: Sequence[Any], state: ModelState) -> BubblesModel:
+        found = BubblesConfig(**state.plain["settings"])
+        return BubblesModel(self.config, exemplars, found, state.plain["report"])
 
 
 @dataclass
@@ -123,11 +118,13 @@ class BubblesModel(WindowModel):
         self.report = dict(report or {})
         self._last: _RequestGrowth | None = None
 
-    def looked_up(self) -> Mapping[str, Any]:
-        """The settings that were found, and how."""
-        return {"settings": asdict(self.found), "report": self.report} if self.report else {}
+    def state(self) -> ModelState:
+        """Return the settings that were found for an exemplar, and the report of the search."""
+        if not self.report:
+            return ModelState()
+        return ModelState(plain={"settings": asdict(self.found), "report": self.report})
 
-    def _report(self) -> Mapping[str, Any]:
+    def report_run(self) -> Mapping[str, Any]:
         return {"fit": self.report} if self.report else {}
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
@@ -230,7 +227,7 @@ class BubblesModel(WindowModel):
         super()._check_request(request)
         self._law(len(request.shape))
 
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         law, wanted, masked = self._law(len(shape)), self._wanted(request), request.mask is not None
         flows = self.found.randomness < 1 and self.found.directed(masked=masked)
         box = bytes_of_box(law, _deep(shape, 1), flows=flows)

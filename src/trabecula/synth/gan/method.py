@@ -15,10 +15,9 @@ from trabecula.core.optional import need
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
-from trabecula.engine.memory import Plan
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.api.exemplar_info import ExemplarInfo
-from trabecula.synth.api.method import Method
+from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
@@ -42,24 +41,16 @@ class Gan(Method):
 
         return GanModel(self.config, exemplars, train(self.config, exemplars[0]))
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.train import training_bytes
 
-        return Plan(
-            {"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])}
-        )
+        return {"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])}
 
-    def from_state(
-        self,
-        facts: Sequence[ExemplarInfo],
-        arrays: Mapping[str, np.ndarray],
-        plain: Mapping[str, Any],
-        *,
-        history: Mapping[str, Any],
-    ) -> GanModel:
+    def from_state(self, exemplars: Sequence[Any], state: ModelState) -> GanModel:
         """Build the model that `GanModel.state` described."""
-        return build_model(self.config, facts, {"generator": arrays, **plain, "training": history})
+        parts = {"generator": state.arrays, **state.plain, "training": state.history}
+        return build_model(self.config, exemplars, parts)
 
 
 class GanModel(WindowModel):
@@ -118,14 +109,13 @@ class GanModel(WindowModel):
             self._network = load_generator(self.config, self.channels, self.parts["generator"])
         return self._network
 
-    def state(self) -> tuple[Mapping[str, np.ndarray], Mapping[str, Any]]:
-        """Return the weights and the calibration."""
-        return self.parts["generator"], {"calibration": self.calibration}
-
-    @property
-    def history(self) -> Mapping[str, Any]:
-        """Return the history of the training."""
-        return dict(self.parts.get("training", {}))
+    def state(self) -> ModelState:
+        """Return the weights, the calibration and the history of the training."""
+        return ModelState(
+            self.parts["generator"],
+            {"calibration": self.calibration},
+            dict(self.parts.get("training", {})),
+        )
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         network = self.network
@@ -152,14 +142,14 @@ class GanModel(WindowModel):
                     "periodic"
                 )
 
-    def _report(self) -> Mapping[str, Any]:
+    def report_run(self) -> Mapping[str, Any]:
         """Return version and arithmetic: a few voxels near a threshold depend on both."""
         torch = need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.networks import arithmetic
 
         return {"torch": str(torch.__version__), "arithmetic": arithmetic(self.config)}
 
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.networks import inference_bytes
         from trabecula.synth.gan.window import margin_cells

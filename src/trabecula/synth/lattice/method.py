@@ -114,16 +114,15 @@ class LatticeModel(WindowModel):
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         """Cut the function plane by plane."""
-        cell, phase, wanted = self.config.cell, self.config.phase, porosity_of(request.target)
-        wanted = self.config.porosity if wanted is None else wanted
+        cell, phase = self.config.cell, self.config.phase
+        wanted = porosity_of(request.target or {"porosity": self.config.porosity})
         values = np.empty([stop - start for start, stop in box], np.uint8)
-        field = field_in(wanted, box) if isinstance(wanted, np.ndarray) else wanted
-        solid = np.broadcast_to(1 - np.asarray(field), values.shape)
+        field = np.broadcast_to(field_in(wanted, box), values.shape)
 
         def work(start: int, stop: int) -> None:
             for n, z in enumerate(range(box[0][0] + start, box[0][0] + stop), start):
                 u = self.coordinates(request, ((z, z + 1), *box[1:]))
-                level = np.interp(solid[n], _FRACTIONS, levels(cell, phase))
+                level = np.interp(1 - field[n], _FRACTIONS, levels(cell, phase))
                 values[n] = (steps(cell, phase, u) < level)[0]
 
         for_slabs(work, len(values))
@@ -131,7 +130,8 @@ class LatticeModel(WindowModel):
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         """Forecast the planes that are worked on, of float64."""
-        planes = 6 if self.config.cell in SURFACES and self.turn[0, 0] == 1 else 16
+        bent = bool(self.config.coordinates or self.turn[0, 0] < 1)
+        planes = 6 + 13 * bent + 4 * (self.config.cell in STRUTS) + 2 * bool(request.target)
         return {"planes": thread_count() * planes * 8 * shape[1] * shape[2]}
 
 

@@ -13,7 +13,7 @@ coarse to fine.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +28,6 @@ from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, resume
 from trabecula.engine.parallel import for_slabs, thread_count
-from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.candidates import (
@@ -78,22 +77,22 @@ class Mrf(PictureMethod):
         """Learn the pictures."""
         return MrfModel(self.config, exemplars, views)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
-        """Forecast the memory of learning, bytes."""
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         config = self.config
         oblique = _uses_oblique(config, exemplars, three=len(config.views) in (0, 3))
         count = count_scales(exemplars, config)
         kept, peak = learning_bytes(exemplars, count, config, oblique=oblique)
-        return Plan(
-            {"interpreter and kernels": _PROCESS, "neighbourhoods": kept, "learning": peak - kept}
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "neighbourhoods": kept,
+            "learning": peak - kept,
+        }
 
 
 class MrfModel(PictureModel):
     """Views of the pictures, and their neighbourhoods at every scale."""
 
     capabilities = CAPABILITIES
-    spills = True
     config: MrfConfig
 
     def __init__(
@@ -302,14 +301,11 @@ class MrfModel(PictureModel):
                 return scale, state
         return top, None
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._run_memory(request)
-        memory = {**self._constant_bytes(request), "output": run.output, "scratch": run.scratch}
-        return Plan(
-            memory, disk=int(np.prod(request.shape, dtype=np.int64)) * self.content.values[0].nbytes
-        )
+        return {**self._constant_bytes(request), "output": run.output, "scratch": run.scratch}
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         return {**self._constant_bytes(request), "slab": self._run_memory(request).slab}
 
     def _constant_bytes(self, request: Request) -> dict[str, int]:

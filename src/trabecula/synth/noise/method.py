@@ -17,7 +17,7 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
-from trabecula.engine.memory import Array, Plan, Stage, forecast
+from trabecula.engine.memory import Array, Stage, forecast
 from trabecula.numerics.transforms import fast_side
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
@@ -57,15 +57,12 @@ class Noise(Method):
             )
         return NoiseModel(self.config, exemplars)
 
-    def _blank(self, facts: ExemplarInfo) -> NoiseModel:
-        return NoiseModel(self.config, [facts])
-
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the transforms of an indicator, and those of the covariance."""
         values = _volume(exemplars[0].values)
         fixed = {"interpreter and kernels": _PROCESS, "exemplar": 3 * values.size + _TABLES}
         if not _fits_covariance(self.config):
-            return Plan(fixed)
+            return fixed
         reach = reach_of(values.shape, self.config, flat=exemplars[0].ndim == 2)
         padded = np.prod(
             [fast_side(side + far) for side, far in zip(values.shape, reach, strict=True)],
@@ -77,7 +74,7 @@ class Noise(Method):
             Stage("two-point function", filters, 21 * int(padded) + 8 * offsets),
             Stage("filter", filters, 72 * offsets),
         )
-        return forecast(stages, fixed)
+        return forecast(stages, fixed).memory
 
 
 class NoiseModel(WindowModel):
@@ -145,12 +142,11 @@ class NoiseModel(WindowModel):
             request, self._field(len(request.shape) == 2), self.phases, outside=void
         ), {}
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         if not self.config.exact:
-            return super()._plan(request)
+            return super().memory(request)
         field, shape = self._field(len(request.shape) == 2), domain_of(request).shape
-        stages = stages_of_ranking(field, shape)
-        return forecast(stages, self._fixed(), disk=self._size(request))
+        return forecast(stages_of_ranking(field, shape), self._fixed()).memory
 
     def _check_windows(self) -> None:
         if self.config.exact:
@@ -159,7 +155,7 @@ class NoiseModel(WindowModel):
                 "alone: leave exact out"
             )
 
-    def _plan_box(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+    def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         field = self._field(len(shape) == 2)
         stages = field.stages((1,) * (3 - len(shape)) + tuple(shape))
         return forecast(stages, self._fixed()).memory

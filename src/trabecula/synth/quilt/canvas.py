@@ -13,7 +13,6 @@ import numpy as np
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.core.target import OF_A_PHASE, Target
-from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.quilt.patch_library import MOST_LABELS, PatchLibrary, void_label
@@ -181,9 +180,9 @@ def shape_3d(request: Request) -> tuple[int, int, int]:
     return (shape[0], shape[1], shape[2])
 
 
-def initial_canvas(shape: tuple[int, ...], request: Request) -> np.ndarray:
-    """Build the canvas before the first patch: measured voxels, and `OUT` outside the form."""
-    canvas = memmap.empty(shape, np.uint8)
+def fill_canvas(canvas: np.ndarray, request: Request) -> None:
+    """Fill the canvas before the first patch: measured voxels, and `OUT` outside the form."""
+    shape = canvas.shape
     mask, known = (
         None if part is None else part.reshape(shape) for part in (request.mask, request.known)
     )
@@ -198,7 +197,6 @@ def initial_canvas(shape: tuple[int, ...], request: Request) -> np.ndarray:
             np.copyto(part, np.uint8(OUT), where=~mask[here])
 
     for_slabs(fill, shape[0])
-    return canvas
 
 
 def _layers_to_fill(shape: tuple[int, ...], request: Request) -> list[np.ndarray]:

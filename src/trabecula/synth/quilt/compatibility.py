@@ -274,7 +274,15 @@ def _advice(name: str) -> str:
 
 
 _WORST = 5  # places that gave way, in the summary
-_RECORDS = ("mismatch", "difference", "tried", "strut", "gave_way")
+
+RECORDS: dict[str, Any] = {
+    "mismatch": np.float64,
+    "difference": np.float64,
+    "tried": np.int32,
+    "strut": np.int32,
+    "gave_way": np.uint8,
+}
+"""Arrays of the record of all places, one entry each."""
 
 REASONS = ("", "connectivity", "feature size")
 """Reasons why a place gave way; `PlacementTrace.gave_way` has the position."""
@@ -282,6 +290,12 @@ REASONS = ("", "connectivity", "feature size")
 
 class PlacementTrace:
     """Record of every place.
+
+    Parameters
+    ----------
+    grid : PatchGrid
+    records : mapping of str to ndarray
+        Arrays as declared in `RECORDS`, one entry per place; they are overwritten.
 
     Attributes
     ----------
@@ -305,16 +319,18 @@ class PlacementTrace:
         Voxels of islands that were painted over in the end.
     """
 
-    def __init__(self, grid: PatchGrid) -> None:
+    mismatch: np.ndarray
+    difference: np.ndarray
+    tried: np.ndarray
+    strut: np.ndarray
+    gave_way: np.ndarray
+
+    def __init__(self, grid: PatchGrid, records: Mapping[str, np.ndarray]) -> None:
         self.grid = grid
-        self.mismatch = memmap.empty(grid.counts, np.float64)
-        self.difference = memmap.empty(grid.counts, np.float64)
-        self.tried = memmap.zeros(grid.counts, np.int32)
-        self.strut = memmap.zeros(grid.counts, np.int32)
-        self.gave_way = memmap.zeros(grid.counts, np.uint8)
-        for values in (self.mismatch, self.difference):
-            for layer in _layers(values):
-                layer[...] = np.nan
+        for name, dtype in RECORDS.items():
+            for layer in _layers(records[name]):
+                layer[...] = np.nan if dtype is np.float64 else 0
+            setattr(self, name, records[name])
         self.taken_back = self.painted = 0
 
     def add(
@@ -362,12 +378,12 @@ class PlacementTrace:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of a checkpoint."""
-        held = {name: getattr(self, name) for name in _RECORDS}
+        held = {name: getattr(self, name) for name in RECORDS}
         return {**held, "taken_back": np.array(self.taken_back)}
 
     def load_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the arrays of a checkpoint."""
-        for name in _RECORDS:
+        for name in RECORDS:
             setattr(self, name, arrays[name])
         self.taken_back = int(arrays["taken_back"])
 

@@ -70,6 +70,16 @@ class ComponentTracker:
     """The components of an output: the number of every voxel's, and a table of which numbers are
     one component, with their ends.
 
+    Parameters
+    ----------
+    canvas : (Z, Y, X) uint8
+        Given voxels, and voxels to make.
+    numbers : (Z, Y, X) int32
+        Zeros.
+    wraps : three bool
+    classes : (256,) uint8
+        As from `voxel_classes`.
+
     Attributes
     ----------
     numbers : (Z, Y, X) int32
@@ -79,9 +89,14 @@ class ComponentTracker:
         and those that were closed as the only one, after which none may begin.
     """
 
-    def __init__(self, canvas: np.ndarray, wraps: tuple[bool, ...], classes: np.ndarray) -> None:
-        self.classes = classes
-        self.numbers = memmap.zeros(canvas.shape, np.int32)
+    def __init__(
+        self,
+        canvas: np.ndarray,
+        numbers: np.ndarray,
+        wraps: tuple[bool, ...],
+        classes: np.ndarray,
+    ) -> None:
+        self.classes, self.numbers = classes, numbers
         self.parent = memmap.zeros(_MORE, np.int32)
         self.ends = memmap.zeros(_MORE, np.int64)
         self.sizes = memmap.zeros(_MORE, np.int64)
@@ -280,7 +295,7 @@ class ConnectivityCheck:
         return leaders, first[np.argsort(parts[WHOLE, first], kind="stable")], kept
 
 
-_AT_ONCE = 1 << 21
+LABELLED_AT_ONCE = 1 << 21
 """Voxels of a slab at most: its runs and labels take some bytes each, whether scratch files are in
 use or not.
 """
@@ -293,7 +308,7 @@ def slabs(shape: Sequence[int]) -> Iterator[tuple[int, int]]:
     other.
     """
     plane = int(np.prod(shape[1:], dtype=np.int64))
-    thick = max(1, min(memmap.slab_thickness(shape[0], 1), _AT_ONCE // max(1, plane)))
+    thick = max(1, min(memmap.slab_thickness(shape[0], 1), LABELLED_AT_ONCE // max(1, plane)))
     for first in range(0, shape[0], thick):
         yield first, min(first + thick, shape[0])
         memmap.release_pages()

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
-from trabecula.engine.memory import Plan
+from trabecula.engine.memory import forecast
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.quilt import CAPABILITIES
@@ -30,7 +29,7 @@ from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.connectivity import label_slabwise
 from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits
 from trabecula.synth.quilt.period import phase_key, positions_in_phase
-from trabecula.synth.quilt.run import QuiltRun
+from trabecula.synth.quilt.run import QuiltRun, run_stages
 from trabecula.synth.shared.orient import symmetries
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -47,7 +46,7 @@ class Quilt(Method):
         """Pack the exemplars."""
         return QuiltModel(self.config, exemplars)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the memory: words and a copy of every orientation, and the cleaning."""
         turns = len(
             symmetries(
@@ -56,13 +55,11 @@ class Quilt(Method):
         )
         planes = label_bits(len(exemplars[0].phases))
         voxels = sum(int(np.prod(exemplar.shape)) for exemplar in exemplars)
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "exemplar": turns * voxels * (2 + 16 * planes),
-                "working": 18 * voxels,
-            }
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": turns * voxels * (2 + 16 * planes),
+            "working": 18 * voxels,
+        }
 
 
 class QuiltModel(Model):
@@ -70,7 +67,6 @@ class QuiltModel(Model):
 
     capabilities = CAPABILITIES
     config: QuiltConfig
-    spills = True
 
     def __init__(self, config: QuiltConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
@@ -125,15 +121,29 @@ class QuiltModel(Model):
     def _check_target(self, request: Request) -> None:
         check_targets(self.library, request, self._held)
 
-    def _plan(self, request: Request) -> Plan:
-        kept = run_bytes(self.library, self.config, request)
-        return Plan(
-            {"interpreter and kernels": _PROCESS, **kept.fixed, **kept.growing}, disk=kept.voxels
-        )
+    def memory(self, request: Request) -> Mapping[str, int]:
+        grid, fixed = self._forecast_grid(request)
+        return forecast(run_stages(grid, self.config, request), fixed).memory
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
-        kept = run_bytes(self.library, self.config, request)
-        return {"interpreter and kernels": _PROCESS, **kept.fixed, "slab": kept.slab}
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
+        grid, fixed = self._forecast_grid(request)
+        stages = run_stages(grid, self.config, request, mapped=True)
+        return {**fixed, "slab": max(stage.slab for stage in stages)}
+
+    def _forecast_grid(self, request: Request) -> tuple[PatchGrid, dict[str, int]]:
+        """Return the grid of a request, from its first voxel, and the bytes that do not depend on
+        the shape (except for the phases of a lattice at the places).
+        """
+        library, shape = self.library, shape_3d(request)
+        wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
+        grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
+        planes = label_bits(len(library.images[0].phases))
+        voxels = sum(image.values.size for image in library.images)
+        return grid, {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": voxels * (2 + 16 * planes),
+            "candidates": _candidate_bytes(library, grid, len(request.target)),
+        }
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         values, trace = self.make_with_trace(request)
@@ -163,71 +173,6 @@ def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:
             f"the mask has {len(sizes)} connected components, which no solid can connect: fill "
             "them one by one, or ask for connected=none"
         )
-
-
-_A_PLACE = 29 + 72
-"""Bytes of a place: its patch, its record, and a component or two that begin there, of 24 in a
-table that doubles.
-"""
-
-_AT_ONCE = 32
-"""Bytes a voxel of a slab while components of given voxels are labelled: runs, labels, masks."""
-
-
-@dataclass(frozen=True)
-class QuiltBytes:
-    """Memory of a run, bytes, by what it is for.
-
-    Attributes
-    ----------
-    fixed : dict of str to int
-        That do not depend on the request's size, but for the phases of a lattice that its places
-        have.
-    growing : dict of str to int
-        That grow with it.
-    slab : int
-        Of one plane of it, with what work on it takes, and of the windows of one row.
-    voxels : int
-        Of the result.
-    """
-
-    fixed: dict[str, int]
-    growing: dict[str, int]
-    slab: int
-    voxels: int
-
-
-def run_bytes(library: PatchLibrary, config: QuiltConfig, request: Request) -> QuiltBytes:
-    """Forecast the memory of a request."""
-    shape = shape_3d(request)
-    wraps = (False,) * (3 - len(request.periodic)) + tuple(request.periodic)
-    grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
-    plane, row = shape[1] * shape[2], shape[2]
-    voxels, places = shape[0] * plane, int(np.prod(grid.counts, dtype=np.int64))
-    planes = label_bits(len(library.images[0].phases))
-    window = int(
-        np.prod([side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)])
-    )
-    each = 1 + (4 if config.connected != "none" else 0)
-    given = _bytes_of_given(request)
-    return QuiltBytes(
-        {
-            "exemplar": sum(image.values.size for image in library.images) * (2 + 16 * planes),
-            "candidates": _candidate_bytes(library, grid, len(request.target)),
-            "windows": 160 * window,
-        },
-        {"result": voxels * (each + given) + places * _A_PLACE},
-        plane * (each + (_AT_ONCE if given else 0))
-        + window // (library.box[2] + 2 * grid.margin[2]) * row * each,
-        voxels,
-    )
-
-
-def _bytes_of_given(request: Request) -> int:
-    """Return the bytes a voxel while given voxels are entered, with all arrays in memory."""
-    if request.fixed is not None:
-        return 16
-    return 1 if request.mask is not None else 0
 
 
 def _candidate_bytes(library: PatchLibrary, grid: PatchGrid, named: int) -> int:

@@ -8,6 +8,7 @@ candidate keeps the structure connected, struts do.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.synth.quilt.candidates import (
     SCALE,
     WEIGHT,
@@ -33,7 +35,8 @@ from trabecula.synth.quilt.canvas import (
     EMPTY,
     OUT,
     ExemplarShares,
-    initial_canvas,
+    PatchGrid,
+    fill_canvas,
     inner_box,
     near_empty,
     paint_islands,
@@ -41,10 +44,11 @@ from trabecula.synth.quilt.canvas import (
     targets_at,
     unmark,
 )
-from trabecula.synth.quilt.compatibility import PlacementTrace
+from trabecula.synth.quilt.compatibility import RECORDS, PlacementTrace
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.connectivity import (
     FINE,
+    LABELLED_AT_ONCE,
     SOLID,
     ComponentTracker,
     ConnectivityCheck,
@@ -62,6 +66,10 @@ from trabecula.synth.quilt.seams import ALL, LEAST, MOST, StrutBuilder, cut_in
 
 _STAGE = "quilt laid"
 
+_OF_A_WINDOW = 160  # bytes a voxel of cutting and judging a window
+_OF_A_PLACE = 72  # bytes of a component or two that begin there, 24 each in a table that doubles
+_OF_GIVEN = 11  # bytes a voxel while components of given voxels are labelled, at most: of noise
+
 
 @dataclass
 class _PlacedPatch:
@@ -73,6 +81,45 @@ class _PlacedPatch:
     old: np.ndarray
     numbers: np.ndarray
     table: tuple[np.ndarray, ...]
+
+
+def run_stages(
+    grid: PatchGrid, config: QuiltConfig, request: Request, *, mapped: bool = False
+) -> tuple[Stage, ...]:
+    """Declare the arrays of a run: canvas, components, and the record of every place.
+
+    Parameters
+    ----------
+    grid : PatchGrid
+    config : QuiltConfig
+    request : Request
+    mapped : bool
+        Whether the arrays are memory-mapped.
+    """
+    places, voxels, plane = math.prod(grid.counts), math.prod(grid.shape), math.prod(grid.shape[1:])
+    sides = [side + 2 * margin for side, margin in zip(grid.patch, grid.margin, strict=True)]
+    held = {
+        "canvas": Array(grid.shape, np.uint8),
+        "numbers": Array(grid.shape, np.int32) if config.connected != "none" else None,
+    }
+    records = {
+        "placed": Array(places, np.int32),
+        **{name: Array(grid.counts, dtype) for name, dtype in RECORDS.items()},
+    }
+    entering, laying = 0, _OF_A_WINDOW * math.prod(sides)
+    if request.fixed is not None:
+        entering = _OF_GIVEN * (plane if mapped else min(voxels, max(plane, LABELLED_AT_ONCE)))
+    elif request.mask is not None:
+        entering = plane if mapped else voxels
+    if mapped:  # the pages of a row of windows
+        each = 1 if config.connected == "none" else 5
+        laying += sides[0] * sides[1] * grid.shape[2] * each
+    else:
+        laying += _OF_A_PLACE * places
+    return (
+        Stage("enter given voxels", held, entering),
+        Stage("lay patches", {**held, **records}, laying),
+    )
 
 
 class QuiltRun:
@@ -90,13 +137,17 @@ class QuiltRun:
     def __init__(self, library: PatchLibrary, config: QuiltConfig, request: Request) -> None:
         self.library, self.config, self.request = library, config, request
         self.grid = patch_grid(library, request)
-        self.canvas = initial_canvas(self.grid.shape, request)
+        self.work = Workspace(run_stages(self.grid, config, request))
+        self.work.enter("enter given voxels")
+        self.canvas = self.work.empty("canvas")
+        fill_canvas(self.canvas, request)
         phases = library.images[0].phases
         self.void = void_label(phases)
         followed = voxel_classes(config.connected, self.void, len(phases))
-        self.components = (
-            ComponentTracker(self.canvas, self.grid.wraps, followed) if followed.any() else None
-        )
+        self.components: ComponentTracker | None = None
+        if followed.any():
+            numbers = self.work.zeros("numbers")
+            self.components = ComponentTracker(self.canvas, numbers, self.grid.wraps, followed)
         self.target = {
             name: np.reshape(t, self.grid.shape) if np.ndim(t) else t
             for name, t in request.target.items()
@@ -118,8 +169,9 @@ class QuiltRun:
             bool(self.target),
         )
         self.chooser = PatchChooser(library, config, ranker, self.components, self.grid.margin)
-        self.trace = PlacementTrace(self.grid)
-        self.placed = memmap.zeros(int(np.prod(self.grid.counts)), np.int32)
+        self.work.enter("lay patches")
+        self.trace = PlacementTrace(self.grid, {name: self.work.empty(name) for name in RECORDS})
+        self.placed = self.work.zeros("placed")
         self.log: deque[_PlacedPatch] = deque(maxlen=max(1, config.backtrack))
         self.refused: dict[int, set[int]] = {}
         self.backs: dict[int, int] = {}
@@ -257,10 +309,15 @@ class QuiltRun:
         state = checkpoint.resume(_STAGE)
         if state is None:
             return 0
-        self.canvas, self.placed = state.arrays["canvas"], state.arrays["placed"]
-        self.trace.load_arrays(state.arrays)
+        arrays = state.arrays
+        for name in ("canvas", "placed", "numbers", *RECORDS):
+            if name in self.work:
+                self.work.release(name)
+                self.work.adopt(name, arrays["of" if name == "numbers" else name])
+        self.canvas, self.placed = self.work["canvas"], self.work["placed"]
+        self.trace.load_arrays(arrays)
         if self.components is not None:
-            self.components.load_arrays(state.arrays)
+            self.components.load_arrays(arrays)
         return state.number
 
 

@@ -26,7 +26,7 @@ _WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coar
 
 
 @dataclass(frozen=True)
-class Stage:
+class RoundStage:
     """Rounds on one grid.
 
     Attributes
@@ -44,7 +44,7 @@ class Stage:
     rounds: int
 
 
-StageT = TypeVar("StageT", bound=Stage)
+StageT = TypeVar("StageT", bound=RoundStage)
 
 
 class CoarseToFine(ABC, Generic[StageT]):

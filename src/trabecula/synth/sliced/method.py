@@ -9,10 +9,9 @@ along with both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of, mean_edge
@@ -59,7 +57,7 @@ class Sliced(PictureMethod):
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> SlicedModel:
         return SlicedModel(self.config, exemplars, views)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the features of every level, counted in components of the pictures as they are,
         and the components' sample.
         """
@@ -82,14 +80,13 @@ class Sliced(PictureMethod):
             channels * self._width() ** 2,
             turns * sum(int(np.prod(image.shape)) for image in exemplars),
         )
-        return Plan({"interpreter and kernels": PROCESS, "features": features, "basis": basis})
+        return {"interpreter and kernels": PROCESS, "features": features, "basis": basis}
 
 
 class SlicedModel(PictureModel):
     """Targets of the pictures at every resolution."""
 
     capabilities = CAPABILITIES
-    spills: ClassVar[bool] = True
     config: SlicedConfig
 
     def __init__(
@@ -170,19 +167,16 @@ class SlicedModel(PictureModel):
                 return regions
             top -= 1
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._forecast(request)
-        return Plan(
-            memory={
-                "interpreter and kernels": PROCESS,
-                "exemplar": self._exemplar_bytes(),
-                "output": max(run.output, self._layout_bytes(request)),
-                "scratch": run.scratch,
-            },
-            disk=prod(request.shape),
-        )
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "output": max(run.output, self._layout_bytes(request)),
+            "scratch": run.scratch,
+        }
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         run, region = self._forecast(request), self._region(request, 0)
         moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
         moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]

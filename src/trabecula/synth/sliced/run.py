@@ -13,7 +13,7 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.coarse_to_fine import Stage, at_level
+from trabecula.synth.shared.coarse_to_fine import RoundStage, at_level
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import coherent_search, targets_of
@@ -36,7 +36,7 @@ _FIRST = 4  # times as many sweeps in the first round, which starts from random 
 
 
 @dataclass(frozen=True)
-class LayoutStage(Stage):
+class LayoutStage(RoundStage):
     """Sliced rounds on the coarsest level, in `region`, towards `targets` and `correlations`."""
 
     layout: Layout

@@ -15,7 +15,7 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.shared.coarse_to_fine import CoarseToFine, Stage, at_level, trim_schedule
+from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage, at_level, trim_schedule
 from trabecula.synth.shared.matching.grid import (
     Grid,
     coherent_search,
@@ -64,7 +64,7 @@ def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool
 
 
 @dataclass(frozen=True)
-class GridStage(Stage):
+class GridStage(RoundStage):
     """Rounds on one grid.
 
     Attributes

@@ -9,9 +9,8 @@ of labels are clipped signed distances, so the last threshold is exact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import prod
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.memory import Plan
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
@@ -70,7 +68,7 @@ class Texture(Method):
                 )
         return TextureModel(self.config, exemplars)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the principal components, and the finest level's fields and candidates."""
         channels = channels_of(exemplars)
         shapes = [exemplar.shape for exemplar in exemplars]
@@ -89,14 +87,13 @@ class Texture(Method):
             int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes
         )
         basis = basis_bytes(channels * width**3, count)
-        return Plan({"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis})
+        return {"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis}
 
 
 class TextureModel(Model):
     """Exemplars as a pyramid of fields with the neighbourhoods of every level."""
 
     capabilities = CAPABILITIES
-    spills: ClassVar[bool] = True
     config: TextureConfig
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
@@ -235,19 +232,16 @@ class TextureModel(Model):
         if request.target and isinstance(self.content, Labels):
             check_phases(self.content.present, self.content.empty)
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._run(request)
-        return Plan(
-            {
-                "interpreter and kernels": _PROCESS,
-                "exemplar": self._exemplar_bytes(),
-                "output": run.output,
-                "scratch": run.scratch,
-            },
-            disk=prod(request.shape),  # uncompressed; most formats take a tenth
-        )
+        return {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "output": run.output,
+            "scratch": run.scratch,
+        }
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         slab = self._run(request).slab
         if self._makes_new(request):
             slab = max(

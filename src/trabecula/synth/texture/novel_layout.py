@@ -19,7 +19,7 @@ import numpy as np
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
-from trabecula.synth.shared.coarse_to_fine import CoarseToFine, Stage
+from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
@@ -164,7 +164,7 @@ def torus_shape(
 
 
 @dataclass(frozen=True)
-class LayoutStage(Stage):
+class NovelLayoutStage(RoundStage):
     """Sliced rounds on the coarsest level."""
 
     aims: Aims
@@ -172,7 +172,7 @@ class LayoutStage(Stage):
 
 
 @dataclass(frozen=True)
-class PassStage(Stage):
+class PassStage(RoundStage):
     """The rounds of one pass.
 
     Attributes
@@ -239,11 +239,11 @@ class NovelRounds(CoarseToFine[Any]):
         """List the names of the layout and of the passes."""
         return ["novel layout", *(f"novel pass {number}" for number in range(len(self.schedule)))]
 
-    def open_stage(self, place: int) -> LayoutStage | PassStage:
+    def open_stage(self, place: int) -> NovelLayoutStage | PassStage:
         """Prepare the layout, or the grid of a pass."""
         name, number = self.names[place], place - 1
         if place == 0:
-            return LayoutStage(
+            return NovelLayoutStage(
                 name, "laying out", _SLICED_ROUNDS, self.aims[self.top], self.regions[self.top]
             )
         part = self.schedule[number]
@@ -258,9 +258,9 @@ class NovelRounds(CoarseToFine[Any]):
             number == len(self.schedule) - 1,
         )
 
-    def enter(self, stage: LayoutStage | PassStage, place: int) -> None:
+    def enter(self, stage: NovelLayoutStage | PassStage, place: int) -> None:
         """Start from noise, or refine the field and start from random matches."""
-        if isinstance(stage, LayoutStage):
+        if isinstance(stage, NovelLayoutStage):
             shape = (len(stage.aims.stack.histograms), *stage.region.shape)
             votes = noise(shape, int(key(self.request.seed, "novel/noise")))
             self.votes = votes_of(match_votes(stage.region, votes, stage.aims.stack.histograms))
@@ -274,14 +274,14 @@ class NovelRounds(CoarseToFine[Any]):
             )
         self.match = random_matches(stage.grid, stage.stage)
 
-    def round(self, stage: LayoutStage | PassStage, number: int) -> None:
+    def round(self, stage: NovelLayoutStage | PassStage, number: int) -> None:
         """Do a sliced round of the layout, or a round of a pass."""
-        if isinstance(stage, LayoutStage):
+        if isinstance(stage, NovelLayoutStage):
             self._lay_out(stage, number)
         else:
             super().round(stage, number)
 
-    def _lay_out(self, stage: LayoutStage, number: int) -> None:
+    def _lay_out(self, stage: NovelLayoutStage, number: int) -> None:
         """Do a sliced round, and a step on the two-point function after every few of them."""
         assert self.votes is not None
         region, histograms = stage.region, stage.aims.stack.histograms
@@ -300,9 +300,9 @@ class NovelRounds(CoarseToFine[Any]):
             _hold_waves(self.votes, target, region, histograms)
             self.votes = votes_of(match_votes(region, self.votes, histograms))
 
-    def leave(self, stage: LayoutStage | PassStage) -> None:
+    def leave(self, stage: NovelLayoutStage | PassStage) -> None:
         """Make the field of the layout: a step was the last, so its votes are those of a field."""
-        if isinstance(stage, LayoutStage):
+        if isinstance(stage, NovelLayoutStage):
             assert self.votes is not None
             self.field, self.votes = match_votes(stage.region, self.votes, None), None
 
@@ -350,9 +350,9 @@ class NovelRounds(CoarseToFine[Any]):
                 _hold_waves(self.votes, stage.target, grid.region, grid.targets)
             self.field = match_votes(grid.region, self.votes, grid.targets)
 
-    def arrays(self, stage: LayoutStage | PassStage, number: int) -> dict[str, np.ndarray]:
+    def arrays(self, stage: NovelLayoutStage | PassStage, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from; after the last one the votes as well."""
-        if isinstance(stage, LayoutStage):
+        if isinstance(stage, NovelLayoutStage):
             assert self.votes is not None
             return {"votes": self.votes}
         parts = {

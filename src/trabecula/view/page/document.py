@@ -73,33 +73,37 @@ class Page:
         frame = (
             'style="width:100%;border:1px solid #d5d9df" sandbox="allow-scripts allow-downloads"'
         )
-        return f'<iframe title="{escape(self.title)}" height="{self.height}" {frame} srcdoc="{escape(self.html)}"></iframe>'
+        return (
+            f'<iframe title="{escape(self.title)}" height="{self.height}" {frame} '
+            f'srcdoc="{escape(self.html)}"></iframe>'
+        )
 
     def __repr__(self) -> str:
         return f"<Page {self.title!r}, {len(self.html) / 1e6:.1f} MB: .save(path), .show()>"
 
 
-def packed(values: np.ndarray) -> str:
-    """Bytes as the page unpacks them: gzip in base64, the same for the same bytes."""
+def pack(values: np.ndarray) -> str:
+    """Pack bytes as the page unpacks them: gzip in base64, the same for the same bytes."""
     return base64.b64encode(gzip.compress(values.tobytes(), compresslevel=6, mtime=0)).decode(
         "ascii"
     )
 
 
 def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> str:
-    """The whole page.
+    """Write the whole page.
 
     Parameters
     ----------
     title : str
     about : mapping
-        Plain JSON for the script: look, volumes, whether they are aligned.
+        Plain JSON for the script: look, volumes, and whether they are aligned.
     volumes : sequence of str
-        Their voxels, `packed`.
+        Their voxels, `pack`.
     """
     style, script = _asset("page.css"), _script()
     policy = (
-        f"default-src 'none'; script-src 'sha256-{_hash(script)}'; style-src 'sha256-{_hash(style)}'; "
+        f"default-src 'none'; script-src 'sha256-{_hash(script)}'; "
+        f"style-src 'sha256-{_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     tables = {

@@ -23,8 +23,8 @@ _SOFT = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A volume for the page.
+class FittedVolume:
+    """A volume as the page holds it.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ class Fitted:
 
     @property
     def ramp(self) -> tuple[int, int]:
-        """Greys over which opacity rises at first."""
+        """Return the greys over which opacity rises at first."""
         return max(0, self.threshold - _SOFT), min(255, self.threshold + _SOFT)
 
 
-def fitted(image: Image) -> Fitted:
-    """The volume, or means of blocks of it (of labels: the most frequent) where it is too large; a
+def fit_volume(image: Image) -> FittedVolume:
+    """Fit a volume into a tab: means of blocks (of labels: the most frequent) where it is large; a
     picture as one slice.
     """
     values = image.values if image.ndim == 3 else image.values[None]
@@ -59,22 +59,24 @@ def fitted(image: Image) -> Fitted:
         limits = _limits(values)
     block = _block(shape)
     if max(block) > 1:
-        values = np.stack([_joined(part, block, image.kind) for part in _slabs(values, block[0])])
+        values = np.stack(
+            [_join_blocks(part, block, image.kind) for part in _slabs(values, block[0])]
+        )
     if image.kind == "grey":
         values = _bytes(values, limits)
         threshold = int(np.ceil(otsu(values)[0])) if values.min() < values.max() else 0
-    return Fitted(np.ascontiguousarray(values), block, limits, threshold)
+    return FittedVolume(np.ascontiguousarray(values), block, limits, threshold)
 
 
 def forecast(shape: Sequence[int], itemsize: int) -> Plan:
-    """What a page of a volume takes, with the volume itself, of so many bytes a voxel."""
+    """Forecast the memory of a page with its volume, of so many bytes a voxel."""
     voxels = prod(shape)
     return Plan({"volume": (itemsize + 1) * voxels, "page": 12 * min(voxels, LARGEST)})
 
 
 def _block(shape: Sequence[int]) -> tuple[int, ...]:
-    """Edges of the smallest blocks, the same along every axis that has so many voxels, that make
-    the volume fit.
+    """Return the edges of the smallest blocks that make the volume fit, the same along every axis
+    that has so many voxels.
     """
     edge = 1
     while True:
@@ -91,8 +93,8 @@ def _slabs(values: np.ndarray, thick: int) -> list[np.ndarray]:
     ]
 
 
-def _joined(slab: np.ndarray, block: Sequence[int], kind: str) -> np.ndarray:
-    """One layer of blocks, (Y, X) or (Y, X, 3); what is left over at the far ends is left out."""
+def _join_blocks(slab: np.ndarray, block: Sequence[int], kind: str) -> np.ndarray:
+    """Join a layer of blocks, (Y, X) or (Y, X, 3); the rest at the far ends is left out."""
     _, tall, wide = block
     rows, columns = slab.shape[1] // tall, slab.shape[2] // wide
     cut = slab[:, : rows * tall, : columns * wide].reshape(
@@ -108,9 +110,7 @@ def _joined(slab: np.ndarray, block: Sequence[int], kind: str) -> np.ndarray:
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Bytes stay as they are; other greys run from their 0.1 to their 99.9 percent, of a sample of
-    them.
-    """
+    """Return the range of greys: 0 to 255 of bytes, else the 0.1 to 99.9 percent of a sample."""
     if values.dtype == np.uint8:
         return 0.0, 255.0
     step = max(1, round((values.size / 1e6) ** (1 / 3)))

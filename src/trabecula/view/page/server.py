@@ -1,5 +1,4 @@
-"""Serve one page on this machine: 127.0.0.1, a token that opens once, nothing else that can be
-read.
+"""A server of one page on this machine: 127.0.0.1, a token that opens once, no other file.
 
 The address holds a token. Whoever comes with it first gets a cookie that opens the page from then
 on, and the token is spent; so an address seen in a list of processes or in a history is worth
@@ -27,7 +26,7 @@ HOST = "127.0.0.1"
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves `html` at `url`, which works once.
+    """Server of `html` at `url`, which works once.
 
     Raises
     ------
@@ -55,11 +54,11 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token while it is not spent."""
+        """Return the address of the page, with the token while it is not spent."""
         return f"http://{HOST}:{self.server_port}/" + (f"?token={self.token}" if self.token else "")
 
     def spend(self, given: str) -> bool:
-        """Whether it is the token, which is none from then on."""
+        """Return whether it is the token, which is none from then on."""
         with self.lock:
             if self.token is None or not hmac.compare_digest(given.encode(), self.token.encode()):
                 return False
@@ -72,7 +71,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "trabecula", ""
 
     def do_GET(self) -> None:
-        """The page, for who has the cookie; the cookie, for who has the token."""
+        """Send the page to a browser with the cookie, the cookie to one with the token."""
         port = self.server.server_port
         if self.headers.get("Host") not in (f"{HOST}:{port}", f"localhost:{port}"):
             self._answer(403, "this address is not served here")
@@ -84,8 +83,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(200, self.server.body, kind="text/html; charset=utf-8")
         elif self.server.spend(parse_qs(place.query).get("token", [""])[0]):
             # To the address without the token, so that no history keeps it.
-            kept = f"{self._name}={self.server.cookie}; HttpOnly; SameSite=Lax; Path=/"
-            self._answer(303, "", headers={"Location": "/", "Set-Cookie": kept})
+            cookie = f"{self._name}={self.server.cookie}; HttpOnly; SameSite=Lax; Path=/"
+            self._answer(303, "", headers={"Location": "/", "Set-Cookie": cookie})
         else:
             self._answer(
                 403, "this page opens once, with the address that trabecula printed: run it again"
@@ -128,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Quiet: the command line shows what matters."""
+        """Log nothing: the command line shows what matters."""
 
 
 def serve(
@@ -144,23 +143,24 @@ def serve(
     browser : bool
         Open one.
     tell : callable, optional
-        Gets a line with the address, for who opens it by hand.
+        Gets a line with the address, to open it by hand.
 
     Raises
     ------
     InputError
-        The port is taken; or no browser is found and nobody is told the address.
+        The port is taken; or no browser is found and `tell` is missing.
     """
     with PageServer(html, port=port) as server:
         if browser and has_display() and webbrowser.open(server.url):
-            line = f"the page is open in your browser, from {HOST}:{server.server_port}; Ctrl-C ends it"
+            place = f"{HOST}:{server.server_port}"
+            line = f"the page is open in your browser, from {place}; Ctrl-C ends it"
         elif tell is None:
             raise InputError(
                 "no browser was found on this machine: save(path) writes the page as a file"
             )
         else:
             found = "no browser was found on this machine: open" if browser else "open"
-            line = f"{found} {server.url} (works once; Ctrl-C ends it; --html FILE writes a file instead)"
+            line = f"{found} {server.url} (works once; Ctrl-C ends it; --html FILE writes a file)"
         if tell is not None:
             tell(line)
         with contextlib.suppress(KeyboardInterrupt):
@@ -168,8 +168,8 @@ def serve(
 
 
 def has_display() -> bool:
-    """Whether a browser could show a window: on Linux without one, a text browser would take over
-    the terminal.
+    """Return whether a browser could show a window: on Linux without one, a text browser would take
+    over the terminal.
     """
     return not sys.platform.startswith("linux") or bool(
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")

@@ -1,8 +1,8 @@
-"""`view`: images -> page."""
+"""`view`: images -> page, with the key figures of certificates beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import prod
 from typing import Any
 
@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.io.units import has_length, to_metres
-from trabecula.view.looks import look_named
-from trabecula.view.page.document import Page, document, packed
-from trabecula.view.page.figures import figures_of
-from trabecula.view.page.fitting import Fitted, fitted
+from trabecula.measure.registry import DESCRIPTORS
+from trabecula.view.looks import find_look
+from trabecula.view.page.document import Page, document, pack
+from trabecula.view.page.fitting import FittedVolume, fit_volume
 
 MOST = 6
 """Volumes side by side."""
@@ -34,7 +34,7 @@ def view(
     title: str | None = None,
     height: int = 640,
 ) -> Page:
-    """A page that shows volumes side by side: turned together, cut, sliced and shaded in a browser.
+    """Show volumes side by side on a page: turned together, cut, sliced and shaded in a browser.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def view(
     several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
     if not 1 <= len(several) <= MOST:
         raise InputError(f"a page shows 1 to {MOST} images, got {len(several)}")
-    look_named(look)
+    find_look(look)
     if not 200 <= height <= 4000:
         raise InputError(f"height {height} is outside 200..4000 pixels")
     named = _names(names, len(several))
     title = _text(" | ".join(named) if title is None else title)
-    figures = figures_of(certificate, len(several))
+    figures = key_figures(certificate, len(several))
     scales = _scales(several)
     volumes, texts = [], []
     for image, name, scale, rows in zip(
@@ -98,12 +98,12 @@ def _names(names: Sequence[str] | None, count: int) -> list[str]:
 
 
 def _text(name: str) -> str:
-    """A name that can be written: that of a file may hold bytes that are no text."""
+    """Return a name that can be written: that of a file may hold bytes that are no text."""
     return str(name).encode(errors="replace").decode()
 
 
 def _scales(images: Sequence[Image]) -> list[float] | None:
-    """Lengths of each image's unit in one that they share; None where they share none."""
+    """Return the lengths of each image's unit in a shared one; None where they share none."""
     units = [image.unit for image in images]
     if len(set(units)) == 1:
         return [1.0] * len(units)
@@ -113,13 +113,13 @@ def _scales(images: Sequence[Image]) -> list[float] | None:
 def _volume(
     image: Image, name: str, scale: float, figures: list[list[str]]
 ) -> tuple[dict[str, Any], str]:
-    """What the page is told of a volume, and its voxels."""
-    fit, phases = fitted(image), _phases(image)
+    """Return the facts of a volume for the page, and its voxels."""
+    fit, phases = fit_volume(image), _phases(image)
     values, notes = fit.values, _notes(image, fit)
-    text = packed(values)
+    text = pack(values)
     if image.kind == "grey" and len(text) > max(4096, _FULL * values.size):
         values = values & 0xFC | 2
-        text = packed(values)
+        text = pack(values)
         notes.append("shown in 64 greys, to keep the page small")
     edges = _spacing(image)[::-1] * np.array(fit.block[::-1])
     about = {
@@ -143,13 +143,13 @@ def _volume(
 
 
 def _spacing(image: Image) -> np.ndarray:
-    """(z, y, x); a picture is as thick as its pixels are wide."""
+    """Return the spacing (z, y, x); a picture is as thick as its pixels are wide."""
     return np.array(image.spacing if image.ndim == 3 else (image.spacing[-1], *image.spacing))
 
 
 def _phases(image: Image) -> list[dict[str, Any]]:
-    """Names, and which are drawn; of greys their dark and bright end, whose colours run into each
-    other.
+    """Return the phases, and which are drawn; of greys the dark and bright end, whose colours run
+    into each other.
     """
     if image.kind != "labels":
         return [{"name": "dark", "visible": True}, {"name": "bright", "visible": True}]
@@ -171,12 +171,10 @@ def _phases(image: Image) -> list[dict[str, Any]]:
 def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
     unit = "voxels" if image.unit == "voxel" else image.unit
     sides = [f"{side * edge:.4g}" for side, edge in zip(image.shape, image.spacing, strict=True)]
+    axes = "(z, y, x)" if image.ndim == 3 else "(y, x)"
     facts = [
         ["Kind", image.kind],
-        [
-            "Voxels",
-            " x ".join(map(str, image.shape)) + (" (z, y, x)" if image.ndim == 3 else " (y, x)"),
-        ],
+        ["Voxels", f"{' x '.join(map(str, image.shape))} {axes}"],
         ["Voxel", " x ".join(f"{edge:g}" for edge in image.spacing) + f" {image.unit}"],
         ["Size", " x ".join(sides) + f" {unit}"],
     ]
@@ -185,17 +183,69 @@ def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
         facts.append(["Phases", ", ".join(shares)])
     made = next((step for step in reversed(image.recipe.steps) if "method" in step), None)
     if made is not None:
-        facts.append(
-            ["Made by", f"{made['method']}" + (f", seed {made['seed']}" if "seed" in made else "")]
-        )
+        seed = f", seed {made['seed']}" if "seed" in made else ""
+        facts.append(["Made by", f"{made['method']}{seed}"])
     return facts
 
 
-def _notes(image: Image, fit: Fitted) -> list[str]:
+def _notes(image: Image, fit: FittedVolume) -> list[str]:
     if prod(fit.block) == 1:
         return []
     what = "the most frequent label" if image.kind == "labels" else "the mean"
     block, shape = (" x ".join(map(str, sides)) for sides in (fit.block, fit.values.shape[:3]))
     return [
-        f"too large for a tab: drawn is {what} of blocks of {block} voxels, {shape} in all; --crop keeps a box as it is"
+        f"too large for a tab: drawn is {what} of blocks of {block} voxels, {shape} in all; --crop "
+        "keeps a box as it is"
     ]
+
+
+def key_figures(certificate: Any, count: int) -> list[list[list[str]]]:
+    """Return rows of (name, value, band, verdict) for every one of `count` images.
+
+    Raises
+    ------
+    InputError
+        Not a certificate, or not as many as there are images (or one less: none for the first).
+    """
+    if certificate is None:
+        return [[] for _ in range(count)]
+    one = isinstance(certificate, Mapping) or not isinstance(certificate, Sequence)
+    several = [certificate] if one else list(certificate)
+    if len(several) == count - 1:
+        several.insert(0, None)
+    if len(several) != count:
+        raise InputError(
+            f"{len(several)} certificates for {count} images: give one for each, or for each but "
+            "the first"
+        )
+    return [[] if each is None else _rows(each) for each in several]
+
+
+def _rows(certificate: Any) -> list[list[str]]:
+    plain = certificate.to_json() if hasattr(certificate, "to_json") else certificate
+    metrics = plain.get("metrics") if isinstance(plain, Mapping) else None
+    if not isinstance(metrics, Mapping) or not all(
+        isinstance(metric, Mapping) for metric in metrics.values()
+    ):
+        raise InputError(
+            "certificate: give what tb.verify returns, or what `trabecula verify --json` prints"
+        )
+    key = {one.name for one in DESCRIPTORS.values() if one.key}
+    verdicts = {True: "pass", False: "fail", None: ""}
+    return [
+        [name, _number(one.get("value")), _band(one.get("real_band")), verdicts[one.get("pass")]]
+        for name, one in metrics.items()
+        if name in key or one.get("pass") is False
+    ]
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ", ".join(map(_number, value))
+    return f"{value:.3g}" if isinstance(value, (int, float)) else "-"
+
+
+def _band(band: Any) -> str:
+    return " .. ".join(map(_number, band)) if isinstance(band, Sequence) and band else ""

@@ -72,7 +72,7 @@ class Stack:
         return within
 
 
-class Cells(NamedTuple):
+class CandidateCells(NamedTuple):
     """Extent and strides of the grid of candidates, and the steps of the output's sites."""
 
     shape: tuple[int, ...]
@@ -108,9 +108,9 @@ class Candidates:
         return steps_of(self.stride, flat=self.basis.flat)
 
     @property
-    def cells(self) -> Cells:
+    def cells(self) -> CandidateCells:
         """Return the geometry of the cells and of the sites, for kernels."""
-        return Cells(self.shape, self.strides, self.steps)
+        return CandidateCells(self.shape, self.strides, self.steps)
 
     @classmethod
     def of(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.engine.memory import Plan
 from trabecula.synth.shared.coarse_to_fine import levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes, grain_of
@@ -27,7 +26,7 @@ class Solid(PictureMethod):
     def _width(self) -> int:
         return int(self.config.neighbourhood)
 
-    def _plan_fit(self, exemplars: Sequence[Image]) -> Plan:
+    def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the fields and neighbourhoods of the levels learnt so far, and the memory for
         learning the next one beside them.
         """
@@ -51,6 +50,4 @@ class Solid(PictureMethod):
             rows = features + 8 * count + min(4096, count) * (4 * length + 16 * most)
             peak = max(peak, kept + max(basis, rows))
             kept += features + turns * size // 4**index
-        return Plan(
-            {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}
-        )
+        return {"interpreter and kernels": PROCESS, "fields": 5 * size, "neighbourhoods": peak}

@@ -8,9 +8,8 @@ next field in each method's own way (`SolidRounds.cast`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import prod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +17,6 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
-from trabecula.engine.memory import Plan
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
 from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
@@ -51,7 +49,6 @@ class SolidLevel:
 class SolidModel(PictureModel):
     """Pictures as pyramids of fields with the neighbourhoods of every level."""
 
-    spills: ClassVar[bool] = True
     rounds_type: ClassVar[type[SolidRounds]] = SolidRounds
     config: Any
 
@@ -124,19 +121,16 @@ class SolidModel(PictureModel):
         """Return the result's values from the last votes."""
         return self.content.to_values(fit_to(rounds.votes, request.shape), request)
 
-    def _plan(self, request: Request) -> Plan:
+    def memory(self, request: Request) -> Mapping[str, int]:
         run = self._forecast(request)
-        return Plan(
-            memory={
-                "interpreter and kernels": PROCESS,
-                "exemplar": self._exemplar_bytes(),
-                "output": run.output,
-                "scratch": run.scratch,
-            },
-            disk=prod(request.shape) * run.itemsize,
-        )
+        return {
+            "interpreter and kernels": PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "output": run.output,
+            "scratch": run.scratch,
+        }
 
-    def _plan_spilled(self, request: Request) -> dict[str, int]:
+    def resident_memory(self, request: Request) -> Mapping[str, int]:
         run, target = self._forecast(request), self.levels[0].correlations
         slab = run.slab
         if run.correcting and target is not None:

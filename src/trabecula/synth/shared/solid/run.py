@@ -14,7 +14,7 @@ from trabecula.core.seeds import key
 from trabecula.engine import memmap
 from trabecula.synth.shared.coarse_to_fine import (
     CoarseToFine,
-    Stage,
+    RoundStage,
     at_level,
     levels_for,
     trim_schedule,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ViewStage(Stage):
+class ViewStage(RoundStage):
     """Rounds on the views of one region.
 
     Attributes

@@ -1,0 +1,75 @@
+"""Types of the public names; written by `python tests/types/public_stub.py`."""
+
+from trabecula import errors as errors
+from trabecula import fields as fields
+from trabecula import finish as finish
+from trabecula import measure as measure
+from trabecula.core.image import Image as Image
+from trabecula.core.image import labels as labels
+from trabecula.core.recipe import Recipe as Recipe
+from trabecula.core.request import Request as Request
+from trabecula.engine.checkpoint import kept_at as kept_at
+from trabecula.engine.parallel import threads as threads
+from trabecula.exemplar.crop import crop as crop
+from trabecula.exemplar.margins import crop_margins as crop_margins
+from trabecula.exemplar.margins import find_margins as find_margins
+from trabecula.exemplar.samples import sample as sample
+from trabecula.exemplar.samples import samples as samples
+from trabecula.exemplar.segment import segment as segment
+from trabecula.finish.printing import print_check as print_check
+from trabecula.io.files import read as read
+from trabecula.io.files import write as write
+from trabecula.io.lazy import open_slabs as open_slabs
+from trabecula.measure import describe as describe
+from trabecula.mesh.files import read_mesh as read_mesh
+from trabecula.mesh.surface import mesh as mesh
+from trabecula.mesh.voxels import voxelise as voxelise
+from trabecula.pipeline.inputs import load as load
+from trabecula.pipeline.outputs import export as export
+from trabecula.pipeline.replay import rerun as rerun
+from trabecula.report.certificate import verify as verify
+from trabecula.report.inspection import inspect as inspect
+from trabecula.synth.api.registry import method as method
+from trabecula.synth.api.registry import methods as methods
+from trabecula.synth.api.serialize import load_model as load_model
+from trabecula.view.page import view as view
+from trabecula.view.still import render as render
+
+__version__: str
+__all__ = [
+    "Image",
+    "Recipe",
+    "Request",
+    "__version__",
+    "crop",
+    "crop_margins",
+    "describe",
+    "errors",
+    "export",
+    "fields",
+    "find_margins",
+    "finish",
+    "inspect",
+    "kept_at",
+    "labels",
+    "load",
+    "load_model",
+    "measure",
+    "mesh",
+    "method",
+    "methods",
+    "open_slabs",
+    "print_check",
+    "read",
+    "read_mesh",
+    "render",
+    "rerun",
+    "sample",
+    "samples",
+    "segment",
+    "threads",
+    "verify",
+    "view",
+    "voxelise",
+    "write",
+]

@@ -1,0 +1,194 @@
+"""A run before it starts: into which blocks it divides its volume, and what memory, disk and time
+it takes.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import prod
+from typing import TYPE_CHECKING
+
+from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
+from trabecula.core.request import Request
+from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
+from trabecula.engine.storage.location import is_address, location_of
+from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
+from trabecula.engine.timing import seconds_of, seconds_of_whole
+from trabecula.io.formats import suffix_of
+from trabecula.pipeline.out_of_core import plan_whole
+from trabecula.synth.api.method import Model
+from trabecula.synth.api.windows import WindowModel, makes_boxes
+
+if TYPE_CHECKING:
+    from trabecula.engine.cluster import Cluster, Workers
+
+CHUNKS = (16, 1024)
+"""Smallest and largest edge of a store's chunks, voxels; a multiple of the first."""
+
+
+@dataclass(frozen=True)
+class BlockPlan:
+    """The division of a volume: edges of the blocks that are made and of the chunks that are
+    written, voxels.
+    """
+
+    side: int
+    chunk: int
+
+
+def plan_to(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    chunks: int | None = None,
+    trial: bool = False,
+) -> Plan:
+    """Forecast a `generate_to`.
+
+    Parameters
+    ----------
+    model, request, path, memory, chunks :
+        As of `generate_to`; an empty path where the format is open.
+    trial : bool
+        Forecast the seconds as well, from volumes or boxes that are made for about a second.
+
+    Raises
+    ------
+    MemoryBudgetError, InputError
+        As `generate_to`.
+    """
+    check_block_options(model, path, chunks, None)
+    memory = budget_for(path, memory)
+    blocks = None
+    if os.fspath(path):
+        blocks = choose_blocks(model, request, path, memory=memory, chunks=chunks)
+    if blocks is None:
+        plan = model.plan(request)
+    elif makes_boxes(model):
+        plan = model.plan_block(request, blocks.side)
+    else:
+        budget = available_memory() if memory is None else memory
+        plan = plan_whole(model, request, budget, blocks.chunk)
+    seconds = _try_seconds(model, request, blocks) if trial else None
+    transfer = {"way to the address": location_of(path).memory} if is_address(path) else {}
+    return replace(plan, memory={**plan.memory, **transfer}, seconds=seconds)
+
+
+def choose_blocks(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    memory: int | None = None,
+    chunks: int | None = None,
+    workers: Workers | None = None,
+) -> BlockPlan | None:
+    """Choose the blocks of a run; None where everything is made at once.
+
+    Arguments and errors as of `generate_to`.
+    """
+    plan = model.plan(request)
+    budget = available_memory() if memory is None else memory
+    into_store = suffix_of(os.fspath(path)) == ".zarr"
+    unfinished = unfinished_run(model, request, path) if into_store else None
+    # At an address a run that can be resumed is worth more than the little that blocks cost.
+    whole_allowed = not (makes_boxes(model) and is_address(path))
+    free_choice = unfinished is None and chunks is None and workers is None
+    if plan.peak <= budget and free_choice and whole_allowed:
+        return None
+    if not into_store:
+        advice = "write a .zarr, which is made block by block; ask for a smaller --shape"
+        check_budget(plan, budget=memory, advice=advice)
+        return None
+    chunk = chunks or (CHUNK if unfinished is None else unfinished.chunk)
+    if not makes_boxes(model):
+        advice = "use fewer --threads, smaller --chunks (64), ask for a smaller --shape"
+        check_budget(plan_whole(model, request, budget, chunk), budget=budget, advice=advice)
+        return BlockPlan(chunk, chunk)
+    # A resumed run takes no larger blocks than before: parts of them would be made again.
+    begun = model.block if unfinished is None else unfinished.block
+    most = chunk if chunks else begun
+    if workers is None:
+        return _largest_blocks(model, request, budget, chunk, most)
+    each = budget if workers.memory is None else workers.memory - location_of(path).memory
+    return _largest_blocks(model, request, each, chunk, most, at_once=workers.at_once)
+
+
+def _largest_blocks(
+    model: WindowModel, request: Request, budget: int, chunk: int, most: int, *, at_once: int = 1
+) -> BlockPlan:
+    """Return the largest block of an edge up to `most` that fits into the budget and leaves work
+    for all workers.
+    """
+    for side in [*range(most // chunk * chunk, chunk, -chunk), chunk]:
+        count = prod(-(-length // side) for length in request.shape)
+        enough = at_once == 1 or count >= 2 * at_once
+        if (enough or side == chunk) and model.plan_block(request, side).peak <= budget:
+            return BlockPlan(side, chunk)
+    need = model.plan_block(request, chunk).peak
+    smaller = "" if chunk <= 64 else "smaller --chunks (64), "
+    raise MemoryBudgetError(
+        f"a block of {chunk} voxels needs about {format_bytes(need)} of memory, "
+        f"{format_bytes(budget)} may be used: use {smaller}fewer --threads or --workers, "
+        "or raise --memory"
+    )
+
+
+def check_block_options(
+    model: Model, path: str | os.PathLike[str], chunks: int | None, cluster: Cluster | None
+) -> None:
+    """Raise where chunks or workers are given and the volume cannot be divided."""
+    if chunks is None and cluster is None:
+        return
+    option = "--chunks" if cluster is None else "workers"
+    if cluster is not None and model.capabilities.large == "memory":
+        raise InputError(
+            f"method {model.capabilities.name!r} makes volumes in memory, {option} are for what is "
+            "made in blocks: leave them out"
+        )
+    if suffix_of(os.fspath(path)) != ".zarr":
+        raise InputError(
+            f"{option} are for what is made in blocks, into a .zarr: leave them out, "
+            "or write a .zarr"
+        )
+    if chunks is not None and (chunks % CHUNKS[0] or not CHUNKS[0] <= chunks <= CHUNKS[1]):
+        raise InputError(
+            f"--chunks {chunks} should be a multiple of {CHUNKS[0]} from {CHUNKS[0]} to {CHUNKS[1]}"
+        )
+
+
+def budget_for(path: str | os.PathLike[str], memory: int | None) -> int | None:
+    """Return the budget in bytes, less what the transfer to an address needs."""
+    if not is_address(path):
+        return memory
+    return max(0, (available_memory() if memory is None else memory) - location_of(path).memory)
+
+
+def unfinished_run(
+    model: Model, request: Request, path: str | os.PathLike[str]
+) -> Unfinished | None:
+    """Return the unfinished store of an interrupted run of the same model and request, if any."""
+    unfinished = open_unfinished(location_of(path).growing())
+    if unfinished is not None and unfinished.identity == model.identity(request):
+        return unfinished
+    return None
+
+
+def _try_seconds(model: Model, request: Request, blocks: BlockPlan | None) -> float | None:
+    """Extrapolate the seconds of a run from boxes or small volumes; None where nothing small can be
+    made.
+    """
+    with suppress(RequestError):  # settings with which no box can be made alone
+        if makes_boxes(model):
+            side = model.block if blocks is None else blocks.side
+            return seconds_of(lambda box: model.values_of(request, box), request.shape, side)
+    with suppress(RequestError):  # no volume that small
+        if not request.is_tied:
+            return seconds_of_whole(
+                lambda shape: model.generate(replace(request, shape=shape)), request.shape
+            )
+    return None
