@@ -78,7 +78,7 @@ class Search:
     tried: dict[Point, float] = field(default_factory=dict)
 
     @property
-    def exhausted(self) -> bool:
+    def out_of_trials(self) -> bool:
         """Return whether all trials are used."""
         return len(self.tried) >= self.most
 
@@ -88,7 +88,7 @@ class Search:
         """
         inside = tuple(min(max(x, s.low), s.high) for x, s in zip(point, self.scales, strict=True))
         if inside not in self.tried:
-            if self.exhausted:
+            if self.out_of_trials:
                 return float("inf"), inside
             self.tried[inside] = self.cost(inside)
         return self.tried[inside], inside
@@ -100,7 +100,7 @@ class Search:
         costs = sorted(self.evaluate(start) for start in starts)
         for begun in costs:
             best, share, signs = begun, 1.0, [1.0] * len(self.scales)
-            while not self.exhausted and share >= 0.5**halvings:
+            while not self.out_of_trials and share >= 0.5**halvings:
                 before = best
                 best = self._explore(best, share, signs)
                 if best[0] < before[0]:

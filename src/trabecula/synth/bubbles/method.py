@@ -141,7 +141,7 @@ class BubblesModel(WindowModel):
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         if self.found.growth == "fronts":
             return super().make(request)
-        wanted = self._wanted(request)
+        wanted = self._target_porosity(request)
         if np.ndim(wanted):
             raise RequestError(
                 "particles stop all at once: ask for one number as the porosity, or for "
@@ -187,7 +187,7 @@ class BubblesModel(WindowModel):
 
     def _level(self, run: _RequestGrowth, request: Request, box: Box) -> Any:
         """Return T^2 at the end of growth: a number, or a field of the box."""
-        wanted = self._wanted(request)
+        wanted = self._target_porosity(request)
         if wanted is None:
             return np.float32(run.growth.law.latest**2)
         # A porosity that was found for an exemplar is the material's, whatever form is cut of it;
@@ -210,7 +210,7 @@ class BubblesModel(WindowModel):
             )
         return arrivals.level(wanted)
 
-    def _wanted(self, request: Request) -> Any:
+    def _target_porosity(self, request: Request) -> Any:
         wanted = porosity_of(request.target)
         return self.found.porosity if wanted is None else wanted
 
@@ -228,10 +228,18 @@ class BubblesModel(WindowModel):
         self._law(len(request.shape))
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        law, wanted, masked = self._law(len(shape)), self._wanted(request), request.mask is not None
-        flows = self.found.randomness < 1 and self.found.directed(masked=masked)
+        law, wanted, masked = (
+            self._law(len(shape)),
+            self._target_porosity(request),
+            request.mask is not None,
+        )
+        flows = self.found.randomness < 1 and self.found.has_direction(masked=masked)
         box = bytes_of_box(law, _deep(shape, 1), flows=flows)
-        parts = {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "bubbles": box}
+        parts = {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "bubbles": box,
+        }
         if flows or masked:
             spacing, length = self._lengths(len(shape))
             parts["flow"] = bytes_of_flow(
@@ -245,7 +253,7 @@ class BubblesModel(WindowModel):
         levels = 28 * math.prod(shape) if np.ndim(wanted) else 0
         return {**parts, "level": max(kept + levels, held - box - math.prod(shape))}
 
-    def _held(self) -> int:
+    def _exemplar_bytes(self) -> int:
         return sum(image.values.nbytes for image in self.exemplars)
 
 

@@ -1,5 +1,6 @@
-"""Procedural baselines: the thresholded Gaussian random field, and noises on a lattice. See
-README.md in this folder.
+"""Procedural baselines: the thresholded Gaussian random field, and noises on a lattice.
+
+See README.md in this folder.
 """
 
 from trabecula.synth.api.capabilities import Capabilities

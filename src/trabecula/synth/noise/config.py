@@ -104,7 +104,7 @@ class NoiseConfig:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Settings that say nothing of this kind, or contradict each other."""
+        """Check for settings without a meaning for this kind, or against each other."""
         if self.thickness is not None and self.kind not in WALLED:
             raise InputError(
                 f"thickness is that of {' and '.join(WALLED)}: leave it out of kind={self.kind!r}"
@@ -124,6 +124,7 @@ class NoiseConfig:
 
 
 def _as_porosity(value: Any) -> float | None:
+    """Check a porosity."""
     if value is None:
         return None
     found = float(as_number(value, name="porosity", low=0, high=1))
@@ -135,6 +136,7 @@ def _as_porosity(value: Any) -> float | None:
 
 
 def _as_length(value: Any) -> float | tuple[float, ...] | None:
+    """Check one length, or one an axis."""
     if value is None or not isinstance(value, Sequence) or isinstance(value, str):
         return None if value is None else _as_positive(value, name="length")
     if len(value) not in (2, 3):
@@ -145,6 +147,7 @@ def _as_length(value: Any) -> float | tuple[float, ...] | None:
 
 
 def _as_positive(value: Any, *, name: str) -> float:
+    """Check a number above 0."""
     found = float(as_number(value, name=name, low=0, high=_LONGEST))
     if found == 0:
         raise InputError(f"{name}={value!r} should be above 0")

@@ -1,4 +1,14 @@
-"""C"""
+"""Filters of Gaussian fields: from a phase's two-point function, or from a named covariance.
+
+Cut at t = Phi^-1(1 - phi), a Gaussian field of covariance rho(r) gives a phase of fraction phi with
+the two-point function
+
+    S2(r) = phi^2 + 1 / (2 pi) * integral from 0 to arcsin rho(r) of exp(-t^2 / (1 + sin a)) da
+
+(Berk 1987, doi:10.1103/PhysRevLett.58.2718; for t = 0 it is 1/4 + arcsin(rho) / (2 pi)). It rises
+with rho, so S2 at every offset gives rho at every offset (Quiblier 1984,
+doi:10.1016/0021-9797(84)90481-8).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +27,7 @@ _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less an
 
 @dataclass(frozen=True)
 class Filter:
-    """White noise convolved with `values` has the fitted covariance.
+    """A filter: white noise convolved with `values` has the fitted covariance.
 
     Attributes
     ----------
@@ -33,8 +43,8 @@ class Filter:
 
 
 def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
-    """S2 of a cut Gaussian field as a table: arcsin of the covariance, -pi/2 .. pi/2, and S2
-    (equation above).
+    """Return S2 of a cut Gaussian field over arcsin of the covariance, -pi/2 .. pi/2 (equation
+    above).
     """
     threshold = NormalDist().inv_cdf(1 - fraction)
     angle = np.linspace(-np.pi / 2, np.pi / 2, _ANGLES + 1)
@@ -49,18 +59,17 @@ def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """Pairs of True voxels for every offset, -reach .. reach along every axis, by Fourier
+    """Count pairs of True voxels at every offset, -reach .. reach along every axis, by Fourier
     transform.
     """
     return np.rint(sums_by_offset(inside, reach))
 
 
 def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """S2 as a mean over directions, at every offset -reach .. reach; beyond the longest that is
-    known, its last value.
+    """Return S2 averaged over directions, at every offset -reach .. reach.
 
-    Offsets are gathered by their length, rounded, and S2 runs straight between the mean lengths of
-    neighbours.
+    Offsets are gathered by their rounded length, and S2 is linear between the mean lengths of
+    neighbours. Beyond the longest known offset it keeps its last value.
     """
     length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(hits.shape)))
     bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
@@ -77,7 +86,7 @@ def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> 
 def fit_filter(
     two_point: np.ndarray, fraction: float, *, corrections: int, isotropic: bool = False
 ) -> Filter:
-    """The filter for S2 at every offset (odd sides, offset 0 in the middle).
+    """Return the filter for S2 at every offset (odd sides, offset 0 in the middle).
 
     The covariance fades out over the outer half of every axis (of every direction, where
     `isotropic`), where few pairs fit.
@@ -89,11 +98,11 @@ def fit_filter(
 
 
 def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
-    """The filter for a covariance at every offset (odd sides, offset 0 in the middle).
+    """Return the filter for a covariance at every offset (odd sides, offset 0 in the middle).
 
     The spectrum of a measured covariance has a negative part, since a finite image's S2 is
-    uncertain and not every S2 belongs to a Gaussian field. Cutting that off adds white noise, felt
-    most at the shortest offsets; so the nearest spectrum without negative part is sought, in least
+    uncertain and not every S2 belongs to a Gaussian field. Clipping it adds white noise, felt most
+    at the shortest offsets; so the nearest spectrum without negative part is sought, in least
     squares over offsets with weights that fall with distance, by projected gradients with momentum
     (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
     """
@@ -116,6 +125,7 @@ def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
 
 
 def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Return the absolute offsets along every axis."""
     return [
         np.abs(part)
         for part in np.ogrid[tuple(slice(-(side // 2), side // 2 + 1) for side in shape)]
@@ -123,7 +133,7 @@ def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:
 
 
 def _fading(shape: tuple[int, ...]) -> np.ndarray:
-    """1 in the inner half of every axis, falling to 0 at the end as a cosine does."""
+    """Return a window of 1 in the inner half of every axis, falling to 0 at the end as a cosine."""
     window = np.ones(shape)
     for part, side in zip(_axes(shape), shape, strict=True):
         along = np.clip(2 * part / (side // 2 + 1) - 1, 0, 1)
@@ -132,7 +142,7 @@ def _fading(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
-    """The same along every direction."""
+    """Return the same window along every direction."""
     z, y, x = _axes(shape)
     along = np.clip(
         2 * np.sqrt(z**2 + y**2 + x**2) / (min(side for side in shape if side > 1) // 2 + 1) - 1,
@@ -143,6 +153,7 @@ def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _weight(shape: tuple[int, ...]) -> np.ndarray:
+    """Return weights that fall with the offset."""
     z, y, x = _axes(shape)
     return (1 + (z**2 + y**2 + x**2) / _NEAR**2) ** -1.5
 
@@ -163,7 +174,7 @@ MOST_REACH = 100
 
 
 def reach_of(shape: Sequence[int], config: NoiseConfig, *, flat: bool) -> tuple[int, ...]:
-    """Offsets of an exemplar's two-point function that are followed along every axis."""
+    """Return the largest offsets of an exemplar's two-point function along every axis."""
     reach = tuple(min(config.reach, (side - 1) // 2) for side in shape)
     # In a flat exemplar, what it does not show along its normal is what it shows across.
     return (
@@ -176,7 +187,7 @@ def reach_of(shape: Sequence[int], config: NoiseConfig, *, flat: bool) -> tuple[
 def fit_filters(
     values: np.ndarray, present: Sequence[int], config: NoiseConfig, *, flat: bool
 ) -> list[Filter]:
-    """A filter per phase but the last, each for the phase within what the ones before left."""
+    """Return a filter per phase but the last, each within the rest of the phases before."""
     reach, left, filters = (
         reach_of(values.shape, config, flat=flat),
         np.ones(values.shape, bool),
@@ -192,6 +203,7 @@ def fit_filters(
 def _fit_phase(
     inside: np.ndarray, left: np.ndarray, reach: tuple[int, ...], config: NoiseConfig
 ) -> Filter:
+    """Return the filter of one phase within the voxels that are left."""
     fraction = float(np.count_nonzero(inside) / np.count_nonzero(left))
     if fraction > 0.5:
         # Either side of the threshold tells the covariance. The rarer does so far better: the
@@ -210,7 +222,7 @@ def _fit_phase(
 
 
 def covariance_reach(name: str, lengths: Sequence[float], *, flat: bool) -> tuple[int, ...]:
-    """Offsets that the filter of a named covariance has, for lengths in voxels."""
+    """Return the reach of the filter of a named covariance, for lengths in voxels."""
     far = _NAMED[name][1]
     return tuple(
         0 if flat and axis == 0 else max(1, int(np.ceil(far * length)))
@@ -219,7 +231,7 @@ def covariance_reach(name: str, lengths: Sequence[float], *, flat: bool) -> tupl
 
 
 def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Filter:
-    """The filter of a named covariance, for lengths in voxels.
+    """Return the filter of a named covariance, for lengths in voxels.
 
     It is found on a torus half as wide again as the filter, so that the covariance has faded where
     it meets itself: an edge there would roughen the field along the axes.

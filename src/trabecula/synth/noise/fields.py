@@ -1,4 +1,4 @@
-"""F"""
+"""Phases, volume fractions and field of a model, and labels by rank for exact fractions."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ _CELL = 10
 
 
 class Field(Protocol):
-    """What is cut: one field a phase but the last, numbers by voxel."""
+    """Numbers by voxel to be cut at a level: one field a phase but the last."""
 
     def each(self, number: int, domain: Domain, box: Box, use: Use, *, most: float = ...) -> None:
-        """A field in a box: `use(piece, z, plane)` gets it plane by plane; above `most` any number
-        above it will do.
+        """Make a field in a box: `use(piece, z, plane)` gets it plane by plane.
+
+        Above `most` any number above it will do.
         """
 
     def level(self, number: int, share: float) -> float:
-        """Above which the endless field has the share."""
+        """Return the level above which the endless field has the share."""
 
     def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
         """Return the stages of making a box (Z, Y, X), with the arrays beside its result."""
@@ -42,8 +43,8 @@ class Field(Protocol):
 
 @dataclass(frozen=True)
 class Phases:
-    """Labels in the order in which they are cut out, each where its field is high; the last is what
-    remains.
+    """Labels in the order in which they are cut, each where its field is high; the last is the
+    remainder.
 
     Attributes
     ----------
@@ -55,12 +56,12 @@ class Phases:
     fractions: tuple[float, ...]
 
     def share(self, i: int) -> float:
-        """Of a phase, of what the phases before it leave."""
+        """Return the fraction of a phase within the rest of the phases before it."""
         return self.fractions[i] / sum(self.fractions[i:])
 
 
 def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Image]) -> Phases:
-    """The phases of a model and their shares.
+    """Return the phases of a model and their volume fractions.
 
     Raises
     ------
@@ -86,6 +87,7 @@ def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Imag
 def _present(
     config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Image]
 ) -> tuple[list[int], list[float]]:
+    """Return the labels and volume fractions of the exemplar, or of the settings."""
     if not exemplars:
         porosity = 0.5 if config.porosity is None else config.porosity
         return [0, 1], [porosity, 1 - porosity]
@@ -97,7 +99,7 @@ def _present(
 def choose_field(
     config: NoiseConfig, facts: ExemplarInfo, filters: list[Filter], *, flat: bool
 ) -> Field:
-    """The field that the settings ask for.
+    """Return the field of the settings.
 
     Raises
     ------
@@ -130,7 +132,7 @@ def choose_field(
 
 
 def _edges(config: NoiseConfig, spacing: Sequence[float], *, flat: bool) -> tuple[float, ...]:
-    """Lengths along z, y, x; a picture's z stays unused."""
+    """Return the lengths along z, y, x; a picture's z stays unused."""
     if config.length is None:
         return ((1 if config.kind == "white" else _CELL) * max(spacing),) * 3
     if not isinstance(config.length, tuple):
@@ -144,6 +146,7 @@ def _edges(config: NoiseConfig, spacing: Sequence[float], *, flat: bool) -> tupl
 
 
 def _check_cells(config: NoiseConfig, lengths: Sequence[float], unit: str) -> None:
+    """Raise where a length is too short in voxels."""
     least, finest = (1 if config.kind == "white" else 2), min(lengths)
     if config.kind == "gaussian":
         least = 1
@@ -159,8 +162,9 @@ def _check_cells(config: NoiseConfig, lengths: Sequence[float], unit: str) -> No
 
 
 def label_by_rank(request: Request, field: Field, phases: Phases, *, outside: int) -> np.ndarray:
-    """The labels of a request, its phases' shares exact among the voxels of its mask; those outside
-    are `outside`.
+    """Return the labels of a request, with exact volume fractions in its mask.
+
+    Voxels out of the mask are `outside`.
     """
     domain = domain_of(request)
     work = Workspace(stages_of_ranking(field, domain.shape))
@@ -205,9 +209,7 @@ def stages_of_ranking(field: Field, shape: tuple[int, ...]) -> tuple[Stage, ...]
 
 
 def _label_highest(work: Workspace, count: int, label: int) -> None:
-    """Give a label to the `count` highest "numbers" among the voxels "left", the first of equal
-    ones.
-    """
+    """Label the `count` highest "numbers" among the voxels "left", the first of equal ones."""
     if count == 0:
         return
     labels, left = work["labels"], work["left"]

@@ -1,4 +1,10 @@
-"""G"""
+"""Gaussian random fields: white noise convolved with a filter a phase, by Fourier transform.
+
+The filter is that of an exemplar's covariance or of a named one. White noise and filters are whole
+numbers, so that their convolution is one as well. The Fourier transform finds it with an error far
+below one half: any cut of the volume, and any machine, gives the same voxels. It goes plane by
+plane, in threads.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +28,9 @@ from trabecula.synth.noise.periodic_domain import Domain, Use
 
 @kernel
 def white_plane(plane, key, z, corner, periods, table):
-    """Independent normal numbers in the table's units, of the voxels from (z, *corner) on, (Y, X)
-    float64; periods 0: endless.
+    """Fill a plane (Y, X) float64 with independent normal numbers in the table's units.
+
+    They are those of the voxels from (z, *corner) on; periods are 0 along an endless axis.
     """
     for y in range(plane.shape[0]):
         row = corner[0] + y
@@ -42,7 +49,7 @@ ROWS = 4
 def white_noise_planes(
     around: tuple[int, ...], corner: Sequence[int], domain: Domain, stage: np.uint64
 ) -> Callable[[int], np.ndarray]:
-    """What makes a plane of white noise of the box that starts at `corner`."""
+    """Return a function that makes a plane of white noise of the box from `corner` on."""
     periods = [
         side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
     ]
@@ -65,8 +72,9 @@ def white_noise_planes(
 
 
 def fold_filter(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray | None:
-    """Plane z of the filter in the box, offset 0 at its origin, wrapped around where the box is the
-    smaller.
+    """Return plane z of the filter in the box, with offset 0 at its origin.
+
+    It wraps around where the box is the smaller; None where the plane is 0.
     """
     middle = [side // 2 for side in values.shape]
     offsets = np.flatnonzero((np.arange(len(values)) - middle[0]) % box[0] == z)
@@ -84,8 +92,10 @@ def fold_filter(values: np.ndarray, box: tuple[int, ...], z: int) -> np.ndarray 
 def transform_planes(
     plane_at: Callable[[int], np.ndarray | None], spectrum: np.ndarray
 ) -> np.ndarray:
-    """Write the Fourier transform of planes that are made one at a time (None: a plane of zeros)
-    into `spectrum`, (Z, Y, X // 2 + 1) complex128; return it.
+    """Write the Fourier transform of planes into `spectrum`, and return it.
+
+    The planes are made one at a time (None: a plane of zeros); the spectrum is (Z, Y, X // 2 + 1)
+    complex128.
     """
 
     def planes(start: int, stop: int) -> None:
@@ -99,6 +109,8 @@ def transform_planes(
 
 
 def _along_z(spectrum: np.ndarray, transform: Callable[..., np.ndarray]) -> None:
+    """Transform columns along z in place."""
+
     def columns(start: int, stop: int) -> None:
         for y in range(start, stop, ROWS):
             rows = spectrum[:, y : min(y + ROWS, stop)]
@@ -114,7 +126,9 @@ def inverse_transform(
     piece: tuple[slice, ...],
     use: Use,
 ) -> None:
-    """The way back, of what starts at `first` in the box and is a piece of the result."""
+    """Transform a spectrum back, and pass the planes of a piece, from `first` in the box on, to
+    `use`.
+    """
     _along_z(spectrum, np.fft.ifft)
     depth, height, width = (cut.stop - cut.start for cut in piece)
 
@@ -135,7 +149,7 @@ _GAIN = 1 << 18  # and of a filter whose squares sum up to one: products stay fa
 
 
 class GaussianField:
-    """Fields of filters, as whole numbers.
+    """Gaussian fields of filters, as whole numbers.
 
     Attributes
     ----------
@@ -151,14 +165,15 @@ class GaussianField:
 
     @property
     def reach(self) -> tuple[int, ...]:
-        """Offsets on either side of the middle."""
+        """Return the offsets on either side of the filters' middle."""
         return tuple(side // 2 for side in self.filters[0].values.shape)
 
     def each(
         self, number: int, domain: Domain, box: Box, use: Use, *, most: float = math.inf
     ) -> None:
-        """A field in a box, in pieces: `use(piece, z, plane)` gets its planes as whole numbers,
-        almost (see `Field`).
+        """Make a field in a box, in pieces.
+
+        `use(piece, z, plane)` gets its planes as whole numbers, almost (see `Field`).
         """
         shape = [stop - start for start, stop in box]
         around, reach = self._around(shape), self.reach
@@ -180,7 +195,7 @@ class GaussianField:
             inverse_transform(spectrum, around, reach, piece, use)
 
     def level(self, number: int, share: float) -> float:
-        """Between the two whole numbers above which the field has the share."""
+        """Return the half number above which the field has the share."""
         table = quantiles(WHITE).astype(np.float64)
         spread = math.sqrt(
             float((integer_filter(self.filters[number]) ** 2).sum()) * float(np.mean(table**2))
@@ -201,8 +216,9 @@ class GaussianField:
         )
 
     def _response_of(self, number: int, around: tuple[int, ...], work: Workspace) -> np.ndarray:
-        """Return the transform of a filter, a real one since filters are even; the latest is kept
-        for the next box of its size.
+        """Return the transform of a filter, which is real since filters are even.
+
+        The latest is kept for the next box of its size.
         """
         # taken out while it is in use: another thread makes its own
         kept, self._kept = self._kept, None
@@ -219,8 +235,9 @@ class GaussianField:
         return kept[1]
 
     def _around(self, shape: Sequence[int]) -> tuple[int, ...]:
-        """The box of the transforms: a piece and the reach of the filters on both sides, so that
-        its faces do not meet.
+        """Return the box of the transforms: a piece and the reach of the filters on both sides.
+
+        So its faces do not meet.
         """
         return tuple(
             fast_side(max(cut.stop - cut.start for cut in _pieces(side)) + 2 * far)
@@ -229,14 +246,17 @@ class GaussianField:
 
 
 def _pieces(side: int) -> list[slice]:
-    """Cuts of an axis into pieces that are nearly equal, and not too long."""
+    """Cut an axis into pieces that are nearly equal, and not too long."""
     count = -(-side // PIECE)
     bounds = [side * i // count for i in range(count + 1)]
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 def integer_filter(part: Filter) -> np.ndarray:
-    """A filter in whole numbers, even to the last of them: a real transform says all of it."""
+    """Return a filter in whole numbers, symmetric to the last bit.
+
+    A real transform then holds all of it.
+    """
     found = np.rint(part.values * np.float64(_GAIN))
     flat = found.reshape(-1)
     flat[: len(flat) // 2] = flat[: len(flat) // 2 : -1]

@@ -1,4 +1,8 @@
-"""L"""
+"""Cells of a lattice under the voxels: positions in whole numbers, and a point in every cell.
+
+An edge of a cell is `CELL` steps. Positions, points and distances are whole numbers of steps, held
+as float64 without rounding, so that every box, every cut of it and every processor finds the same.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +18,15 @@ from trabecula.synth.noise.periodic_domain import Domain
 
 @inline
 def wrap(cell, period):
-    """A cell's number, taken round an axis that repeats (period above 0)."""
+    """Return a cell's number, wrapped along an axis that repeats (period above 0)."""
     return cell if period == 0 else cell % period
 
 
 @kernel
 def place_points(place, word, key, first, counts, periods, around, flat, jitter):
-    """A point in every cell, `jitter` / 2 steps from its middle at most, and its random word; in
-    the order of the cells.
+    """Draw a point in every cell and its random word, in the order of the cells.
+
+    A point is at most `jitter` / 2 steps from the middle of its cell.
     """
     at = 0
     for z in range(counts[0]):
@@ -44,7 +49,7 @@ def place_points(place, word, key, first, counts, periods, around, flat, jitter)
 
 @inline
 def _inside(bits, jitter):
-    """Steps from the corner of a cell."""
+    """Return the steps from the corner of a cell."""
     return 2048 + (((np.int64(bits) - 32768) * jitter) >> 16)
 
 
@@ -80,17 +85,17 @@ class Axis:
 
     @property
     def cells(self) -> int:
-        """Cells that the voxels lie in."""
+        """Return the number of cells that the voxels lie in."""
         return int(self.at[-1]) // CELL + 1
 
     @property
     def cell(self) -> np.ndarray:
-        """The cell of every voxel, counted from the first."""
+        """Return the cell of every voxel, counted from the first."""
         return (self.at // CELL).astype(np.int64)
 
     @property
     def inside(self) -> np.ndarray:
-        """Where in its cell every voxel is, 0 .. 1."""
+        """Return the position of every voxel in its cell, 0 .. 1."""
         return np.asarray((self.at % CELL) / CELL)
 
 
@@ -120,17 +125,17 @@ class VoxelGrid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Voxels along every axis."""
+        """Return the number of voxels along every axis."""
         return tuple(len(place) for place in self.places)
 
     def part(self, cuts: Sequence[slice]) -> VoxelGrid:
-        """Some of the voxels."""
+        """Return the grid of some of the voxels."""
         return replace(
             self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True))
         )
 
     def axes(self, finer: int = 1) -> list[Axis]:
-        """The voxels on the lattice, of which every cell is divided into `finer` along every axis.
+        """Return the voxels on the lattice, with every cell divided into `finer` along every axis.
 
         A period is rounded to whole cells before they are divided, to 1 at least.
         """
@@ -142,14 +147,14 @@ class VoxelGrid:
 
 
 def shortest(edges: Sequence[float], *, flat: bool) -> float:
-    """The shortest edge of a cell; in a picture of those that it shows."""
+    """Return the shortest edge of a cell; in a picture the shortest edge in its plane."""
     return min(edges[1:] if flat else edges)
 
 
 def grid_of(
     domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]
 ) -> VoxelGrid:
-    """The voxels of a box."""
+    """Return the grid of the voxels of a box."""
     periods = tuple(
         side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
     )
@@ -165,8 +170,9 @@ def grid_of(
 def scatter_grid(
     step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool
 ) -> VoxelGrid:
-    """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other):
-    many cells for few voxels.
+    """Return a grid of voxels of the endless material far apart: many cells for few voxels.
+
+    They are `APART` of a cell apart, or next to each other.
     """
     places = tuple(
         np.floor(np.arange(count) * max(1.0, APART / width)).astype(np.int64)
@@ -176,6 +182,7 @@ def scatter_grid(
 
 
 def _axis(place: np.ndarray, width: float, period: int, finer: int) -> Axis:
+    """Return the voxels of one axis on the lattice."""
     cells = max(1, round(period * width)) * finer if period else 0
     if period:
         turn, place = np.divmod(place, period)
@@ -209,7 +216,7 @@ class Points:
 
 
 def points_of(axes: Sequence[Axis], key: np.uint64, *, jitter: float, margin: int) -> Points:
-    """The points of all cells that the voxels lie in, and of `margin` cells around them."""
+    """Return the points of all cells that the voxels lie in, and of `margin` cells around them."""
     around = np.array([0 if axis.flat else margin for axis in axes], np.int64)
     counts = np.array([axis.cells for axis in axes], np.int64) + 2 * around
     total = int(counts.prod())

@@ -1,9 +1,8 @@
-"""`noise`: fit chooses a field, generate makes it and cuts it at a level. What fields there are:
-gaussian.py, pattern.py.
+"""`noise`: fit chooses a field, generate makes it and cuts it at a level.
 
-Of several phases one comes after another, each within what the ones before left: the field of a
-phase is independent of the others', so that the conditional S2 (pairs in the phase over pairs in
-what was left) is that of a cut Gaussian field.
+The fields are in gaussian.py and pattern.py. Of several phases one comes after another, each within
+the rest of those before: the field of a phase is independent of the others', so that the
+conditional S2 (pairs in the phase over pairs in the rest) is that of a cut Gaussian field.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ class Noise(Method):
 
 
 class NoiseModel(WindowModel):
-    """A field, and what is cut out of it.
+    """A field, and the phases that are cut out of it.
 
     Attributes
     ----------
@@ -106,7 +105,7 @@ class NoiseModel(WindowModel):
         self._field(two or self.facts[0].ndim == 2)
 
     def _field(self, flat: bool) -> Field:
-        """Of volumes, or of pictures."""
+        """Return the field of volumes, or of pictures."""
         if flat not in self._fields:
             self._fields[flat] = choose_field(self.config, self.facts[0], self.filters, flat=flat)
         return self._fields[flat]
@@ -146,7 +145,7 @@ class NoiseModel(WindowModel):
         if not self.config.exact:
             return super().memory(request)
         field, shape = self._field(len(request.shape) == 2), domain_of(request).shape
-        return forecast(stages_of_ranking(field, shape), self._fixed()).memory
+        return forecast(stages_of_ranking(field, shape), self._constant_bytes()).memory
 
     def _check_windows(self) -> None:
         if self.config.exact:
@@ -158,9 +157,9 @@ class NoiseModel(WindowModel):
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         field = self._field(len(shape) == 2)
         stages = field.stages((1,) * (3 - len(shape)) + tuple(shape))
-        return forecast(stages, self._fixed()).memory
+        return forecast(stages, self._constant_bytes()).memory
 
-    def _fixed(self) -> dict[str, int]:
+    def _constant_bytes(self) -> dict[str, int]:
         """Return the bytes that do not depend on the request."""
         filters = sum(part.values.nbytes for part in self.filters)
         exemplars = sum(image.values.size for image in self.exemplars)
@@ -168,9 +167,10 @@ class NoiseModel(WindowModel):
 
 
 def _volume(values: np.ndarray) -> np.ndarray:
+    """Return a picture as a volume of one plane."""
     return values[None] if values.ndim == 2 else values
 
 
 def _fits_covariance(config: NoiseConfig) -> bool:
-    """Whether an exemplar's covariance is followed, where there is an exemplar."""
+    """Return whether the field has an exemplar's covariance, where there is an exemplar."""
     return config.kind == "gaussian" and config.covariance == "auto"

@@ -1,4 +1,7 @@
-"""P"""
+"""Patterns on a lattice, made brick by brick in threads, and white noise.
+
+The level at which a pattern is cut follows from a trial, or from a thickness.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +34,9 @@ from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_e
 
 @kernel
 def cube_words(values, key, cz, cy, cx):
-    """Random whole numbers 0 .. 2**31 - 1 of the cubes that the voxels are in, four a draw: (Z, Y,
-    X) int32.
+    """Fill (Z, Y, X) int32 with random whole numbers 0 .. 2**31 - 1 of the voxels' cubes.
+
+    One draw serves four cubes.
     """
     for z in range(values.shape[0]):
         for y in range(values.shape[1]):
@@ -50,12 +54,12 @@ def cube_words(values, key, cz, cy, cx):
 
 
 def white(values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float) -> None:
-    """A random number of every cube, 0 .. 2**31 - 1, (Z, Y, X) int32."""
+    """Fill `values` (Z, Y, X) int32 with a random number of every cube, 0 .. 2**31 - 1."""
     cube_words(values, key(seed, "noise/white"), *(_cube_numbers(axis) for axis in grid.axes()))
 
 
 def _cube_numbers(axis: Axis) -> np.ndarray:
-    """The cube that every voxel is in, round an axis that repeats."""
+    """Return the cube of every voxel, wrapped along an axis that repeats."""
     cells = axis.first + axis.cell
     return cells % axis.period if axis.period else cells
 
@@ -117,7 +121,7 @@ class LatticePattern:
     def each(
         self, number: int, domain: Domain, box: Box, use: Use, *, most: float = np.inf
     ) -> None:
-        """The pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
+        """Make the pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
         whole, sides = grid_of(domain, box, self.step, self.edges), _sides(self.config, self.step)
 
         def slab(start: int, stop: int) -> None:
@@ -130,8 +134,8 @@ class LatticePattern:
         for_slabs(slab, whole.shape[0])
 
     def level(self, number: int, share: float) -> float:
-        """The level above which the pattern has the share, or which leaves walls of the thickness
-        that was asked for.
+        """Return the level above which the pattern has the share, or that leaves the given
+        thickness.
         """
         if self.config.thickness is not None:
             return float(
@@ -165,7 +169,7 @@ def trial_level(
     *,
     flat: bool,
 ) -> float:
-    """The level above which a pattern has the share: from many cells, always the same ones."""
+    """Return the level above which a pattern has the share, from the same many cells always."""
     grid, values = scatter_grid(step, edges, _TRIAL[flat], flat=flat), []
     for brick in _bricks(grid.shape, _sides(config, [max(width, APART) for width in step])):
         values.append(_fill(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
@@ -175,13 +179,14 @@ def trial_level(
 
 
 def _fill(config: NoiseConfig, grid: VoxelGrid, seed: int, most: float) -> np.ndarray:
+    """Return the numbers of a pattern on a grid."""
     values = np.empty(grid.shape, np.int32)
     PATTERNS[config.kind][0](values, grid, seed, config, most)
     return values
 
 
 def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
-    """Of a brick, voxels."""
+    """Return the sides of a brick in voxels."""
     if config.kind not in WALLED:
         return _BRICK
     return tuple(
@@ -191,12 +196,14 @@ def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
 
 
 def _brick_bytes(config: NoiseConfig, sides: Sequence[int], step: Sequence[float]) -> int:
+    """Return the memory of making a brick."""
     cells = [int(side * width) + 10 for side, width in zip(sides, step, strict=True)]
     voxel, point = _HELD.get(config.kind, _VOXEL), _POINT.get(config.kind, 0)
     return voxel * int(np.prod(sides)) + point * int(np.prod(cells))
 
 
 def _bricks(shape: Sequence[int], sides: Sequence[int]) -> Iterator[tuple[slice, ...]]:
+    """Return the bricks of a box."""
     cuts = [
         [slice(first, min(first + side, end)) for first in range(0, end, side)]
         for end, side in zip(shape, sides, strict=True)

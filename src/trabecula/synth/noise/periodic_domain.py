@@ -1,4 +1,4 @@
-"""D"""
+"""Domain of a request in three axes, of a volume or a picture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Domain:
 
 
 def domain_of(request: Request) -> Domain:
-    """The domain of a request, 2-D or 3-D."""
+    """Return the domain of a request, 2-D or 3-D."""
     missing = 3 - len(request.shape)
     return Domain(
         (1,) * missing + request.shape,
@@ -41,7 +41,7 @@ def domain_of(request: Request) -> Domain:
 
 
 def lift_box(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """A box in three axes."""
+    """Return a box in three axes."""
     return ((0, 1),) * (3 - len(box)) + tuple(box)
 
 

@@ -1,4 +1,12 @@
-"""P"""
+"""Perlin noise: slopes at the corners of a lattice, blended between them, in octaves.
+
+Each octave has half the length of the one before and less weight. Perlin (2002), *Improving noise*,
+doi:10.1145/566654.566636: the blend 6 t^5 - 15 t^4 + 10 t^3. The slopes are drawn anew at every
+corner, of all directions, where the paper takes one of twelve.
+
+Gradients have 5 bits, positions 12 and weights 10: float64 rounds no product or sum of them.
+Symbols: g a gradient, t the position in a cell (0 .. 1), w the weight of a cell's upper corner.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +21,9 @@ from trabecula.synth.noise.lattice import Axis, VoxelGrid, wrap
 
 @kernel
 def corner_gradients(gradients, key, first, periods):
-    """Whole numbers -16 .. 16 over 16, of vectors between 0.7 and 1 long: (Z, Y, X, 3) float64; one
-    layer has no slope in z.
+    """Fill (Z, Y, X, 3) float64 with gradients between 0.7 and 1 long.
+
+    Their components are whole numbers -16 .. 16 over 16; one layer has no slope in z.
     """
     flat = gradients.shape[0] == 1
     for z in range(gradients.shape[0]):
@@ -27,7 +36,7 @@ def corner_gradients(gradients, key, first, periods):
 
 @inline
 def _draw(gradient, key, cz, cy, cx, flat):
-    """The first draw whose length fits, as about one in three does."""
+    """Draw a gradient until its length fits, as about one draw in three does."""
     for attempt in range(64):
         w = philox(key, cz, cy, cx, attempt)
         gz = 0 if flat else below(w[0], 33) - 16
@@ -39,7 +48,7 @@ def _draw(gradient, key, cz, cy, cx, flat):
 
 @inline
 def _line(line, one, two, sz, ty, wy):
-    """Of the corners along x, blended in y: what they add at their own x, and their slope along x."""
+    """Blend the corners along x in y: their value at their own x, and their slope along x."""
     for x in range(len(line)):
         base = one[x, 0] * sz + one[x, 1] * ty
         line[x, 0] = base + wy * (two[x, 0] * sz + two[x, 1] * (ty - 1.0) - base)
@@ -82,7 +91,7 @@ _WEIGHTS = 1024.0
 def perlin(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float
 ) -> None:
-    """The sum of octaves, (Z, Y, X) int32."""
+    """Fill `values` (Z, Y, X) int32 with the sum of octaves."""
     values[:] = 0
     for number in range(config.octaves):
         axes = grid.axes(finer=1 << number)
@@ -101,6 +110,6 @@ def perlin(
 
 
 def _blend(axis: Axis) -> np.ndarray:
-    """The weight of the upper corner at every voxel, 0 .. 1, in whole parts."""
+    """Return the weight of the upper corner at every voxel, 0 .. 1, in whole parts."""
     t = axis.inside
     return np.asarray(np.rint(t * t * t * (t * (t * 6 - 15) + 10) * _WEIGHTS) / _WEIGHTS)

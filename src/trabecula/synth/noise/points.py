@@ -1,4 +1,16 @@
-"""P"""
+"""Patterns of points, one in every cell of a lattice: Worley noise and Voronoi cells, walls, edges.
+
+Worley (1996), *A cellular texture basis function*, doi:10.1145/237170.237267: the distance to the
+nearest point. Walls and edges take true distances to the planes half way between two points instead
+of the difference of two distances, so that they are as thick everywhere.
+
+Symbols: s a point, D the square of its distance from a voxel's middle, in steps, of which a cell's
+edge has 4096. With d from the point of a cell to a neighbour and p from it to the voxel,
+D_neighbour - D_own = d.d - 2 p.d is a whole number, and its product with 1 / (2 |d|) the distance
+to the plane, at least |d| / 2 - |p|: neighbours come in the order of |d|, and the first that is too
+far ends the search. Along a row the distance to a plane changes evenly, so that the ends of a row's
+part within one cell decide which planes matter.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +24,7 @@ from trabecula.synth.noise.lattice import CELL, Axis, Points, VoxelGrid, points_
 
 @inline
 def _first_from(at, value):
-    """Number of the first of rising positions that is at least `value`."""
+    """Return the index of the first of rising positions that is at least `value`."""
     low, high = 0, len(at)
     while low < high:
         middle = (low + high) // 2
@@ -25,12 +37,11 @@ def _first_from(at, value):
 
 @kernel
 def nearest(keys, az, ay, ax, place, counts, around, reach):
-    """D * 2**24 + n of every voxel's nearest point n, the first of equally near ones: (Z, Y, X)
-    float64.
+    """Fill `keys` (Z, Y, X) float64 with D * 2**24 + n of every voxel's nearest point n.
 
-    Every point is shown to the voxels within `reach`, which is quick; a voxel that none has reached
-    looks for its own, which is no farther than two cells away: that of its own cell is nearer than
-    any beyond. Points are fewer than 2**24.
+    Of equally near ones it is the first. Every point visits the voxels within `reach`, which is
+    quick; a voxel without a visit searches the cells up to two away: the point of its own cell is
+    nearer than any beyond. Points are fewer than 2**24.
     """
     keys[:] = np.inf
     square = reach * reach
@@ -60,7 +71,7 @@ def nearest(keys, az, ay, ax, place, counts, around, reach):
 
 @inline
 def _search_cells(pz, py, px, place, counts, around):
-    """The key of the nearest point among those of the cells up to two away."""
+    """Return the key of the nearest point among those of the cells up to two away."""
     best = np.inf
     z, y, x = (
         np.int64(pz // 4096) + around[0],
@@ -84,7 +95,7 @@ _SHELVES = 64
 
 @inline
 def _between(n, m, place, d):
-    """The vector d from one point to another; returns the square of its length."""
+    """Set the vector d from one point to another; returns the square of its length."""
     d[0], d[1], d[2] = (
         place[m, 0] - place[n, 0],
         place[m, 1] - place[n, 1],
@@ -95,11 +106,11 @@ def _between(n, m, place, d):
 
 @kernel
 def neighbours(near, n, place, counts, scale):
-    """Points of the cells up to two away, nearer ones first, and how many: rows d, |d| / 2 and 1 /
-    (2 |d|) of `near`.
+    """Set the points of the cells up to two away, nearer ones first; returns their number.
 
-    They are sorted onto shelves by |d|^2, and |d| / 2 is that of the shelf's front. 1 / (2 |d|) is
-    in steps of the shortest edge, along which `scale` is 1. near: (124, 5) float64.
+    Rows of `near`, (124, 5) float64, are d, |d| / 2 and 1 / (2 |d|). They are sorted into bins by
+    |d|^2, and |d| / 2 is that of the bin's lower end. 1 / (2 |d|) is in steps of the shortest edge,
+    along which `scale` is 1.
     """
     z, y, x = n // (counts[1] * counts[2]), n // counts[2] % counts[1], n % counts[2]
     other, shelf, ends = (
@@ -132,13 +143,10 @@ def neighbours(near, n, place, counts, scale):
 
 @inline
 def _planes(lines, near, count, pz, py, first, last, edges, most):
-    """Planes that may be nearest (second nearest) somewhere from `first` to `last` along x, and
-    nearer than `most`.
+    """Set the planes that may be nearest (second nearest) from `first` to `last` along x.
 
-    Returns how many.
-
-    Rows of `lines`: the distance at 0 and its slope, both times 2 |d|; 1 / (2 |d|); the distance at
-    the nearer end.
+    Only those nearer than `most` count; returns their number. Rows of `lines`: the distance at 0
+    and its slope, both times 2 |d|; 1 / (2 |d|); the distance at the nearer end.
     """
     best, second, limit, found = most, most, most + 1.0, 0
     far = np.sqrt(pz * pz + py * py + max(first * first, last * last)) + 1.0
@@ -169,7 +177,7 @@ def _planes(lines, near, count, pz, py, first, last, edges, most):
 
 @inline
 def _run(row, ax, start, stop, sx, lines, count, edges, parts, most):
-    """The voxels of a row from start to stop, which lie in one cell."""
+    """Fill the voxels of a row from start to stop, which lie in one cell."""
     for x in range(start, stop):
         p, best, second = ax[x] - sx, most, most
         for j in range(count):
@@ -182,11 +190,11 @@ def _run(row, ax, start, stop, sx, lines, count, edges, parts, most):
 
 @kernel
 def plane_distance(values, keys, az, ay, ax, place, counts, scale, edges, parts, most):
-    """Distance to the nearest plane, or the second where `edges`, `most` at most, times `parts`,
-    rounded down: (Z, Y, X) int32.
+    """Fill `values` (Z, Y, X) int32 with the distance to the nearest plane, times `parts`.
 
-    keys: (Z, Y, X) float64, the voxels' nearest points as `nearest` tells them; scale: squares of
-    the shortest edge over the edges.
+    With `edges` it is the second nearest; it is `most` at most, and rounded down. keys: (Z, Y, X)
+    float64, the voxels' nearest points as `nearest` finds them; scale: squares of the shortest edge
+    over the edges.
     """
     # of which few pages are ever touched
     known, near = np.zeros(len(place), np.int32), np.empty((len(place), 124, 5))
@@ -222,7 +230,7 @@ _NEAR = 1.0 * CELL  # where nearly every voxel has its nearest point
 def worley(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float
 ) -> None:
-    """Square of the distance to the nearest point, steps, (Z, Y, X) int32."""
+    """Fill `values` (Z, Y, X) int32 with the squared distance to the nearest point, in steps."""
     _, _, keys = _nearest(grid, seed, config, margin=2)
     values[:] = np.floor(keys / _NUMBERS)
 
@@ -230,7 +238,7 @@ def worley(
 def voronoi_cells(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float
 ) -> None:
-    """The random number of the nearest point, 0 .. 2**24 - 1."""
+    """Fill `values` with the random number of the nearest point, 0 .. 2**24 - 1."""
     _, points, keys = _nearest(grid, seed, config, margin=2)
     values[:] = points.word[_number(keys)]
 
@@ -238,15 +246,16 @@ def voronoi_cells(
 def voronoi(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float
 ) -> None:
-    """Distance to the nearest wall between two cells, in parts of a step of the shortest edge."""
+    """Fill `values` with the distance to the nearest wall, in parts of a step (shortest edge)."""
     _walls(values, grid, seed, config, most, edges=False)
 
 
 def voronoi_edges(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float
 ) -> None:
-    """Distance to the farther of the nearest two walls, which meet in an edge; in a picture in a
-    point.
+    """Fill `values` with the distance to the farther of the nearest two walls.
+
+    They meet in an edge; in a picture in a point.
     """
     _walls(values, grid, seed, config, most, edges=True)
 
@@ -254,6 +263,7 @@ def voronoi_edges(
 def _walls(
     values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float, *, edges: bool
 ) -> None:
+    """Fill `values` with distances to walls, or to edges."""
     axes, points, keys = _nearest(grid, seed, config, margin=4)
     shorter = shortest(grid.edges, flat=grid.flat)
     scale = np.array([(shorter / edge) ** 2 for edge in grid.edges])
@@ -267,6 +277,7 @@ def _walls(
 def _nearest(
     grid: VoxelGrid, seed: int, config: NoiseConfig, *, margin: int
 ) -> tuple[list[Axis], Points, np.ndarray]:
+    """Return axes, points and the keys of the nearest points."""
     axes = grid.axes()
     points = points_of(axes, key(seed, "noise/points"), jitter=config.jitter, margin=margin)
     keys = np.empty(grid.shape)
@@ -276,6 +287,6 @@ def _nearest(
 
 
 def _number(keys: np.ndarray) -> np.ndarray:
-    """Of the nearest point; the keys are used up."""
+    """Return the number of the nearest point; it overwrites the keys."""
     keys -= np.floor(keys / _NUMBERS) * _NUMBERS  # exact, and many times faster than a remainder
     return keys.astype(np.int32)

@@ -89,7 +89,7 @@ class FlowConfig:
         """Set a checked value."""
         object.__setattr__(self, name, value)
 
-    def directed(self, *, masked: bool) -> bool:
+    def has_direction(self, *, masked: bool) -> bool:
         """Return whether a request, with a mask or without, has a direction anywhere."""
         flows = [self.flow, *(flow for _, flow in self.flow_regions)]
         outlined = masked and self.flow_length("silhouette", distance=1.0) > 0

@@ -64,7 +64,7 @@ def flow_of(
         0.0 if mask is None else config.flow_length(name, distance)
         for name in ("silhouette", "crust")
     )
-    if not crust and not config.directed(masked=mask is not None):
+    if not crust and not config.has_direction(masked=mask is not None):
         return None
     edges = as_spacing(spacing, ndim=len(shape))
     if isinstance(config.flow_labels, Given) and _labels(config).ndim != len(shape):
