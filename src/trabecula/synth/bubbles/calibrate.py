@@ -134,10 +134,8 @@ def halton_points(scales: Sequence[Scale], around: Point, count: int) -> list[Po
     for number in range(1, count + 1):
         place = []
         for scale, middle, prime in zip(scales, around, _PRIMES, strict=False):
-            low, high = (
-                max(scale.low, middle - 4 * scale.step),
-                min(scale.high, middle + 4 * scale.step),
-            )
+            low = max(scale.low, middle - 4 * scale.step)
+            high = min(scale.high, middle + 4 * scale.step)
             eighth = scale.step / 8
             place.append(
                 round((low + (high - low) * _radical_inverse(number, prime)) / eighth) * eighth

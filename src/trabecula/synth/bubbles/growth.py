@@ -92,10 +92,8 @@ class Growth:
 
         `picks` (1 or N, P) are the numbers of the voxels in their blocks.
         """
-        values, no_labels = (
-            np.empty((len(blocks), picks.shape[1]), np.float32),
-            np.empty((0, 0, 0), np.uint8),
-        )
+        values = np.empty((len(blocks), picks.shape[1]), np.float32)
+        no_labels = np.empty((0, 0, 0), np.uint8)
         none = np.zeros(3, np.int64)
         world, latest = self.world(box), np.float32(self.law.latest**2)
         rest = (
@@ -159,11 +157,9 @@ class Growth:
         starts = np.empty(int(np.prod(cells)) + 1, np.int64)
         count_bubbles(starts, stage, low, cells, around, counts_of(mean, law.regularity))
         many = int(starts[-1])
-        places, sizes, names = (
-            np.empty((many, 3), np.int64),
-            np.empty(many, np.int64),
-            np.empty(many, np.uint32),
-        )
+        places = np.empty((many, 3), np.int64)
+        sizes = np.empty(many, np.int64)
+        names = np.empty(many, np.uint32)
         draw_bubbles(places, sizes, names, starts, stage, low, cells, around, edges * FINE, laps)
         places, brakes = self._relax(places, starts, cells, near), law.brakes[sizes]
         alive = np.empty(many, bool)

@@ -48,11 +48,9 @@ def _quadric(i, around, n, places, flows, across, along):
 
     A place is z, y, x, and the flow there of length 1/2.
     """
-    uz, uy, ux = (
-        around[n, 0] - places[i, 0],
-        around[n, 1] - places[i, 1],
-        around[n, 2] - places[i, 2],
-    )
+    uz = around[n, 0] - places[i, 0]
+    uy = around[n, 1] - places[i, 1]
+    ux = around[n, 2] - places[i, 2]
     square = uz * uz + uy * uy + ux * ux
     if len(flows) == 0:
         return square, square, 0.0, 0.0, 0.0
@@ -99,18 +97,14 @@ def set_around(around, z, y, x, side, flat, shifts, flow, origins):
         around[8, i] = 0.125 * total
     far, bend = 0.0, 0.0
     for n in range(8):
-        dz, dy, dx = (
-            around[n, 0] - around[8, 0],
-            around[n, 1] - around[8, 1],
-            around[n, 2] - around[8, 2],
-        )
+        dz = around[n, 0] - around[8, 0]
+        dy = around[n, 1] - around[8, 1]
+        dx = around[n, 2] - around[8, 2]
         far = max(far, dz * dz + dy * dy + dx * dx)
         if len(flow) > 0:
-            dz, dy, dx = (
-                around[n, 3] - around[8, 3],
-                around[n, 4] - around[8, 4],
-                around[n, 5] - around[8, 5],
-            )
+            dz = around[n, 3] - around[8, 3]
+            dy = around[n, 4] - around[8, 4]
+            dx = around[n, 5] - around[8, 5]
             bend = max(bend, dz * dz + dy * dy + dx * dx)
     around[8, 6], around[8, 7] = np.sqrt(far), np.sqrt(bend)
 
@@ -266,11 +260,9 @@ def set_arrivals(arrivals, walls, forms, slopes, kept, count, voxels, level, wal
             arrivals[v] = f if f < a else a
     for i in range(count):
         for j in range(i):
-            dz, dy, dx = (
-                slopes[i, 0] - slopes[j, 0],
-                slopes[i, 1] - slopes[j, 1],
-                slopes[i, 2] - slopes[j, 2],
-            )
+            dz = slopes[i, 0] - slopes[j, 0]
+            dy = slopes[i, 1] - slopes[j, 1]
+            dx = slopes[i, 2] - slopes[j, 2]
             near = np.float32(0.25 * wall * wall * (dz * dz + dy * dy + dx * dx))
             if near > 0 and not _merges(names[kept[i]], names[kept[j]], merging):
                 for v in range(voxels):

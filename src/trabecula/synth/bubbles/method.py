@@ -228,11 +228,9 @@ class BubblesModel(WindowModel):
         self._law(len(request.shape))
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        law, wanted, masked = (
-            self._law(len(shape)),
-            self._target_porosity(request),
-            request.mask is not None,
-        )
+        law = self._law(len(shape))
+        wanted = self._target_porosity(request)
+        masked = request.mask is not None
         flows = self.found.randomness < 1 and self.found.has_direction(masked=masked)
         box = bytes_of_box(law, _deep(shape, 1), flows=flows)
         parts = {

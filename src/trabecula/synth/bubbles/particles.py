@@ -312,10 +312,8 @@ class _ParticleField:
             positions, bubbles, won, self.near, self.ball, self.sides, self.wraps, self.air
         )
         count = int(np.count_nonzero(won))
-        found, owner = (
-            np.empty(count * len(self.steps), np.int64),
-            np.empty(count * len(self.steps), np.int32),
-        )
+        found = np.empty(count * len(self.steps), np.int64)
+        owner = np.empty(count * len(self.steps), np.int32)
         lattice = (self.steps, self.sides, self.wraps, self.air)
         flow = (self.directions, self.allowed, threshold)
         new = spread_contours(positions, bubbles, won, *flow, *lattice, words, found, owner)

@@ -45,10 +45,8 @@ def _set_block(node, n, corner, flat):
 def _set_cube(node, n, first, sides, flat):
     """Set the first node of cube n."""
     node[0] = 0 if flat else SUPER * (first[0] + n // (sides[1] * sides[2]))
-    node[1], node[2] = (
-        SUPER * (first[1] + n // sides[2] % sides[1]),
-        SUPER * (first[2] + n % sides[2]),
-    )
+    node[1] = SUPER * (first[1] + n // sides[2] % sides[1])
+    node[2] = SUPER * (first[2] + n % sides[2])
 
 
 @inline
@@ -104,23 +102,19 @@ def grow(
     most = len(places) + 1
     everyone, many = np.empty(most, np.int64), np.empty(most, np.int64)
     some, few = np.empty(most, np.int64), np.empty(most, np.int64)
-    times, slacks, around, ends = (
-        np.empty(most),
-        np.empty(most),
-        np.zeros((9, 8)),
-        np.zeros((2, 3), np.int64),
-    )
+    times = np.empty(most)
+    slacks = np.empty(most)
+    around = np.zeros((9, 8))
+    ends = np.zeros((2, 3), np.int64)
     rows, voxels, each = min(most, MOST), 16 if flat else 64, 16 if flat else 64
     forms, slopes = np.empty((rows, 64), np.float32), np.empty((rows, 3), np.float32)
     at, ahead = np.empty(8, np.float32), np.empty(8, np.float32)
     begins, rises = np.empty(16, np.float32), np.empty(16, np.float32)
     arrivals, walls = np.empty(64, np.float32), np.empty(64, np.float32)
-    cube, part, node, begin = (
-        np.full(3, _NOWHERE),
-        np.full(3, _NOWHERE),
-        np.zeros(3, np.int64),
-        np.zeros(3, np.int64),
-    )
+    cube = np.full(3, _NOWHERE)
+    part = np.full(3, _NOWHERE)
+    node = np.zeros(3, np.int64)
+    begin = np.zeros(3, np.int64)
     flat_labels, flat_levels = labels.reshape(-1), levels.reshape(-1)
     in_cube = in_part = 0
     for n in range(start, stop):

@@ -188,11 +188,9 @@ def fit_filters(
     values: np.ndarray, present: Sequence[int], config: NoiseConfig, *, flat: bool
 ) -> list[Filter]:
     """Return a filter per phase but the last, each within the rest of the phases before."""
-    reach, left, filters = (
-        reach_of(values.shape, config, flat=flat),
-        np.ones(values.shape, bool),
-        [],
-    )
+    reach = reach_of(values.shape, config, flat=flat)
+    left = np.ones(values.shape, bool)
+    filters = []
     for label in present[:-1]:
         inside = values == label
         filters.append(_fit_phase(inside, left, reach, config))

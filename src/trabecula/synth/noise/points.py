@@ -73,11 +73,9 @@ def nearest(keys, az, ay, ax, place, counts, around, reach):
 def _search_cells(pz, py, px, place, counts, around):
     """Return the key of the nearest point among those of the cells up to two away."""
     best = np.inf
-    z, y, x = (
-        np.int64(pz // 4096) + around[0],
-        np.int64(py // 4096) + around[1],
-        np.int64(px // 4096) + around[2],
-    )
+    z = np.int64(pz // 4096) + around[0]
+    y = np.int64(py // 4096) + around[1]
+    x = np.int64(px // 4096) + around[2]
     for cz in range(max(z - 2, 0), min(z + 3, counts[0])):
         for cy in range(max(y - 2, 0), min(y + 3, counts[1])):
             for cx in range(max(x - 2, 0), min(x + 3, counts[2])):
@@ -96,11 +94,9 @@ _SHELVES = 64
 @inline
 def _between(n, m, place, d):
     """Set the vector d from one point to another; returns the square of its length."""
-    d[0], d[1], d[2] = (
-        place[m, 0] - place[n, 0],
-        place[m, 1] - place[n, 1],
-        place[m, 2] - place[n, 2],
-    )
+    d[0] = place[m, 0] - place[n, 0]
+    d[1] = place[m, 1] - place[n, 1]
+    d[2] = place[m, 2] - place[n, 2]
     return d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
 
 
@@ -113,11 +109,9 @@ def neighbours(near, n, place, counts, scale):
     along which `scale` is 1.
     """
     z, y, x = n // (counts[1] * counts[2]), n // counts[2] % counts[1], n % counts[2]
-    other, shelf, ends = (
-        np.empty(124, np.int32),
-        np.empty(124, np.int32),
-        np.zeros(_SHELVES + 1, np.int32),
-    )
+    other = np.empty(124, np.int32)
+    shelf = np.empty(124, np.int32)
+    ends = np.zeros(_SHELVES + 1, np.int32)
     found, d = 0, np.empty(3)
     for cz in range(max(z - 2, 0), min(z + 3, counts[0])):
         for cy in range(max(y - 2, 0), min(y + 3, counts[1])):
@@ -157,12 +151,10 @@ def _planes(lines, near, count, pz, py, first, last, edges, most):
         base = dz * (dz - 2.0 * pz) + dy * (dy - 2.0 * py) + dx * dx
         left, right = (base - 2.0 * dx * first) * factor, (base - 2.0 * dx * last) * factor
         lower, upper = left if left < right else right, right if left < right else left
-        lines[found, 0], lines[found, 1], lines[found, 2], lines[found, 3] = (
-            base,
-            2.0 * dx,
-            factor,
-            lower,
-        )
+        lines[found, 0] = base
+        lines[found, 1] = 2.0 * dx
+        lines[found, 2] = factor
+        lines[found, 3] = lower
         found += lower <= limit
         middle = upper if upper > best else best
         best = upper if upper < best else best
