@@ -154,19 +154,19 @@ def _radical_inverse(number: int, base: int) -> float:
     return value
 
 
-_THIN = 20  # of 200 walls in order of thickness: what is between two bubbles, and not between many
+_THIN = 20  # of 200 walls in order of thickness: one between two bubbles, not between many
 _PRESSED = 0.4
 _SEED = 0
 _CANDIDATES, _OTHER_SEEDS = 5, (1, 2)
-"""How many of the best are tried again beside the first, and with which seeds."""
+"""Number of the best points that are tried again beside the first, and the seeds of that."""
 
 _CHECK_SEEDS = (3, 4, 5)
-"""Seeds that neither has seen, by which what was found is judged."""
-_ROOM = 0.005  # porosity that has to be in reach beyond what is wanted
+"""New seeds for the distances of the result."""
+_ROOM = 0.005  # porosity in reach beyond the wanted one
 _START_SHARE = 0.3  # share of the trials that look where to begin
 _ALIKE = 1.15  # longest over shortest intercept length from which a direction is preferred
 _SCALES = {
-    "size": Scale("size", -4.0, 4.0, 0.75),  # log2 of the first guess's density over what is tried
+    "size": Scale("size", -4.0, 4.0, 0.75),  # log2 of the first guess's density over the trial's
     "wall": Scale("wall", -7.0, -1.5, 0.5),  # log2 of the thickness over L
     "spread": Scale("spread", 0.0, 0.6, 0.125),
     "regularity": Scale("regularity", 0.0, 1.0, 0.25),
@@ -185,8 +185,7 @@ def calibrate(
     Parameters
     ----------
     config : BubblesConfig
-        Its `trials` are the settings that are tried, at most; what differs from its default is
-        kept.
+        Its `trials` are the most settings to try; a setting that differs from its default stays.
     exemplar : Image of void and another phase, (Z, Y, X) or (Y, X)
     make : callable
         The model of settings and facts (blank).

@@ -61,7 +61,7 @@ class BubblesConfig(FlowConfig):
 
     regularity: float = 0.5
     """How evenly bubbles are spread, 0 .. 1: 0 is chance (a Poisson process), 1 has one in every
-    cube of edge L, nudged apart.
+    cube of edge L, repelled from each other.
     """
 
     randomness: float = 1.0
@@ -83,8 +83,7 @@ class BubblesConfig(FlowConfig):
     """
 
     time: float | None = None
-    """When growth stops: the radius that a bubble of ordinary size has reached where nothing is in
-    its way, in units of L,
+    """When growth stops: the radius of a free bubble of ordinary size by then, in units of L,
     0.01 .. 10. Default: at fullness, when all bubbles have met others everywhere."""
 
     porosity: float | None = None
@@ -96,9 +95,9 @@ class BubblesConfig(FlowConfig):
     paper's own rounds of claims on the lattice, for volumes that are made whole."""
 
     trials: int = 100
-    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. What differs from its
-    default is kept, all else is found. 0: nothing is looked for, the exemplar tells voxels and
-    phases alone."""
+    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. Settings at
+    their defaults are found, the others stay. 0: no search; the exemplar gives voxels and phases
+    alone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -22,10 +22,10 @@ from trabecula.synth.bubbles.config import BubblesConfig
 
 _PARTS = 200
 _DIGITS = 6
-"""Of a distance: what machines may disagree about is beyond them."""
+"""Digits of a distance: machines may disagree about those beyond them."""
 
 FARTHEST = 100.0
-"""Distance of what cannot be compared: one phase alone, or settings that cannot be met."""
+"""Distance of a volume that cannot be compared: one phase alone, or impossible settings."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def distances(made: MaterialDescriptors | None, wanted: MaterialDescriptors) -> 
     """Return the distances of two materials by name; 0 where both are alike.
 
     `pore_size` and `thickness` are Wasserstein distances of the distributions (the mean difference
-    of voxels in order of size) over the mean that is wanted; `anisotropy` is the mean logarithm, by
-    size, of the ratio of intercept lengths along the principal directions of what is wanted;
+    of voxels in order of size) over the exemplar's mean; `anisotropy` is the mean logarithm, by
+    size, of the ratio of intercept lengths along the principal directions of the exemplar;
     `porosity` the difference over the rarer phase's share.
     """
     if made is None:
@@ -90,7 +90,7 @@ def distances(made: MaterialDescriptors | None, wanted: MaterialDescriptors) -> 
 
 
 _SIDE = {3: 72, 2: 400}
-"""Voxels of the exemplar along an axis that are looked at, the middle ones."""
+"""Voxels along an axis of the middle of the exemplar that is compared."""
 
 _FINE = 10  # voxels of a mean pore's diameter: finer ones are not needed
 

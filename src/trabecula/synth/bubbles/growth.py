@@ -27,8 +27,8 @@ from trabecula.synth.bubbles.nucleation import (
 from trabecula.synth.bubbles.sweep import grow
 
 CUBE = BLOCK * SUPER
-MARGIN = REPULSIONS + 1  # cells around those in reach on which what is in reach depends
-_PLANES = 32  # of a room that are looked at together
+MARGIN = REPULSIONS + 1  # cells around those in reach that move or absorb bubbles in reach
+_PLANES = 32  # planes of a room read at once
 _NO_LEVELS = np.empty((0, 0, 0), np.float32)
 
 
@@ -245,7 +245,7 @@ class Growth:
             low[0], high[0] = 0, 0
         flow = self._directions(self.flow, low, high - low + 1, step)
         nearest = (places + FINE * step // 2) // (FINE * step) - low
-        # Those out of reach are not asked.
+        # Bubbles out of reach do not matter.
         nearest = np.clip(nearest, 0, high - low)
         return np.asarray(flow[tuple(nearest.T)] * HALF)
 
@@ -278,11 +278,11 @@ class Growth:
         return shifts
 
 
-_DRAWN = 124  # bytes for each bubble, while places are found
-_HELD = 60  # and later
-_SEARCH = 48  # and in every thread, beside what a block needs
+_DRAWN = 124  # bytes for each bubble during the draw
+_HELD = 60  # bytes for each bubble after it
+_SEARCH = 48  # bytes for each bubble in every thread, beside those of a block
 _FORMS = MOST * (64 + 3) * 4
-_LEAST = 200_000  # tables, the recipe
+_LEAST = 200_000  # bytes of tables and the recipe
 
 
 def bytes_of_box(law: Law, shape: Sequence[int], *, flows: bool) -> int:

@@ -17,17 +17,15 @@ from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.nucleation import FINE
 
 LATEST = {3: 1.6, 2: 2.2}
-"""When growth ends at the latest, in units of L, by dimensions: then one point in 3 (in 4) million
-is left that no bubble has reached."""
+"""Latest end of growth, in units of L, by dimensions: bubbles have then reached all but one point in
+3 (in 4) million."""
 
 REPULSIONS = 2
 PUSH = 0.25
-"""How often bubbles repel each other apart, and how far at most, in units of L."""
+"""Rounds of repulsion, and the farthest move of a round in units of L."""
 
 ABSORBED = 0.35
-"""Radius, in units of L, below which what a faster bubble leaves of a slower one is not worth a
-wall.
-"""
+"""Radius, in units of L, below which a faster bubble absorbs the rest of a slower one."""
 
 _FARTHEST = 6.0  # L that a bubble reaches from where it starts, at most
 _CUT = 2.5  # standard deviations at which the law of sizes ends
@@ -90,8 +88,7 @@ def law_of(config: BubblesConfig, spacing: float, ndim: int) -> Law:
         each = f"{'cubic' if ndim == 3 else 'square'} unit"
         raise InputError(
             f"density={config.density:g} per {each} is {apart**-ndim:.3g} bubbles a voxel of edge "
-            f"{spacing:g}: give a lower "
-            "density, or a finer spacing"
+            f"{spacing:g}: give a lower density, or a finer spacing"
         )
     apart = round(apart * FINE) / FINE
     wall = config.thickness * apart if config.separation is None else config.separation / spacing

@@ -27,15 +27,13 @@ BLOCK = 4
 """Voxels between two nodes."""
 
 SUPER = 4
-"""Blocks along an edge of a cube, what shares one search for bubbles."""
+"""Blocks along an edge of a cube. The blocks of a cube share one search for bubbles."""
 
 MOST = 512
-"""Bubbles that a block looks at, at most: those that come into question at two voxels from bubble
-to bubble.
-"""
+"""Candidate bubbles of a block, at most: those at two voxels from bubble to bubble."""
 
 HALF = 1.0 / 254.0
-"""Makes 1/2 of a direction of length 127: two of them have a mean."""
+"""Factor that scales a direction of length 127 to 1/2, so that the sum of two is their mean."""
 
 NEVER = np.float32(np.inf)
 _FULL = np.float32(1.0)
@@ -68,7 +66,7 @@ def _set_node(around, n, z, y, x, shifts, flow, origins):
     """Set row n to the place of node (z, y, x) once it is shifted, and half of the flow there."""
     around[n, 0], around[n, 1], around[n, 2] = BLOCK * z, BLOCK * y, BLOCK * x
     if len(shifts) > 0:
-        # Unsigned: an index that may be negative is looked at twice.
+        # Unsigned, since Numba checks an index that may be negative for wraparound.
         i, j, k = np.uint64(z - origins[0]), np.uint64(y - origins[1]), np.uint64(x - origins[2])
         around[n, 0] += shifts[i, j, k, 0]
         around[n, 1] += shifts[i, j, k, 1]
@@ -220,7 +218,7 @@ def set_forms(
         rising = _slope(at, slopes, left)
         if m == 0:
             steep = rising
-        # Half a wall, and what T^2 bends between the corners.
+        # Half a wall, and the bend of T^2 between the corners.
         elif behind > 0.5 * law[1] * (rising + 1.5 * steep) + 0.75 * BLOCK * BLOCK * across * slow:
             continue
         kept[left] = i

@@ -97,9 +97,9 @@ class BubblesModel(WindowModel):
     Attributes
     ----------
     found : BubblesConfig
-        Those with which they grow: as they were given, or found for an exemplar.
+        Settings of growth: as they were given, or found for an exemplar.
     report : dict
-        How they were found (`calibrate.calibrate`); empty where they were given.
+        Report of the search (`calibrate.calibrate`); empty where they were given.
     """
 
     capabilities = CAPABILITIES
@@ -190,9 +190,8 @@ class BubblesModel(WindowModel):
         wanted = self._target_porosity(request)
         if wanted is None:
             return np.float32(run.growth.law.latest**2)
-        # A porosity that was found for an exemplar is the material's, whatever form is cut of it;
-        # one that was asked for
-        # is the form's.
+        # A porosity found for an exemplar is that of the material, in any form cut of it; a
+        # porosity from settings or target is that of the form.
         mask = None if self.config.porosity is None and not request.target else request.mask
         whole = mask is None
         if whole not in run.arrivals:
@@ -203,10 +202,9 @@ class BubblesModel(WindowModel):
         if not arrivals.reaches(float(np.max(wanted))):
             raise RequestError(
                 f"porosity {np.max(wanted):.4g} is out of reach, {arrivals.most:.4g} is the most "
-                "that walls and the time to "
-                "grow leave: ask for less (one number, or a field that is nowhere above it), or "
-                "for thinner walls "
-                "(separation, thickness) or more coalescence"
+                "that walls and the time to grow leave: ask for less (one number, or a field that "
+                "is nowhere above it), or for thinner walls (separation, thickness) or more "
+                "coalescence"
             )
         return arrivals.level(wanted)
 
@@ -279,8 +277,8 @@ def _porosity_in_box(wanted: np.ndarray, mask: np.ndarray | None, box: Box) -> n
     """Return the field of porosity in a box (Z, Y, X), 0 outside of the mask."""
     if any(start < 0 or stop > side for (start, stop), side in zip(box, wanted.shape, strict=True)):
         raise InputError(
-            f"the box {box} leaves the porosity's field of shape {wanted.shape}: nothing says what "
-            "it is there"
+            f"the box {box} leaves the porosity's field of shape {wanted.shape}: nothing says "
+            "what it is there"
         )
     cut = slices_of(box)
     part = wanted[cut] if mask is None else np.where(mask[cut], wanted[cut], np.float32(0))

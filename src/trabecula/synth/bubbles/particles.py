@@ -234,7 +234,7 @@ def grow_particles(
     Raises
     ------
     InputError
-        The porosity is not reached; the message tells the most that is.
+        The porosity is not reached; the message has the highest one in reach.
     """
     field = _ParticleField(shape, separation, periodic, room, directions)
     inside = seeds if room is None else seeds[room[tuple(seeds.T)]]
@@ -255,10 +255,9 @@ def grow_particles(
             break
     if goal is not None and taken < goal:
         raise InputError(
-            f"a porosity of {porosity:.4f} is not reached: bubbles that stay {separation:g} voxels "
-            "apart fill "
-            f"{taken / max(total, 1):.4f} at most; make the separation smaller, let them grow "
-            "longer, or ask for less"
+            f"a porosity of {porosity:.4f} is not reached: bubbles that stay {separation:g} "
+            f"voxels apart fill {taken / max(total, 1):.4f} at most; make the separation smaller, "
+            "let them grow longer, or ask for less"
         )
     return Grown(field.air.reshape(shape).view(bool), last + 1, len(np.unique(contour[1])))
 
@@ -305,7 +304,7 @@ class _ParticleField:
         grant(positions, bubbles, rank, self.claim, self.ball, self.sides, self.wraps, keep, won)
         self.claim[positions] = FREE
         if left is not None and np.count_nonzero(won) > left:
-            # The last round: the order of ranks, then of places, says who is still served.
+            # The last round: ranks, then places, decide who still gets a voxel.
             order = np.lexsort((positions, rank[bubbles], ~won))
             won[order[left:]] = False
         occupy_voxels(
@@ -334,8 +333,8 @@ def _offsets(reach: int, axes: int, below: float) -> np.ndarray:
     return np.array([(0,) * (3 - axes) + step for step in steps], np.int64).reshape(-1, 3)
 
 
-_A_VOXEL = 110  # bytes: who stands near it, who asks for it, the contours
-_A_DIRECTION = 10  # bytes more of a voxel: the flow there, and its turn into int8
+_A_VOXEL = 110  # bytes a voxel: near, claim, the contours
+_A_DIRECTION = 10  # bytes more a voxel: the flow there, and its conversion to int8
 
 
 def grow_request(

@@ -25,9 +25,9 @@ COUNTED = 1 << 21
 
 _FEWEST, _MOST = 1 << 16, 1 << 18  # blocks of a larger one
 _EACH = 8  # blocks for each bubble, between the two
-# voxels along an edge of what is looked at together, where all are counted and where some are
+# voxels along an edge of a box of blocks, where all voxels are counted and where some are
 _PARTS = (64, 256)
-_A_VOXEL = 26  # bytes for each voxel that is counted, meanwhile
+_A_VOXEL = 26  # bytes for each counted voxel during the count
 
 
 @dataclass(frozen=True)

@@ -85,17 +85,17 @@ def grow(
     ----------
     labels : (Z, Y, X)
         Of the box that begins at voxel `corner`: `phases[0]` where T^2 <= `level`, else
-        `phases[1]`. Where `levels` (Z, Y, X) float32 is not empty, it says so of every voxel, and
-        `level` is the highest of them.
+        `phases[1]`. Where `levels` (Z, Y, X) float32 is not empty, it holds the level of every
+        voxel, and `level` is the highest of them.
     first, sides : (3,) int64
         The cubes of 16 voxels that cover the box. Their blocks `start` .. `stop` are grown, cube by
         cube, part by part.
     values, blocks, picks : (N, P) float32, (N, 3) int64, (1 or N, P) uint8
-        Where `blocks` is not empty, those from `start` to `stop` are grown instead, and the voxels
-        of these numbers told.
+        Where `blocks` is not empty, those from `start` to `stop` are grown instead, and `values`
+        gets T^2 of the voxels of these numbers.
     """
-    # Arrays are taken apart once and handed on one by one: each time numba takes a tuple apart it
-    # counts references.
+    # Tuples are unpacked once and their arrays passed one by one: Numba counts references each time
+    # it unpacks a tuple.
     (shifts, flow, origins), (starts, places, brakes, flows, names), (low, cells, edges), law = (
         world
     )

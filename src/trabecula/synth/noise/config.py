@@ -46,7 +46,7 @@ class NoiseConfig:
 
     thickness: float | None = None
     """Of the walls of "voronoi" and the struts of "voronoi_edges", in the image's unit, above 0.
-    The porosity is then what it leaves. None: as thick as the porosity asks for."""
+    The porosity then follows from it. None: the thickness follows from the porosity."""
 
     jitter: float = 1.0
     """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells, 0

@@ -176,7 +176,7 @@ MOST_REACH = 100
 def reach_of(shape: Sequence[int], config: NoiseConfig, *, flat: bool) -> tuple[int, ...]:
     """Return the largest offsets of an exemplar's two-point function along every axis."""
     reach = tuple(min(config.reach, (side - 1) // 2) for side in shape)
-    # In a flat exemplar, what it does not show along its normal is what it shows across.
+    # A flat exemplar shows nothing along its normal, which then takes the reach across it.
     return (
         (min(far for far in reach if far),) * 3
         if config.isotropic and any(reach) and not flat
@@ -190,7 +190,7 @@ def fit_filters(
     """Return a filter per phase but the last, each within the rest of the phases before."""
     reach = reach_of(values.shape, config, flat=flat)
     left = np.ones(values.shape, bool)
-    filters = []
+    filters: list[Filter] = []
     for label in present[:-1]:
         inside = values == label
         filters.append(_fit_phase(inside, left, reach, config))
@@ -204,9 +204,8 @@ def _fit_phase(
     """Return the filter of one phase within the voxels that are left."""
     fraction = float(np.count_nonzero(inside) / np.count_nonzero(left))
     if fraction > 0.5:
-        # Either side of the threshold tells the covariance. The rarer does so far better: the
-        # chance surplus of a phase
-        # at some offset is in proportion to its fraction.
+        # The covariance follows from either side of the threshold, and from the rarer one far
+        # better: the chance surplus of a phase at an offset is in proportion to its fraction.
         inside, fraction = left & ~inside, 1 - fraction
     seen = tuple(min(far, side - 1) for far, side in zip(reach, left.shape, strict=True))
     pairs = counts_by_offset(left, seen)

@@ -73,8 +73,7 @@ def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Imag
         said = f"kind={config.kind!r}" if config.kind != "gaussian" else "porosity"
         raise InputError(
             f"{said} is of void and solid, the exemplar has {len(labels)} phases: merge phases "
-            "first, or leave it to the "
-            "Gaussian field of its covariance"
+            "first, or leave it to the Gaussian field of its covariance"
         )
     void = facts.phases.index("void") if "void" in facts.phases else labels[0]
     if len(labels) == 2 and config.porosity is not None:
@@ -110,8 +109,8 @@ def choose_field(
     if filters:
         if config.length is not None:
             raise InputError(
-                "length has no say where the exemplar's covariance is followed: name a covariance, "
-                "or leave length out"
+                "length has no say where the exemplar's covariance is followed: name a "
+                "covariance, or leave length out"
             )
         return GaussianField(filters)
     spacing = (facts.spacing[0],) * (3 - facts.ndim) + facts.spacing
@@ -123,10 +122,9 @@ def choose_field(
     name = "gaussian" if config.covariance == "auto" else config.covariance
     if max(covariance_reach(name, lengths, flat=flat)) > MOST_REACH:
         raise InputError(
-            f"length={config.length} is {max(lengths):.0f} voxels, of which a filter of covariance "
-            f"{name!r} would reach "
-            f"{max(covariance_reach(name, lengths, flat=flat))}, {MOST_REACH} at most: use larger "
-            "voxels, or a shorter length"
+            f"length={config.length} is {max(lengths):.0f} voxels, of which a filter of "
+            f"covariance {name!r} would reach {max(covariance_reach(name, lengths, flat=flat))}, "
+            f"{MOST_REACH} at most: use larger voxels, or a shorter length"
         )
     return GaussianField([covariance_filter(name, lengths, flat=flat)])
 
@@ -156,8 +154,7 @@ def _check_cells(config: NoiseConfig, lengths: Sequence[float], unit: str) -> No
         octave = " in its last octave" if config.kind == "perlin" and config.octaves > 1 else ""
         raise InputError(
             f"length={config.length} {unit} is {finest:.3g} voxels{octave}, {config.kind} noise "
-            f"needs {least} at least: give a "
-            "longer length, or smaller voxels (spacing)"
+            f"needs {least} at least: give a longer length, or smaller voxels (spacing)"
         )
 
 

@@ -51,8 +51,7 @@ class Noise(Method):
         if any(1 < side < _LEAST for side in exemplar.shape):
             raise InputError(
                 f"the exemplar is {exemplar.shape}, the two-point function needs {_LEAST} voxels "
-                "along an axis (or 1, for a "
-                "flat image): give a larger exemplar"
+                "along an axis (or 1, for a flat image): give a larger exemplar"
             )
         return NoiseModel(self.config, exemplars)
 
@@ -101,7 +100,7 @@ class NoiseModel(WindowModel):
         )
         self._fields: dict[bool, Field] = {}
         two = isinstance(config.length, tuple) and len(config.length) == 2
-        # so that what cannot be is told before anything is asked for
+        # so that impossible settings raise before any request
         self._field(two or self.facts[0].ndim == 2)
 
     def _field(self, flat: bool) -> Field:

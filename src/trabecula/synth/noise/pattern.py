@@ -65,10 +65,8 @@ def _cube_numbers(axis: Axis) -> np.ndarray:
 
 
 Fill = Callable[[np.ndarray, VoxelGrid, int, NoiseConfig, float], None]
-"""Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a
-seed.
-
-Above the last argument any number above it will do.
+"""Function that writes the numbers of a grid's voxels for a seed into (Z, Y, X) int32, high where
+void is. Above the last argument any number above it will do.
 """
 
 PATTERNS: dict[str, tuple[Fill, int]] = {
@@ -79,8 +77,8 @@ PATTERNS: dict[str, tuple[Fill, int]] = {
     "white": (white, 1 << 31),
     "worley": (worley, 0),
 }
-"""What fills a pattern, and how many numbers it chooses from, each as often; 0 where a trial has to
-tell.
+"""Function of a pattern, and the count of its numbers, all equally frequent; 0 where only a trial
+finds the level.
 """
 
 _BRICK = (32, 64, 256)

@@ -20,7 +20,7 @@ class Domain:
     periodic : three bools
     seed : int
     flat : bool
-        Whether a picture was asked for.
+        Whether the request is a picture.
     """
 
     shape: tuple[int, ...]

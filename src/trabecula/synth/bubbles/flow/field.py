@@ -142,7 +142,10 @@ class Flow:
             return None
         turned = (mask[None] if self._flat else mask).transpose(self._order)
         return MaskSlices(
-            turned, self._edges, pieces=self._config.flow_centre == "piece", silhouette=silhouette
+            turned,
+            self._edges,
+            by_component=self._config.flow_centre == "piece",
+            silhouette=silhouette,
         )
 
     def _slice(
@@ -187,13 +190,13 @@ class Flow:
         if form is None or self._config.flow_centre == "box":
             down, right = (self._frames.middle[axis] for axis in self._order[1:])
             return down, right
-        if form.pieces is None:
+        if form.centres is None:
             return form.centre[0] * self._edges[0], form.centre[1] * self._edges[1]
         rows, columns = (
             np.clip(nodes, 0, side - 1)
-            for nodes, side in zip((tall, wide), form.pieces[0].shape, strict=True)
+            for nodes, side in zip((tall, wide), form.centres[0].shape, strict=True)
         )
-        down, right = (part[np.ix_(rows, columns)] for part in form.pieces)
+        down, right = (part[np.ix_(rows, columns)] for part in form.centres)
         return down * self._edges[0], right * self._edges[1]
 
     def _directions_of(
@@ -205,7 +208,7 @@ class Flow:
             point = self._frames.points(place, tall, wide)
             velocity = self._frames.velocity(system, centre)
             for axis, part in enumerate(step_direction(velocity, point, self._step)):
-                # some are the same all over the slice
+                # some are constant over the slice
                 found[..., axis] = part if part.ndim < 3 else part[0]
         return found
 
@@ -250,10 +253,10 @@ def _labels(config: FlowConfig) -> np.ndarray:
     return array
 
 
-_OWN = 1000  # of a slice that is kept, beside its arrays
-_STEP = 340  # a node of a slice, while the step of Runge-Kutta is taken
-_PIECES = 60  # a voxel of a slice, while its parts are told apart
-_DISTANCE = 7  # a voxel of a slab, while distances are found
+_OWN = 1000  # bytes of a stored slice beside its arrays
+_STEP = 340  # bytes a node of a slice during the Runge-Kutta step
+_COMPONENTS = 60  # bytes a voxel of a slice during the labelling of its components
+_DISTANCE = 7  # bytes a voxel of a slab during the distance transform
 _LEAST = 100_000
 
 
@@ -297,7 +300,7 @@ def bytes_of_flow(
             work += 64 * around
         if config.flow_centre == "piece":
             each += 8 * voxels
-            work += _PIECES * voxels
+            work += _COMPONENTS * voxels
         kept = min(KEPT + each, math.ceil(along / step) * each)
         work += 3 * voxels
     return int(work + kept + (_of_room(shape, crust, edges) if crust else 0)) + _LEAST

@@ -23,7 +23,7 @@ from trabecula.io import files
 
 MARK = "#sha256="
 _ARRAY, _FUNCTION = "an array in memory, SHA-256 ", "a function in memory, "
-_PROBES = 5  # points along an axis at which a function's values tell it from another
+_PROBES = 5  # points along an axis at which a function's values identify it
 
 
 class Given(str):
@@ -39,7 +39,7 @@ class Given(str):
     function: Callable[..., Any] | None = None
 
     def __deepcopy__(self, memo: Any) -> Given:
-        return self  # settings are copied wherever they are told, and an array may be large
+        return self  # settings are copied often, and an array may be large
 
 
 def as_given(value: Any, *, name: str) -> Given | None:
@@ -71,8 +71,8 @@ def as_given(value: Any, *, name: str) -> Given | None:
     if value.startswith((_ARRAY, _FUNCTION)):
         what = "array" if value.startswith(_ARRAY) else "function"
         raise InputError(
-            f"{name} was {value}: nothing says how to make it again; give the {what} as {name}, or "
-            "its file"
+            f"{name} was {value}: nothing says how to make it again; give the {what} as {name}, "
+            "or its file"
         )
     is_file = MARK in value or Path(value).suffix.lower() in (
         ".npy",
@@ -145,7 +145,7 @@ def _name_of(function: Callable[..., Any]) -> str:
 
 
 def _probe_digest(function: Callable[..., Any], name: str) -> str:
-    """Return a digest of a function's values at fixed points, to tell it from another function."""
+    """Return a digest of a function's values at fixed points, to identify it."""
     at = np.linspace(-1.0, 1.0, _PROBES)
     z, y, x = (part.ravel() for part in np.meshgrid(at, at, at, indexing="ij"))
     return digest(call_function(function, z, y, x, name=name))[:12]
@@ -167,7 +167,6 @@ def call_function(
     except (TypeError, ValueError):
         raise InputError(
             f"the function {_name_of(function)} ({name}) takes arrays z, y, x and returns three "
-            "arrays of their shape, "
-            f"the velocities along z, y and x: got {type(found).__name__}"
+            f"arrays of their shape, the velocities along z, y and x: got {type(found).__name__}"
         ) from None
     return np.stack([z1, y1, x1])

@@ -10,8 +10,8 @@ from trabecula.core.errors import InputError
 from trabecula.engine.blocks import Box, slices_of
 from trabecula.measure.distance import distance_transform
 
-SLAB = 64  # voxels along z whose distances are held at once
-MARGIN = 2  # voxels around what distances are found of, beside the crust's own
+SLAB = 64  # planes along z in one distance transform
+MARGIN = 2  # voxels around a part for its distance transform, beside the crust's own
 
 
 class Room:
@@ -20,7 +20,7 @@ class Room:
     Parameters
     ----------
     mask : (Z, Y, X) or (Y, X) bool array
-        The form; beyond the array is nothing of it.
+        The form; it ends at the faces of the array.
     crust : float
         Depth below the surface, above 0; the surface lies half a voxel before the first centre
         outside.
@@ -65,14 +65,14 @@ class Room:
     def _check(self) -> None:
         """Raise where the crust leaves nothing of the form."""
         areas = self._mask.reshape(len(self._mask), -1).sum(axis=1)
-        # The slice that holds most tells nearly always.
+        # The slab of the fullest slice nearly always decides.
         first = int(areas.argmax()) // self._slab
         count = -(-len(self._mask) // self._slab)
         if not any(self._bits(number).any() for number in (first, *range(count))):
             raise InputError(
                 "the mask has no room: no voxel lies deeper in it than its crust of "
-                f"{self._crust:g}; take a thinner crust, or "
-                "a larger form (a shape scales a surface to it)"
+                f"{self._crust:g}; take a thinner crust, or a larger form (a shape scales a "
+                "surface to it)"
             )
 
     def _bits(self, number: int) -> np.ndarray:

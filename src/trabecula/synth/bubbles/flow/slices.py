@@ -42,7 +42,7 @@ def along_outline(plane: np.ndarray, thickness: float) -> tuple[np.ndarray, np.n
     every, cells = cell_of(thickness)
     counts = _counts(plane, every)
     rows, columns = np.zeros((2, *counts.shape))
-    held = bounding_slices(counts)  # what lies around the form is nobody's
+    held = bounding_slices(counts)
     smooth = _disc_sums(np.pad(counts[held], cells), cells - 1)
     rows[held] = -(smooth[1:-1, 2:] - smooth[1:-1, :-2])
     columns[held] = smooth[2:, 1:-1] - smooth[:-2, 1:-1]
@@ -92,10 +92,10 @@ def _disc_sums(values: np.ndarray, radius: int) -> np.ndarray:
 CENTRES = ("slice", "piece", "box")
 
 ORDER = {"z": (0, 1, 2), "y": (1, 0, 2), "x": (2, 0, 1)}
-"""Axes of a volume by principal axis: along it, then y and x of a slice. So these are y and x
-across z, z and x across y, z and y across x."""
+"""Axes of a volume by principal axis: along it, then y and x of a slice; y and x across z, z and x
+across y, z and y across x."""
 
-KEPT = 64 << 20  # bytes of slices that are kept for the boxes beside
+KEPT = 64 << 20  # bytes of slices stored for neighbouring boxes
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class Slice:
         Centre of mass.
     extent : pair of int
         Height and width of the box around what it holds, voxels.
-    pieces : pair of (V, U) float32 arrays, or None
-        Of every place the centre of mass of the part that it lies in.
+    centres : pair of (V, U) float32 arrays, or None
+        Centre of mass of the connected component around every place.
     outline : (rows, columns, 2) int8 array, or None
         Unit vectors along the border times 127, one a cell; 0 where none is near.
     every : int
@@ -119,14 +119,14 @@ class Slice:
 
     centre: tuple[float, float]
     extent: tuple[int, int]
-    pieces: tuple[np.ndarray, np.ndarray] | None = None
+    centres: tuple[np.ndarray, np.ndarray] | None = None
     outline: np.ndarray | None = None
     every: int = 1
 
     @property
     def nbytes(self) -> int:
         """Return the memory of the slice."""
-        arrays = [*(self.pieces or ()), *([] if self.outline is None else [self.outline])]
+        arrays = [*(self.centres or ()), *([] if self.outline is None else [self.outline])]
         return 1000 + sum(array.nbytes for array in arrays)
 
 
@@ -139,16 +139,21 @@ class MaskSlices:
         Its axes in the order of `ORDER`.
     edges : two floats
         Of a voxel, along rows and columns.
-    pieces : bool
-        Whether parts that do not touch have centres of their own.
+    by_component : bool
+        Whether every connected component has a centre of its own.
     silhouette : float
-        Length up to which the outline is followed; 0: not.
+        Length up to which bubbles follow the outline; 0: not.
     """
 
     def __init__(
-        self, mask: np.ndarray, edges: tuple[float, ...], *, pieces: bool, silhouette: float
+        self, mask: np.ndarray, edges: tuple[float, ...], *, by_component: bool, silhouette: float
     ) -> None:
-        self._mask, self._edges, self._pieces, self._silhouette = mask, edges, pieces, silhouette
+        self._mask, self._edges, self._by_component, self._silhouette = (
+            mask,
+            edges,
+            by_component,
+            silhouette,
+        )
         self._known: dict[int, Slice | None] = {}
         self._held = 0
 
@@ -175,15 +180,15 @@ class MaskSlices:
         centre = centre_of(plane)
         if centre is None:
             return None
-        pieces = component_centres(plane, centre) if self._pieces else None
+        centres = component_centres(plane, centre) if self._by_component else None
         if not self._silhouette:
-            return Slice(centre, extent_of(plane), pieces)
+            return Slice(centre, extent_of(plane), centres)
         # Thickness and cells are voxels of the finer axis. A gradient is per length; turned by 90
         # degrees its components
         # change places, and so do the edges.
         rows, columns, every = along_outline(plane, self._silhouette / min(self._edges))
         along = unit((rows * self._edges[0], columns * self._edges[1]))
-        return Slice(centre, extent_of(plane), pieces, pack_int8(np.stack(along, axis=-1)), every)
+        return Slice(centre, extent_of(plane), centres, pack_int8(np.stack(along, axis=-1)), every)
 
 
 def centre_of(plane: np.ndarray) -> tuple[float, float] | None:

@@ -97,8 +97,8 @@ def _of_formulas(text: str, *, named: bool) -> System:
     count = _parts(text)
     if count not in (2, 3):
         raise InputError(
-            f"the flow {text!r} has {count} formulas: give two, of x' and y' in a slice, or three, "
-            "of x', y' and z'"
+            f"the flow {text!r} has {count} formulas: give two, of x' and y' in a slice, or "
+            "three, of x', y' and z'"
         )
     formulas = expressions(text, ("x", "y", "z"), count=count)
     used = frozenset().union(*(formula.names for formula in formulas))
@@ -147,10 +147,10 @@ def _of_array(given: Given, name: str) -> System:
         array = flat
     if array.ndim != 4 or array.shape[-1] != 3:
         raise InputError(
-            f"{name} is an array of shape {array.shape}: give (Z, Y, X, 3), vectors along z, y, x, "
-            "or (Y, X, 2) for a picture"
+            f"{name} is an array of shape {array.shape}: give (Z, Y, X, 3), vectors along z, y, "
+            "x, or (Y, X, 2) for a picture"
         )
-    # Whatever its unit, what is slow is told from what stands still by the fastest.
+    # Scaled by the fastest vector, so that a slow one differs from 0 in any unit.
     vectors = np.ascontiguousarray(array, np.float64)
     vectors = vectors / max(float(np.abs(vectors).max()), 1e-300)
 
