@@ -70,7 +70,7 @@ def test_even_points_fill_the_ranges_that_are_near():
 
 
 def balls(radius, *, period=16, side=48):
-    """Void balls on a cubic lattice in solid."""
+    """Return void balls on a cubic lattice in solid."""
     z, y, x = np.ogrid[:side, :side, :side]
     far = sum(((axis % period) - (period - 1) / 2) ** 2 for axis in (z, y, x))
     return tb.Image((far > radius**2).astype(np.uint8), "labels")
@@ -127,7 +127,7 @@ def exemplar(side=40, **settings):
 
 @pytest.fixture(scope="module")
 def own():
-    """A foam of settings that are known, and the model that was found for it."""
+    """Return a foam of known settings, and the model found for it."""
     known = exemplar()
     return known, tb.method("bubbles", trials=20).fit(known)
 
@@ -199,7 +199,7 @@ def test_an_exemplar_with_bubbles_at_its_rim_alone_is_refused():
 
 
 def test_a_file_tells_what_was_found(tmp_path, monkeypatch):
-    """Loading looks for nothing."""
+    """Load without a search."""
     model = tb.method("bubbles", trials=4).fit(tb.crop(tb.sample("bone"), 24))
     model.save(tmp_path / "bone.model")
     monkeypatch.setattr("trabecula.synth.bubbles.method.calibrate", None)

@@ -125,7 +125,7 @@ def test_a_form_that_fills_its_box_has_its_border_at_the_faces():
 
 
 def test_the_gradient_is_that_of_the_blurred_slice():
-    """Beside SciPy: the mean over a disc and a central difference."""
+    """Compare with SciPy: the mean over a disc and a central difference."""
     rng = np.random.default_rng(3)
     plane = ndimage.gaussian_filter(rng.normal(size=(50, 40)), 5) > 0
     rows, columns, every = along_outline(plane, 7)

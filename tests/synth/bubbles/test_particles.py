@@ -12,8 +12,8 @@ def seeds_in(shape, count, number=0):
     return np.unique(np.stack([rng.integers(0, side, count) for side in shape], 1), axis=0)
 
 
-def bodies(air):
-    """Connected parts (corners count) of a picture or volume, as sets of places."""
+def components(air):
+    """Return the connected components (corners count) of a picture or volume, as sets of places."""
     left, parts = {tuple(place) for place in np.argwhere(air)}, []
     while left:
         part, edge = set(), [left.pop()]
@@ -37,7 +37,7 @@ def test_one_particle_without_a_flow_becomes_a_square_a_round():
 @pytest.mark.parametrize("shape", [(60, 50), (20, 24, 22)])
 def test_particles_stay_apart(shape, separation):
     air = grow_particles(seeds_in(shape, 12), shape, seed=3, separation=separation).air
-    parts = bodies(air)
+    parts = components(air)
     assert 5 <= len(parts) <= 12
     places = [np.array(sorted(part)) for part in parts]
     for i, one in enumerate(places):
@@ -53,7 +53,7 @@ def test_full_means_that_nothing_more_fits():
     shape = (50, 50)
     result = grow_particles(seeds_in(shape, 9), shape, seed=3, separation=2)
     assert result.alive == 0
-    parts = [np.array(sorted(part)) for part in bodies(result.air)]
+    parts = [np.array(sorted(part)) for part in components(result.air)]
     for place in np.argwhere(~result.air):
         near = sum(((part - place) ** 2).sum(1).min() < 9 for part in parts)
         assert near >= 2

@@ -44,7 +44,7 @@ def relative(made, wanted):
 
 @given(fraction=st.floats(0.02, 0.98), covariance=st.floats(-0.95, 0.99))
 def test_the_joint_probability_is_the_bivariate_normals(fraction, covariance):
-    """Oracle: SciPy's bivariate normal distribution."""
+    """Compare with SciPy's bivariate normal distribution."""
     angle, table = joint_probability(fraction)
     t = norm.isf(fraction)
     wanted = multivariate_normal.cdf([-t, -t], cov=[[1, covariance], [covariance, 1]])
@@ -110,7 +110,7 @@ def test_white_noise_is_standard_normal_and_by_coordinate():
 
 
 def test_a_voxel_is_the_sum_over_the_filter_to_the_last_bit():
-    """Oracle: the convolution, in whole numbers, voxel by voxel."""
+    """Compare with the convolution, in whole numbers, voxel by voxel."""
     model = tb.method("noise", reach=4).fit(
         exponential((24, 24, 24), scale=2, seed=9, fraction=0.4)
     )

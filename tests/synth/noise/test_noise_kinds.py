@@ -24,7 +24,7 @@ LATTICES = sorted(pattern.PATTERNS)
 
 
 def noise(kind, *, spacing=1.0, **settings):
-    """A model without an exemplar, its cells six voxels wide."""
+    """Return a model without an exemplar, its cells six voxels wide."""
     length = {} if kind == "white" else {"length": 6 * spacing}
     return tb.method("noise", **{"kind": kind, **length, **settings}).fit(
         spacing=spacing, unit="um"
@@ -32,7 +32,7 @@ def noise(kind, *, spacing=1.0, **settings):
 
 
 def field(kind, shape, *, edge=8.0, spacing=1.0, seed=3, **settings):
-    """The numbers that are cut, of a volume or a picture."""
+    """Return the numbers of a volume or a picture before the cut."""
     flat = len(shape) == 2
     config = NoiseConfig(kind=kind, **settings)
     lattice = pattern.LatticePattern(config, (edge,) * 3, (spacing,) * 3, flat=flat)
@@ -121,7 +121,7 @@ GOLDEN = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_machine_makes_these_voxels(kind):
-    """Frozen: they change with the arithmetic, which has to be the same everywhere."""
+    """Compare with frozen voxels: the arithmetic has to be the same everywhere."""
     assert (
         digest(noise(kind, porosity=0.6).generate((20, 22, 24), seed=7).values)[:16] == GOLDEN[kind]
     )
@@ -187,7 +187,7 @@ def small_grid(shape, edge=8.0) -> VoxelGrid:
 
 
 def test_worley_is_the_distance_to_the_nearest_point():
-    """Oracle: SciPy's tree of the same points."""
+    """Compare with SciPy's tree of the same points."""
     points, places = cells_of(small_grid((24, 20, 28)), seed=3, margin=3)
     distance, _ = cKDTree(points.place).query(places)
     assert np.array_equal(field("worley", (24, 20, 28)).ravel(), np.rint(distance**2))
@@ -195,7 +195,7 @@ def test_worley_is_the_distance_to_the_nearest_point():
 
 @pytest.mark.parametrize("shape", [(18, 15, 20), (40, 44)])
 def test_walls_are_planes_half_way_between_points(shape):
-    """Oracle: the planes between a voxel's nearest point and all others, one by one."""
+    """Compare with the planes between a voxel's nearest point and all others, one by one."""
     lifted = (1,) * (3 - len(shape)) + shape
     points, places = cells_of(small_grid(lifted), seed=3, margin=4)
     squares = ((places[:, None] - points.place) ** 2).sum(-1)

@@ -17,8 +17,8 @@ from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.nucleation import FINE
 
 LATEST = {3: 1.6, 2: 2.2}
-"""Latest end of growth, in units of L, by dimensions: bubbles have then reached all but one point in
-3 (in 4) million."""
+"""Latest end of growth, in units of L, by dimensions: bubbles have then reached all but one
+point in 3 (in 4) million."""
 
 REPULSIONS = 2
 PUSH = 0.25
