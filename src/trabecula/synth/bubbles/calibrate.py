@@ -83,8 +83,9 @@ class Search:
         return len(self.tried) >= self.most
 
     def evaluate(self, point: Sequence[float]) -> tuple[float, Point]:
-        """Return the cost of a point clipped to the ranges, and that point; infinite without
-        trials.
+        """Return the cost of a point clipped to the ranges, and that point.
+
+        The cost is infinite where no trial is left.
         """
         inside = tuple(min(max(x, s.low), s.high) for x, s in zip(point, self.scales, strict=True))
         if inside not in self.tried:
@@ -94,8 +95,9 @@ class Search:
         return self.tried[inside], inside
 
     def run(self, starts: Sequence[Sequence[float]], *, halvings: int = 3) -> None:
-        """Search for the least cost: from the best start until the steps are small, then from the
-        next.
+        """Search for the least cost from the best start until the steps are small.
+
+        Then it goes on from the next start while trials are left.
         """
         costs = sorted(self.evaluate(start) for start in starts)
         for begun in costs:

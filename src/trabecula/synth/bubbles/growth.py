@@ -61,24 +61,19 @@ class Growth:
     def fill(
         self, labels: np.ndarray, corner: Sequence[int], phases: tuple[int, int], level: Any
     ) -> None:
-        """Label a box from voxel `corner` on: void up to T^2 = `level` (a number or a field), solid
-        beyond.
+        """Label a box from voxel `corner` on: void up to T^2 = `level`, solid beyond.
+
+        The level is a number or a field.
         """
         levels = level if isinstance(level, np.ndarray) else _NO_LEVELS
         latest = np.float32(level.max() if isinstance(level, np.ndarray) else level)
         box = tuple((first, first + side) for first, side in zip(corner, labels.shape, strict=True))
         first, sides = self._cubes(box)
-        nothing = (np.empty((0, 3), np.int64), np.empty((0, 0), np.uint8))
+        no_values, no_blocks = np.empty((0, 0), np.float32), np.empty((0, 3), np.int64)
+        region = (np.array(corner, np.int64), first, sides)
+        given = (labels, no_values, *region, no_blocks, np.empty((0, 0), np.uint8))
         shades = np.array(phases, labels.dtype)
         rest = (self._flat, self.world(box), latest, levels, np.uint64(self.law.merging), shades)
-        given = (
-            labels,
-            np.empty((0, 0), np.float32),
-            np.array(corner, np.int64),
-            first,
-            sides,
-            *nothing,
-        )
         blocks = int(np.prod(sides)) * SUPER**self.law.ndim
         for_slabs(lambda a, b: grow(*given, a, b, *rest), blocks, least=256)
         for start in range(0, len(labels), _PLANES):
@@ -94,17 +89,10 @@ class Growth:
         """
         values = np.empty((len(blocks), picks.shape[1]), np.float32)
         no_labels = np.empty((0, 0, 0), np.uint8)
-        none = np.zeros(3, np.int64)
-        world, latest = self.world(box), np.float32(self.law.latest**2)
-        rest = (
-            self._flat,
-            world,
-            latest,
-            _NO_LEVELS,
-            np.uint64(self.law.merging),
-            np.zeros(2, np.uint8),
-        )
+        none, no_phases = np.zeros(3, np.int64), np.zeros(2, np.uint8)
         given = (no_labels, values, none, none, none, blocks, picks)
+        latest, merging = np.float32(self.law.latest**2), np.uint64(self.law.merging)
+        rest = (self._flat, self.world(box), latest, _NO_LEVELS, merging, no_phases)
         for_slabs(lambda a, b: grow(*given, a, b, *rest), len(blocks), least=256)
         return values
 
@@ -128,8 +116,7 @@ class Growth:
         return first, last - first
 
     def _edges(self, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of cells in a period, and their edges, for cells of about `length`
-        voxels.
+        """Return the number of cells in a period, and the edges of cells, of about `length` voxels.
 
         The number is 0 along an axis that does not repeat.
         """
@@ -250,9 +237,7 @@ class Growth:
         return np.asarray(flow[tuple(nearest.T)] * HALF)
 
     def _directions(self, flow: Flow, low: np.ndarray, count: np.ndarray, step: int) -> np.ndarray:
-        """Return the flow at `count` points of the lattice of multiples of `step` voxels, from
-        `low` on.
-        """
+        """Return the flow at `count` points of the lattice of `step` voxels, from `low` on."""
         ends = tuple(
             (step * int(a), step * int(a + n - 1) + 1) for a, n in zip(low, count, strict=True)
         )

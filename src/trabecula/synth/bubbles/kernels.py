@@ -182,9 +182,7 @@ def _rows(at, low, rise, flat, bz, by):
 
 @inline
 def _slope(at, slopes, m):
-    """Set the slope of T^2 along z, y, x in the middle of a block, from its corners; returns its
-    length.
-    """
+    """Set the slope of T^2 along z, y, x in the middle of a block; returns its length."""
     z = 0.25 * _STEP * (at[4] + at[5] + at[6] + at[7] - at[0] - at[1] - at[2] - at[3])
     y = 0.25 * _STEP * (at[2] + at[3] + at[6] + at[7] - at[0] - at[1] - at[4] - at[5])
     x = 0.25 * _STEP * (at[1] + at[3] + at[5] + at[7] - at[0] - at[2] - at[4] - at[6])
@@ -196,11 +194,10 @@ def _slope(at, slopes, m):
 def set_forms(
     forms, slopes, at, ahead, low, rise, kept, count, around, flat, places, brakes, flows, law
 ):
-    """Set T^2 of bubbles at the voxels of a block, (bubble, voxel) float32, and the slopes in its
-    middle.
+    """Set T^2 of bubbles at the voxels of a block, and its slopes in the middle.
 
-    Of the first `count` kept, those stay that matter beside the first one, judged at the corners;
-    returns their number.
+    `forms` are (bubble, voxel) float32. Of the first `count` kept, those stay that matter beside
+    the first one, judged at the corners; returns their number.
     """
     across, less, rows = law[3], law[3] - law[4], 4 if flat else 16
     left, steep = 0, 0.0

@@ -126,9 +126,7 @@ def shift_nodes(shifts, start, stop, origin, step, vectors, first, edges, scale)
 
 @inline
 def _within(place, edge):
-    """Return the cell of a place, and the position in it, 0 .. 1, eased at both ends (3 t^2 - 2
-    t^3).
-    """
+    """Return the cell of a place, and the position in it, 0 .. 1, smoothed as 3 t^2 - 2 t^3."""
     at = place / edge
     cell = np.int64(np.floor(at))
     t = at - cell

@@ -1,5 +1,4 @@
-"""Growth by particles in rounds, as Baravalle et al. (2016) state it (section 3, algorithms 1 and
-2).
+"""Growth by particles in rounds (Baravalle et al. 2016, section 3, algorithms 1 and 2).
 
 A particle has the voxels that it occupies and a contour of voxels that it may take next. In a round
 every position of every contour asks for its voxel at once. It gets it where no other particle

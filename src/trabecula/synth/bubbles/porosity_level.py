@@ -32,12 +32,12 @@ _A_VOXEL = 26  # bytes for each counted voxel during the count
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Sorted T^2 of the counted voxels; infinite in walls and out of the room, so that these come
-    last.
+    """Sorted T^2 of the counted voxels.
 
     Attributes
     ----------
     values : (N,) float32 array
+        Those in walls and out of the room are infinite, and so the last.
     """
 
     values: np.ndarray
@@ -77,9 +77,7 @@ def arrivals_of(growth: Growth, shape: Sequence[int], mask: np.ndarray | None) -
 
 
 def bytes_counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
-    """Return the bytes of the arrivals, the bytes of finding them, and the edge of the boxes in
-    use.
-    """
+    """Return bytes of the arrivals, bytes of finding them, and the edge of a box of blocks."""
     wanted, picked, side = _sample_sizes(law, shape)
     voxels = math.prod(shape)
     values = min(wanted * picked, voxels)

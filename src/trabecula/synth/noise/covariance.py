@@ -43,9 +43,7 @@ class Filter:
 
 
 def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return S2 of a cut Gaussian field over arcsin of the covariance, -pi/2 .. pi/2 (equation
-    above).
-    """
+    """Return arcsin of the covariance, -pi/2 .. pi/2, and S2 of the cut field (equation above)."""
     threshold = NormalDist().inv_cdf(1 - fraction)
     angle = np.linspace(-np.pi / 2, np.pi / 2, _ANGLES + 1)
     # 1 + sin(-pi/2) is 0: the limit is 0, or 1 where the threshold is 0.
@@ -59,8 +57,9 @@ def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """Count pairs of True voxels at every offset, -reach .. reach along every axis, by Fourier
-    transform.
+    """Count pairs of True voxels at every offset, -reach .. reach along every axis.
+
+    The counts come from a Fourier transform.
     """
     return np.rint(sums_by_offset(inside, reach))
 

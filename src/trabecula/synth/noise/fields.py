@@ -43,7 +43,9 @@ class Field(Protocol):
 
 @dataclass(frozen=True)
 class Phases:
-    """Labels in the order in which they are cut, each where its field is high; the last is the
+    """Labels and volume fractions in the order of the cuts.
+
+    Each phase is where its field is high within the rest of those before; the last is the
     remainder.
 
     Attributes

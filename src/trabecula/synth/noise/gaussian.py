@@ -126,8 +126,9 @@ def inverse_transform(
     piece: tuple[slice, ...],
     use: Use,
 ) -> None:
-    """Transform a spectrum back, and pass the planes of a piece, from `first` in the box on, to
-    `use`.
+    """Transform a spectrum back, and pass its planes to `use`.
+
+    The planes are those of a piece of the result that starts at `first` in the box.
     """
     _along_z(spectrum, np.fft.ifft)
     depth, height, width = (cut.stop - cut.start for cut in piece)

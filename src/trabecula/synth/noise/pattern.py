@@ -132,9 +132,7 @@ class LatticePattern:
         for_slabs(slab, whole.shape[0])
 
     def level(self, number: int, share: float) -> float:
-        """Return the level above which the pattern has the share, or that leaves the given
-        thickness.
-        """
+        """Return the level for a share above it, or for the thickness of the settings."""
         if self.config.thickness is not None:
             return float(
                 np.floor(

@@ -100,15 +100,16 @@ KEPT = 64 << 20  # bytes of slices stored for neighbouring boxes
 
 @dataclass(frozen=True)
 class Slice:
-    """A slice that holds some of the form. Places are voxels from its corner, along rows and
-    columns.
+    """A slice that holds some of the form.
+
+    Places are voxels from its corner, along rows and columns.
 
     Attributes
     ----------
     centre : pair of float
         Centre of mass.
     extent : pair of int
-        Height and width of the box around what it holds, voxels.
+        Height and width of the bounding box, voxels.
     centres : pair of (V, U) float32 arrays, or None
         Centre of mass of the connected component around every place.
     outline : (rows, columns, 2) int8 array, or None

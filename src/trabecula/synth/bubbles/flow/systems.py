@@ -208,7 +208,7 @@ class Frames:
         self._slice_scale = extent / (in_slice / 2) if extent else 1.0
 
     def points(self, place: int, tall: np.ndarray, wide: np.ndarray) -> Vectors:
-        """Return the centres of voxels of a slice, as three arrays that broadcast to (1, rows,
+        """Return the centres of voxels of a slice: three arrays that broadcast to (1, rows,
         columns).
         """
         edges = [self.spacing[axis] for axis in self.order]
