@@ -1,7 +1,7 @@
 """Growing bubbles (Baravalle et al. 2016). See README.md in this folder."""
 
 from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.bubbles.flow.presets import PRESETS
+from trabecula.synth.bubbles.presets import PRESETS
 
 CAPABILITIES = Capabilities(
     name="bubbles",

@@ -8,7 +8,7 @@ from typing import Any
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.synth.bubbles.flow import FlowConfig
-from trabecula.synth.bubbles.flow.presets import PRESETS
+from trabecula.synth.bubbles.presets import PRESETS
 
 GROWTHS = ("fronts", "particles")
 
