@@ -10,7 +10,7 @@ import numpy as np
 
 import trabecula as tb
 from common import SCANS, busy, peak, table, timed, unit
-from trabecula.mesh.voxels import fitted
+from trabecula.mesh.voxels import fit_mesh
 
 BUBBLES = 7000
 PAPER = {128: (14.69, 34.61, "~75"), 256: (38.83, 155.99, "~25"), 384: (85.82, 356.35, "~33")}
@@ -140,7 +140,7 @@ def _loaded(side: int) -> tuple[float, np.ndarray | None]:
     """
 
     def load() -> np.ndarray:
-        mesh = fitted(tb.read_mesh(SCANS / "mesh_bunny.ply"), shape=side, spacing=1.0)
+        mesh = fit_mesh(tb.read_mesh(SCANS / "mesh_bunny.ply"), shape=side, spacing=1.0)
         return np.asarray(tb.voxelise(mesh, spacing=1.0, shape=side).values != 0)
 
     if not SCANS.is_dir():

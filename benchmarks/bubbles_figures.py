@@ -19,7 +19,7 @@ from PIL import ImageDraw
 import trabecula as tb
 from common import SCANS, busy, pictures, table
 from trabecula.core.seeds import generator
-from trabecula.mesh.voxels import fitted
+from trabecula.mesh.voxels import fit_mesh
 from trabecula.synth.bubbles.flow import FlowConfig, flow_of
 from trabecula.view.picture import font
 
@@ -169,7 +169,7 @@ def form(name: str, side: int) -> np.ndarray:
     """A mesh of the data folder in a cube of voxels."""
     mesh = tb.read_mesh(SCANS / f"mesh_{name}.ply")
     return tb.voxelise(
-        fitted(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side
+        fit_mesh(mesh, shape=side, spacing=1.0), spacing=1.0, shape=side
     ).values.astype(bool)
 
 

@@ -212,7 +212,7 @@ def formats_page() -> str:
         rows.setdefault((form.name, form.note), []).append(f"`{suffix}`")
     volumes = [(" ".join(names), name, note) for (name, note), names in rows.items()]
     volumes.append(("`/`", SLICES.name, SLICES.note))
-    surfaces = [(f"`{suffix}`", note) for suffix, (note, _) in FORMATS.items()]
+    surfaces = [(f"`{suffix}`", form.note) for suffix, form in FORMATS.items()]
     return f"""# Formats
 
 How they are used: [read and write formats](../howto/formats.md).

@@ -13,7 +13,7 @@ from PIL import Image as Pillow
 import trabecula as tb
 from steps.presets import loaf
 from trabecula.core.image import Image
-from trabecula.mesh.voxels import fitted
+from trabecula.mesh.voxels import fit_mesh
 
 SCANS = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 """Where the mesh of the bunny lies, if anywhere: it is not part of the project."""
@@ -133,7 +133,7 @@ def _drawn_bunny(folder: Path) -> bool:
     """Whether there is a mesh to fill."""
     if not (SCANS / "mesh_bunny.ply").exists():
         return False
-    form = fitted(tb.read_mesh(SCANS / "mesh_bunny.ply"), shape=200, spacing=1.0)
+    form = fit_mesh(tb.read_mesh(SCANS / "mesh_bunny.ply"), shape=200, spacing=1.0)
     lying = tb.voxelise(form, spacing=1.0).values > 0
     upright = np.ascontiguousarray(lying.transpose(1, 0, 2)[:, ::-1])
     made = _bubbles("bone", upright, distance=11)

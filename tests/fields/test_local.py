@@ -1,4 +1,4 @@
-"""Descriptors of every window, against the measures of each window alone."""
+"""Descriptors of every window, compared with the measures of each window alone."""
 
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ NAMES = {2: ["volume_fraction", "porosity", "perimeter", "euler"]}
 NAMES[3] = ["volume_fraction", "porosity", "surface", "mean_curvature", "euler"]
 
 
-def expected(window, name, **options):
+def reference(window, name, **options):
     if name == "porosity":
         return tb.measure.porosity(tb.Image(window, "labels"))
     if name == "volume_fraction":
@@ -46,7 +46,7 @@ def test_every_window_is_measured_as_it_would_be_alone(values, data):
     windows = np.lib.stride_tricks.sliding_window_view(values, (size,) * values.ndim)
     for name, field in fields.items():
         assert field.dtype == np.float32 and field.shape == windows.shape[: values.ndim]
-        alone = [expected(windows[at], name) for at in np.ndindex(*field.shape)]
+        alone = [reference(windows[at], name) for at in np.ndindex(*field.shape)]
         assert np.allclose(field.ravel(), alone, atol=1e-6), name
 
 
@@ -60,7 +60,7 @@ def test_neighbours_and_voxels_that_are_no_cubes(connectivity):
     for at in [(0, 0, 0), (1, 2, 3)]:
         window = values[tuple(slice(i, i + 4) for i in at)]
         for name, field in fields.items():
-            alone = expected(window, name, connectivity=connectivity, image={"spacing": spacing})
+            alone = reference(window, name, connectivity=connectivity, image={"spacing": spacing})
             assert field[at] == pytest.approx(alone, rel=1e-6)
 
 
@@ -100,11 +100,11 @@ def test_tiles_change_no_bit(monkeypatch):
     values = np.random.default_rng(3).random((23, 9, 11)) < 0.5
     whole = windowed(values, size=5, names=NAMES[3])
 
-    def scattered(work, length, count, least):
+    def scatter(work, length, count, least):
         bounds = [0, 1, 2, length // 2, length]
         for a, b in reversed(list(pairwise(bounds))):
             work(a, b)
 
-    monkeypatch.setattr(parallel, "_run", scattered)
+    monkeypatch.setattr(parallel, "_run", scatter)
     for name, field in windowed(values, size=5, names=NAMES[3]).items():
         assert np.array_equal(field, whole[name]), name

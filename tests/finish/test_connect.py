@@ -1,4 +1,4 @@
-"""Connect: what must be joined, what must go, and what must never change."""
+"""Connect: components to join, components to remove, and voxels that never change."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_what_is_farther_than_a_stated_reach_is_removed(gap, reach):
 
 
 def test_settings_of_0_1_give_what_they_gave():
-    """Its recipes hold a reach and a size: near parts are joined to the largest, far ones removed."""
+    """Replay recipes with a reach and a size: near components are joined, far ones removed."""
     settings = {"phase": None, "reach": 5, "brush": 2, "min_size": 30, "connectivity": None}
     near, far = connect(blocks(5), **settings), connect(blocks(6), **settings)
     assert (
@@ -67,7 +67,7 @@ def test_a_far_block_is_joined_where_no_reach_is_stated(gap):
 
 
 def test_joins_are_a_minimum_spanning_tree():
-    """Against Kruskal's tree over the shortest ways between all pairs of components."""
+    """Compare with Kruskal's tree over the shortest paths between all pairs of components."""
     from scipy.ndimage import label
     from scipy.sparse.csgraph import minimum_spanning_tree
 
@@ -96,7 +96,7 @@ def test_a_join_goes_about_straight():
 
 
 def test_what_no_way_leads_to_stays_unless_it_should_go():
-    """Another phase lies between the blocks, from wall to wall."""
+    """Put another phase between the blocks, from wall to wall."""
     values = blocks(3)
     values[:, :, 11] = 2
     image = tb.Image(values, "labels", phases=("void", "active", "binder"))
@@ -119,7 +119,7 @@ def test_a_way_around_what_is_closed_is_found():
 
 
 def test_joins_run_inside_of_the_form():
-    """Two limbs of a U: the way over the top is the shorter one."""
+    """Join two limbs of a U: the path over the top is the shorter one."""
     solid, form = np.zeros((20, 12, 20), np.uint8), np.zeros((20, 12, 20), bool)
     form[:, 4:8, :6] = form[:, 4:8, 14:] = form[14:, 4:8] = True
     solid[:10, 4:8, 1:5] = solid[:10, 4:8, 15:19] = 1
@@ -140,7 +140,7 @@ def test_joins_run_inside_of_the_form():
 
 
 def test_a_filled_form_keeps_its_limbs(bone, data):
-    """A cow of bone, 64 voxels long: two legs hang on nothing, a quarter of it."""
+    """Fill a cow with bone, 64 voxels long: two legs, a quarter of it, are loose."""
     mask = load_mask(data / "mesh_spot.ply", bone, shape=(64, 64, 64))
     model = tb.method("texture", preset="fast").fit(bone)
     made = next(
@@ -172,7 +172,7 @@ def test_losses_are_said():
 
 
 def test_a_speck_is_a_cube_of_the_mean_chord():
-    """Rods of 4 x 4 x 64 voxels: chords of 4, 4 and 64, the harmonic mean of which is 5.8."""
+    """Compare rods of 4 x 4 x 64 voxels: chords of 4, 4 and 64, of harmonic mean 5.8."""
     solid = np.zeros((64, 64, 64), np.uint8)
     for z in range(2, 64, 8):
         for y in range(2, 64, 8):

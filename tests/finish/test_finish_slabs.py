@@ -1,4 +1,4 @@
-"""Finished slab by slab in scratch files: the voxels, reports and recipe of the whole."""
+"""Finishing slab by slab, memory-mapped: the voxels, reports and recipe of the whole."""
 
 from functools import partial
 
@@ -20,7 +20,7 @@ from trabecula.measure import runs
 
 
 def grains(shape, seed=1, phases=2):
-    """Grains of which many hang on nothing, holes in them, and specks."""
+    """Return grains, many of them loose, with holes in them, and specks."""
     noise = np.random.default_rng(seed).random(shape)
     for axis in range(3):
         noise = noise + np.roll(noise, 1, axis) + np.roll(noise, 2, axis)
@@ -32,11 +32,12 @@ def grains(shape, seed=1, phases=2):
 
 @pytest.fixture
 def thin(monkeypatch):
-    """Every array in a scratch file, slabs of three planes, and two threads."""
+    """Map every array into memory, in slabs of three planes, on two threads."""
     monkeypatch.setattr(runs, "_MANY", 1)
     monkeypatch.setenv("TRABECULA_THREADS", "2")
     monkeypatch.setattr(memmap, "SMALLEST", 1)
-    monkeypatch.setattr(finishing.scratch, "spilled", partial(memmap.map_large_arrays, thickest=3))
+    mapped = partial(memmap.map_large_arrays, thickest=3)
+    monkeypatch.setattr(finishing.memmap, "map_large_arrays", mapped)
     monkeypatch.setattr(bridges, "SIDE", 9)
 
 
@@ -121,18 +122,20 @@ def test_a_run_that_was_interrupted_writes_the_rest(tmp_path, monkeypatch):
     image = tb.Image(grains((40, 150, 30)), "labels")
     real, done = blocks.do_task, []
 
-    def stopped(task, *words, **more):
+    def stop(task, *words, **more):
         if len(done) == 1:
             raise KeyboardInterrupt
         done.append(task)
         real(task, *words, **more)
 
-    monkeypatch.setattr(blocks, "do_task", stopped)
+    monkeypatch.setattr(blocks, "do_task", stop)
     with pytest.raises(KeyboardInterrupt):
         finish_slabs(as_slabs(image), tmp_path / "out.zarr", CASES["connect"])
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr.part"]
     monkeypatch.setattr(
-        blocks, "do", lambda task, *words, **more: (done.append(task), real(task, *words, **more))
+        blocks,
+        "do_task",
+        lambda task, *words, **more: (done.append(task), real(task, *words, **more)),
     )
     finish_slabs(as_slabs(image), tmp_path / "out.zarr", CASES["connect"])
     assert len(done) == len(set(done)) == 2

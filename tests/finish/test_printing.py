@@ -1,4 +1,4 @@
-"""The print check: each fault alone, in a part that has no other, and each limit."""
+"""The print check: each fault alone in a part, and each limit."""
 
 import json
 
@@ -12,7 +12,7 @@ from trabecula.finish.printers import PRINTERS
 
 
 def block(side=24):
-    """A cube of 12 mm on the plate."""
+    """Return a cube of 12 mm on the plate."""
     return np.ones((side, side, side), bool)
 
 
@@ -154,18 +154,18 @@ def test_cups_are_what_only_the_next_layer_opens():
     cup = block()
     cup[4:, 4:20, 4:20] = False
     # Up to the last layer the bowl is closed below and at its sides.
-    assert print_layers.sealed(cup) == 20 * 16 * 16
+    assert print_layers.largest_cup(cup) == 20 * 16 * 16
     assert verdicts(cup, "sla")["cups"] == "warn" and figures(cup, "cups", "sla")["volume"] == 640
     assert verdicts(cup, "sla", cup=650)["cups"] == "pass"
-    assert print_layers.sealed(cup[::-1]) == 0, (
+    assert print_layers.largest_cup(cup[::-1]) == 0, (
         "a bell opens downwards: it is open from its first layer on"
     )
     drained = cup.copy()
     drained[4:6, 20:, 10:12] = False
-    assert print_layers.sealed(drained) <= 16 * 16 * 2
+    assert print_layers.largest_cup(drained) <= 16 * 16 * 2
     late = cup.copy()
     late[14, 20:, 10] = False  # a drain ten layers up: until then it is a cup
-    assert 10 * 16 * 16 <= print_layers.sealed(late) <= 11 * 16 * 16
+    assert 10 * 16 * 16 <= print_layers.largest_cup(late) <= 11 * 16 * 16
 
 
 def test_what_starts_in_the_air():
@@ -181,20 +181,20 @@ def test_what_starts_in_the_air():
 
 @pytest.mark.parametrize(("slope", "angle"), [(0.5, 26.6), (0.8, 38.7), (1.25, 51.3), (2, 63.4)])
 def test_a_slope_is_measured_at_its_angle(slope, angle):
-    """A wedge whose lower side leans out by `slope` voxels for every voxel up."""
+    """Measure a wedge whose lower side leans out by `slope` voxels for every voxel up."""
     z, _, x = np.indices((30, 30, 90))
     wedge = x < 15 + slope * z
     for limit in (angle - 6, angle + 6):
-        down, leaning = print_layers.overhang(wedge, (1.0, 1.0, 1.0), limit)
+        down, leaning = print_layers.overhang_area(wedge, (1.0, 1.0, 1.0), limit)
         assert leaning / down == pytest.approx(1.0 if limit < angle else 0.0, abs=0.15)
-    area, _ = print_layers.overhang(wedge[:, 8:-8], (1.0, 1.0, 1.0), 45)
+    area, _ = print_layers.overhang_area(wedge[:, 8:-8], (1.0, 1.0, 1.0), 45)
     assert area == pytest.approx(14 * 29 * np.hypot(1, slope), rel=0.12)
 
 
 def test_a_ball_hangs_over_by_its_cap():
-    """Of the lower half of a ball, the share beyond 45 degrees is 1 - cos 45."""
+    """Measure the lower half of a ball: the share beyond 45 degrees is 1 - cos 45."""
     z, y, x = np.indices((64, 64, 64)) - 31.5
-    _, leaning = print_layers.overhang(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
+    _, leaning = print_layers.overhang_area(z**2 + y**2 + x**2 < 30**2, (1.0,) * 3, 45)
     cap = 2 * np.pi * 30**2 * (1 - np.sqrt(0.5))
     assert leaning == pytest.approx(cap, rel=0.1)
 
@@ -204,7 +204,7 @@ def test_voxels_that_are_not_cubes_lean_as_they_do_in_space():
     # 26.6 degrees from the vertical: 0.5 along x for every 1 along z
     wedge = x * 0.5 < 6 + 0.5 * 2 * z
     for limit in (20, 33):
-        down, leaning = print_layers.overhang(wedge, (2.0, 1.0, 0.5), limit)
+        down, leaning = print_layers.overhang_area(wedge, (2.0, 1.0, 0.5), limit)
         assert leaning / down == pytest.approx(1.0 if limit == 20 else 0.0, abs=0.15)
 
 
@@ -262,7 +262,7 @@ def test_refusals(options, says):
 
 
 def rough(seed, shape=(26, 31, 22)):
-    """A part with halls behind narrow necks."""
+    """Return a part with large pores behind narrow necks."""
     from scipy.ndimage import gaussian_filter
 
     noise = gaussian_filter(np.random.default_rng(seed).random(shape), 2.2)
@@ -272,11 +272,9 @@ def rough(seed, shape=(26, 31, 22)):
 @pytest.mark.parametrize("passage", [0.6, 1.5, 3.0, 4.0, 5.5, 6.0, 9.0])
 @pytest.mark.parametrize("spacing", [0.5, (0.5, 0.3, 0.7)])
 def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
-    """The share that is far from every way, with a margin of a whole passage and more around the
-    part.
-    """
-    from trabecula.finish.print_checks import Part
-    from trabecula.finish.print_checks import passage as ask
+    """Compare the far share with one of a margin of a whole passage and more."""
+    from trabecula.finish.printers import Part
+    from trabecula.finish.printing import check_passage
     from trabecula.measure import label_components
     from trabecula.measure.distance import distance_transform
 
@@ -291,14 +289,14 @@ def test_the_passage_does_not_depend_on_the_room_around(passage, spacing):
         far = (distance_transform(ways != ways[0, 0, 0], spacing=edges) > 1.5 * passage) & (
             pores == pores[0, 0, 0]
         )
-        found = ask(Part(solid, np.pad(solid, 1), edges), passage).figures["far_share"]
+        found = check_passage(Part(solid, np.pad(solid, 1), edges), passage).figures["far_share"]
         assert found == pytest.approx(far.sum() / (~solid).sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize("printer", PRINTERS)
 @pytest.mark.parametrize(("spacing", "unit"), [(1.0, "nm"), (1.0, "um"), (0.5, "mm"), (0.5, "m")])
 def test_memory_is_that_of_the_part_whatever_its_unit(printer, spacing, unit):
-    """A passage of 1.5 mm is a million voxels of a nanometre: 10**18 of them around the part."""
+    """Check a passage of a million voxels of a nanometre: a margin would hold 10**18 of them."""
     import tracemalloc
 
     image = tb.Image(rough(1), "labels", spacing=spacing, unit=unit)

@@ -1,4 +1,4 @@
-"""Prune: short stubs go, long ones are grown, and nothing else is touched."""
+"""Prune: short stubs are removed, long ones grown, and nothing else changes."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SIDE, THICK = 16, 3
 
 
 def lattice(cells: int = 2, thick: int = THICK) -> np.ndarray:
-    """Struts along the edges of cubes, with room around."""
+    """Return struts along the edges of cubes, with void around."""
     on = np.zeros(cells * SIDE + thick, bool)
     for first in range(0, len(on), SIDE):
         on[first : first + thick] = True
@@ -33,7 +33,7 @@ ALONG = 6 + SIDE + SIDE // 2 + 1  # half-way along a strut
 
 
 def with_stub(length: int, solid: np.ndarray | None = None, at: int = ALONG) -> np.ndarray:
-    """A stub on a strut along z, that sticks into a cell along x."""
+    """Add a stub on a strut along z, which sticks into a cell along x."""
     solid = lattice() if solid is None else solid.copy()
     solid[at - 1 : at + 2, MIDDLE, MIDDLE.stop : MIDDLE.stop + length] = 1
     return solid
@@ -99,7 +99,7 @@ def test_cells_of_a_lattice_have_its_perimeter():
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_the_shortest_loop_by_taking_edges_away(seed):
-    """The shortest loop through a joint: over its branches, the branch and the shortest way back
+    """Find the shortest loop by brute force: over a joint's branches, the branch and the way back
     without it.
     """
     from scipy.sparse import csr_array
@@ -325,7 +325,7 @@ def test_real_bone(data):
 
 
 def with_stubs(count: int) -> np.ndarray:
-    """A lattice with short stubs, each in a cell of its own."""
+    """Return a lattice with short stubs, each in a cell of its own."""
     solid = lattice(4)
     starts = [6 + SIDE * k for k in range(1, 4)]
     places = [
@@ -337,7 +337,7 @@ def with_stubs(count: int) -> np.ndarray:
 
 
 def test_a_form_is_pruned_as_a_box_of_its_size():
-    """Of the exemplar's 4 ends the material has 12, whatever empty room is around it."""
+    """Count the same free ends in a form, whatever its box: 4 of the exemplar's, 12 here."""
     material, exemplar = with_stubs(12), with_stubs(4)
     box = prune(material, exemplar=exemplar)
     assert (
@@ -354,7 +354,7 @@ def test_a_form_is_pruned_as_a_box_of_its_size():
 
 
 def test_what_the_surface_of_a_form_cuts_is_no_free_end():
-    """A lattice cut by a ball: the cut struts are many, the stub inside of it is one."""
+    """Cut a lattice by a ball: the cut struts are many, the stub inside of it is one."""
     solid = with_stub(5, lattice(4), at=6 + SIDE * 2 + SIDE // 2 + 1)
     grid = np.indices(solid.shape) - (np.array(solid.shape) - 1)[:, None, None, None] / 2
     ball = (grid**2).sum(axis=0) < 30.5**2

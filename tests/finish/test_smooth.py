@@ -1,4 +1,4 @@
-"""Smooth: the same volume, less roughness, other phases in their place."""
+"""Smooth: the same volume, less roughness, other phases unchanged."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Thicken: rods and plates of known thickness grow to what was asked for; thick parts and their
+"""Thicken: rods and plates of known thickness grow to the target; thick regions and their
 corners stay.
 """
 
@@ -138,7 +138,7 @@ def test_balls_are_the_voxels_within_the_radius():
 
 
 def test_the_share_of_thin_struts_is_known():
-    """Rods of 4 and of 12 voxels, 8 asked for: the first, and all of it."""
+    """Thicken rods of 4 and of 12 voxels to 8: all of the first is thin, nothing of the other."""
     slim, stout = rod(2, shape=(32, 64, 32)), np.roll(rod(6, shape=(32, 64, 32)), 32, axis=1)
     cores = thin_cores(slim | stout, (1.0,) * 3, 8.0)
     assert cores.share == pytest.approx(slim.sum() / (slim | stout).sum(), rel=1e-9)
@@ -150,7 +150,7 @@ def test_the_share_of_thin_struts_is_known():
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.5)])
 @pytest.mark.parametrize("thickness", [3.0, 5.5, 9.0])
 def test_cores_are_those_of_the_local_thickness(level, spacing, thickness):
-    """Whether most of a phase is thick or thin decides how it is measured, not what comes out."""
+    """Compare both branches of the search, for mostly thick and for mostly thin phases."""
     rough = ndimage.gaussian_filter(np.random.default_rng(0).random((24, 26, 28)), 2, mode="wrap")
     solid = rough > np.quantile(rough, level)
     image = tb.Image(solid, "labels", spacing=spacing)

@@ -1,4 +1,4 @@
-"""Floaters and trapped pores: counted, removed, filled."""
+"""Floaters and closed pores: counting, removal and filling."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.finish import OPERATIONS, closed_pores, fill_trapped, remove_floaters
+from trabecula.finish import OPERATIONS, fill_trapped, remove_floaters, trapped
 from trabecula.measure import components
 
 
@@ -18,7 +18,7 @@ def report(image):
 
 
 def hollow():
-    """A block with a closed pore of 3 x 3 x 3, one of a single voxel, and an open channel."""
+    """Return a block with a closed pore of 3 x 3 x 3, one of a single voxel, and a channel."""
     block = np.ones((12, 12, 12), np.uint8)
     block[2:5, 2:5, 2:5] = 0
     block[9, 9, 9] = 0
@@ -27,9 +27,9 @@ def hollow():
 
 
 def test_trapped_pores_are_counted_in_the_images_unit():
-    found = closed_pores(tb.Image(hollow(), "labels", spacing=(2, 1, 0.5), unit="mm"))
+    found = trapped(tb.Image(hollow(), "labels", spacing=(2, 1, 0.5), unit="mm"))
     assert found == {"pores": 2, "voxels": 28, "volume": 28.0, "share": 28 / 40, "largest": 27}
-    assert closed_pores(np.ones((3, 3, 3), int)) == {
+    assert trapped(np.ones((3, 3, 3), int)) == {
         "pores": 0,
         "voxels": 0,
         "volume": 0.0,
@@ -42,24 +42,22 @@ def test_trapped_pores_are_filled_and_channels_stay_open():
     part = fill_trapped(hollow())
     assert report(part) == {"filled_pores": 2, "filled": 28}
     assert (part.values[6, 6] == 0).all() and part.values.sum() == 12**3 - 12
-    assert closed_pores(part)["pores"] == 0
+    assert trapped(part)["pores"] == 0
 
 
 def test_a_way_out_over_an_edge_is_none_unless_it_is_asked_for():
     block = np.ones((5, 5), int)
     block[2, 2] = block[1, 1] = block[0, 0] = 0
-    assert closed_pores(block)["pores"] == 2 and closed_pores(block, connectivity=8)["pores"] == 0
+    assert trapped(block)["pores"] == 2 and trapped(block, connectivity=8)["pores"] == 0
 
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=2, max_side=8)))
 def test_filling_is_filling_holes(solid):
-    """Where ways lead through faces, as scipy's do."""
+    """Compare with scipy, whose holes have face neighbours too."""
     part = fill_trapped(solid)
     assert np.array_equal(part.values, ndimage.binary_fill_holes(solid))
     assert (
-        report(part)["filled"]
-        == closed_pores(solid)["voxels"]
-        == np.count_nonzero(part.values != solid)
+        report(part)["filled"] == trapped(solid)["voxels"] == np.count_nonzero(part.values != solid)
     )
 
 
@@ -71,7 +69,7 @@ def test_what_is_filled_takes_the_nearest_label():
     filled = fill_trapped(image).values
     assert filled[4, 4, 2] == 1 and filled[4, 4, 15] == 2
     # The void of a phase alone is the void, not the other phase.
-    assert closed_pores(image, phase="a")["pores"] == 2
+    assert trapped(image, phase="a")["pores"] == 2
 
 
 def specks():
@@ -129,6 +127,6 @@ def test_refusals():
     with pytest.raises(InputError, match="smaller_than=0 is outside"):
         remove_floaters(specks(), smaller_than=0)
     with pytest.raises(InputError, match="connectivity 4"):
-        closed_pores(hollow(), connectivity=4)
+        trapped(hollow(), connectivity=4)
     with pytest.raises(InputError, match="open what is solid"):
-        closed_pores(tb.Image(hollow(), "labels", phases=("pore", "bone")))
+        trapped(tb.Image(hollow(), "labels", phases=("pore", "bone")))

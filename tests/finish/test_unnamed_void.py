@@ -1,4 +1,4 @@
-"""Of two phases neither of which is named void, the other one is the background."""
+"""The background of two phases without a void: the other phase."""
 
 import numpy as np
 import pytest

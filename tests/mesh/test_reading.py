@@ -1,6 +1,4 @@
-"""Reading surfaces: what was written comes back, what other programs write is understood, damage is
-told.
-"""
+"""Reading surfaces: round trips, files of other programs, and damaged files."""
 
 import zipfile
 
@@ -67,18 +65,20 @@ def test_files_of_another_program(tmp_path, written):
 
 
 def quads():
-    """A cube of six quadrilaterals, outward."""
+    """Return a cube of six quadrilaterals, outward."""
     points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
     faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
     return points, faces
 
 
 def ply(points, faces, form, *, kind="float"):
-    """A PLY with a colour per vertex, a flag per face, and an element that nobody knows."""
+    """Return a PLY with a colour per vertex, a flag per face, and an unknown element."""
     head = (
-        f"ply\nformat {form} 1.0\nelement vertex {len(points)}\nproperty {kind} x\nproperty {kind} y\nproperty {kind} z\n"
+        f"ply\nformat {form} 1.0\nelement vertex {len(points)}\n"
+        f"property {kind} x\nproperty {kind} y\nproperty {kind} z\n"
         "property uchar red\nelement camera 2\nproperty int id\nproperty list uchar short angles\n"
-        f"element face {len(faces)}\nproperty list uchar uint vertex_index\nproperty uchar flag\nend_header\n"
+        f"element face {len(faces)}\nproperty list uchar uint vertex_index\n"
+        "property uchar flag\nend_header\n"
     ).encode()
     order = ">" if "big" in form else "<"
     if form == "ascii":
@@ -137,7 +137,8 @@ def test_a_binary_stl_that_begins_with_solid(tmp_path):
 
 def model(unit, items, objects):
     return (
-        f'<model unit="{unit}" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
+        f'<model unit="{unit}" '
+        'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
         f"{objects}</resources><build>{items}</build></model>"
     )
 
@@ -157,7 +158,8 @@ def tetrahedron(number):
         f'<triangle v1="{a}" v2="{b}" v3="{c}"/>'
         for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
     )
-    return f'<object id="{number}"><mesh><vertices>{points}</vertices><triangles>{faces}</triangles></mesh></object>'
+    mesh = f"<vertices>{points}</vertices><triangles>{faces}</triangles>"
+    return f'<object id="{number}"><mesh>{mesh}</mesh></object>'
 
 
 def test_3mf_builds_its_components_at_their_places(tmp_path):

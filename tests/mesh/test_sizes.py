@@ -1,4 +1,4 @@
-"""How large a written part is, and what is said where nobody knows."""
+"""The size of a written part, and the notices where its unit is unknown."""
 
 import zipfile
 
@@ -13,8 +13,8 @@ from trabecula.mesh.sizes import extent_of, size_notes, size_text
 BLOCK = np.ones((4, 6, 8), np.uint8)
 
 
-def exported(image, path, **lengths):
-    """What was said, and the sides of the surface that was written, along z, y, x."""
+def export(image, path, **lengths):
+    """Export; return the notices, the sides of the surface along z, y, x, and its unit."""
     said = []
     with listen(lambda line, fraction: said.append(line) if fraction < 0 else None):
         tb.export(image, path, **lengths)
@@ -24,13 +24,13 @@ def exported(image, path, **lengths):
 
 @pytest.mark.parametrize("name", ["x.stl", "x.3mf", "x.ply", "x.obj"])
 def test_a_unit_that_is_not_known_is_said(tmp_path, name):
-    said, extent, _ = exported(BLOCK, tmp_path / name)
+    said, extent, _ = export(BLOCK, tmp_path / name)
     assert said == [
-        "unit unknown: a length of 1 was written as 1 mm, the part is 4 x 6 x 8 mm (z, y, x); give its spacing and unit "
-        "(--spacing, --unit)"
+        "unit unknown: a length of 1 was written as 1 mm, the part is 4 x 6 x 8 mm (z, y, x); give "
+        "its spacing and unit (--spacing, --unit)"
     ]
     assert extent == pytest.approx((4, 6, 8))
-    said, extent, unit = exported(
+    said, extent, unit = export(
         BLOCK, tmp_path / name, spacing=(0.3, 0.2, 0.1), unit="mm", scale=10
     )
     assert not said and extent == pytest.approx((12, 12, 8), rel=1e-6) and unit == "mm"
@@ -55,13 +55,14 @@ def test_a_3mf_carries_the_word(tmp_path):
         (
             30,
             "nm",
-            "the part is 0.00012 x 0.00018 x 0.00024 mm (z, y, x), less than 0.1 mm: is nm its unit?",
+            "the part is 0.00012 x 0.00018 x 0.00024 mm (z, y, x), less than 0.1 mm: is nm its "
+            "unit?",
         ),
         (0.3, "m", "the part is 1200 x 1800 x 2400 mm (z, y, x), more than 2 m: is m its unit?"),
     ],
 )
 def test_sizes_that_are_hardly_meant_are_said(tmp_path, spacing, unit, says):
-    said, _, _ = exported(tb.Image(BLOCK, "labels", spacing, unit), tmp_path / "x.stl")
+    said, _, _ = export(tb.Image(BLOCK, "labels", spacing, unit), tmp_path / "x.stl")
     assert (
         (not said)
         if says is None
@@ -71,10 +72,10 @@ def test_sizes_that_are_hardly_meant_are_said(tmp_path, spacing, unit, says):
 
 def test_slabs_have_lengths_too(tmp_path):
     image = tb.Image(BLOCK, "labels")
-    whole = exported(image, tmp_path / "a.stl", spacing=50, unit="um", scale=2)
-    slabs = exported(as_slabs(image), tmp_path / "b.stl", spacing=50, unit="um", scale=2)
+    whole = export(image, tmp_path / "a.stl", spacing=50, unit="um", scale=2)
+    slabs = export(as_slabs(image), tmp_path / "b.stl", spacing=50, unit="um", scale=2)
     assert slabs == whole and whole[1] == pytest.approx((0.4, 0.6, 0.8))
-    assert "unit unknown" in exported(as_slabs(image), tmp_path / "b.stl")[0][0]
+    assert "unit unknown" in export(as_slabs(image), tmp_path / "b.stl")[0][0]
 
 
 def test_volumes_take_lengths_and_their_recipe_tells(tmp_path):

@@ -208,5 +208,8 @@ def test_the_room_can_be_called_by_its_name_whoever_came_first():
     import subprocess
     import sys
 
-    code = "import trabecula.mesh.files, trabecula as tb, numpy as np; tb.mesh(np.ones((1, 1, 1), bool)).faces[7]"
+    code = (
+        "import trabecula.mesh.files, trabecula as tb, numpy as np; "
+        "tb.mesh(np.ones((1, 1, 1), bool)).faces[7]"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

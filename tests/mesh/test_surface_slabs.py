@@ -1,4 +1,4 @@
-"""A surface written slab by slab is the file that the whole gives."""
+"""Writing a surface slab by slab: the same file as of the whole."""
 
 import tracemalloc
 from dataclasses import replace
@@ -13,7 +13,7 @@ from trabecula.engine.lazy_volume import as_slabs
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.slabs import count_layers, export_slabs
-from trabecula.mesh.stl import check_count
+from trabecula.mesh.stl import Writer
 from trabecula.mesh.surface import mesh
 
 
@@ -76,7 +76,7 @@ def test_planes_without_surface_are_left_out(tmp_path):
 def test_the_forecast_bounds_what_is_taken(tmp_path):
     image = foam((64, 40, 40), 1)
     layers = count_layers(as_slabs(image))
-    need = layers.need(16, 4, 42 * 42)
+    need = layers.need(16, 4, 42 * 42, Writer.memory)
     tracemalloc.start()
     export_slabs(as_slabs(image), tmp_path / "slabs.stl", depth=16, smooth=2)
     peak = tracemalloc.get_traced_memory()[1]
@@ -99,7 +99,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tmp_path):
     with pytest.raises(tb.errors.InputError, match="depth"):
         export_slabs(volume, path, depth=0)
     with pytest.raises(tb.errors.InputError, match=r"2\*\*32"):
-        check_count(2**32)
+        Writer.check_count(2**32)
     with pytest.raises(tb.errors.InputError, match="stl"):
         export_slabs(volume, tmp_path / "part.ply")
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]

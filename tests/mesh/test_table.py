@@ -29,9 +29,7 @@ def test_every_cut_edge_is_in_exactly_one_loop(config):
 
 
 def test_both_cubes_at_a_face_draw_the_same_segments_in_opposite_directions():
-    """All 2**4 states of a face, for the three axes: the face of one cube against the same face of
-    its neighbour.
-    """
+    """Compare the common face of two cubes in all 2**4 states, for the three axes."""
     for axis in range(3):
         upper, lower = _FACES[2 * axis + 1], _FACES[2 * axis]
         assert [c ^ 1 << axis for c in sorted(upper)] == sorted(lower)

@@ -10,14 +10,14 @@ import trabecula as tb
 from trabecula.errors import InputError, MemoryBudgetError
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
-from trabecula.mesh.voxels import fitted, scaled, voxelise
+from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 
 def of(surface, **fields):
     return Mesh(np.asarray(surface.vertices, float), np.asarray(surface.faces), **fields)
 
 
-def turned(surface, seed=0):
+def rotate(surface, seed=0):
     surface.apply_transform(
         trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
     )
@@ -36,8 +36,8 @@ TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
     "surface",
     [
         lambda: trimesh.creation.icosphere(4, radius=1.3),
-        lambda: turned(trimesh.creation.torus(1.2, 0.6)),
-        lambda: turned(trimesh.creation.box((2.0, 2.3, 2.7))),
+        lambda: rotate(trimesh.creation.torus(1.2, 0.6)),
+        lambda: rotate(trimesh.creation.box((2.0, 2.3, 2.7))),
     ],
     ids=["ball", "torus", "box"],
 )
@@ -73,9 +73,7 @@ def test_voxels_come_back_from_their_own_surface(spacing):
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 0.25])
 def test_rays_along_edges_and_through_vertices(shift):
-    """An octahedron and a box whose vertices and edges lie in the very lines that voxels are judged
-    on.
-    """
+    """Check an octahedron and a box with vertices and edges on the very lines of the rays."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     faces = [
         [a, b, c] if np.linalg.det(axes[[a, b, c]]) > 0 else [a, c, b]
@@ -94,8 +92,10 @@ def test_rays_along_edges_and_through_vertices(shift):
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.booleans())
 def test_no_ray_leaks_however_vertices_lie(seed, count, whole):
-    """Tetrahedra with vertices on the grid of rays, thin ones and flat ones: in the last voxels
-    nothing is left over, and a second opinion on every voxel that is not on the surface agrees."""
+    """Check tetrahedra with vertices on the grid of rays, thin ones and flat ones.
+
+    No winding is left in the last voxels, and the solid angle agrees in all voxels off the surface.
+    """
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 17, (count, 4, 3)) / 2 if whole else rng.random((count, 4, 3)) * 8
     faces = (TETRAHEDRON[None] + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
@@ -156,11 +156,11 @@ def test_the_form_lies_in_the_middle_with_the_margin_asked_for():
 def test_scaling_to_a_box_keeps_proportions():
     box = of(trimesh.creation.box((2, 3, 4)))
     image = voxelise(
-        fitted(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10)
+        fit_mesh(box, shape=(40, 60, 10), spacing=(1, 1, 2)), spacing=(1, 1, 2), shape=(40, 60, 10)
     )
     extents = np.ptp(np.nonzero(image.values), axis=1) + 1
     assert extents.tolist() == [40, 30, 10] and image.values.sum() == 40 * 30 * 10
-    double = scaled(box, 2, unit="mm")
+    double = scale_mesh(box, 2, unit="mm")
     assert double.unit == "mm" and volume(voxelise(double, spacing=0.5)) == 8 * 24
     assert [step["verb"] for step in voxelise(double, spacing=0.5).recipe.steps[0]["mesh"]] == [
         "scale"
@@ -168,9 +168,7 @@ def test_scaling_to_a_box_keeps_proportions():
 
 
 def test_split_vertices_are_welded():
-    """At the seams of a texture, and in any soup of triangles, vertices lie in one place without
-    being one.
-    """
+    """Weld vertices at equal positions, as at the seams of a texture or in a soup of triangles."""
     ball = trimesh.creation.icosphere(3)
     soup = Mesh(
         np.asarray(ball.triangles, float).reshape(-1, 3),
@@ -182,17 +180,17 @@ def test_split_vertices_are_welded():
 
 
 def test_threads_do_not_matter():
-    torus = of(turned(trimesh.creation.torus(1.2, 0.6)))
+    torus = of(rotate(trimesh.creation.torus(1.2, 0.6)))
     alone = voxelise(torus, spacing=0.04).values
     with tb.threads(3):
         assert np.array_equal(voxelise(torus, spacing=0.04).values, alone)
 
 
-def holed(surface):
+def with_hole(surface):
     return Mesh(np.asarray(surface.vertices, float), np.asarray(surface.faces)[2:])
 
 
-def twisted(surface):
+def with_twist(surface):
     faces = np.array(surface.faces)
     faces[5] = faces[5][::-1]
     return Mesh(np.asarray(surface.vertices, float), faces)
@@ -202,12 +200,12 @@ def twisted(surface):
     ("mesh", "options", "says"),
     [
         (
-            holed(trimesh.creation.box()),
+            with_hole(trimesh.creation.box()),
             {},
             r"not watertight.*4 edges of one face only \(holes\) of 17; fill the holes",
         ),
         (
-            twisted(trimesh.creation.icosphere(2)),
+            with_twist(trimesh.creation.icosphere(2)),
             {},
             "3 edges whose two faces disagree on which side is outside",
         ),
@@ -240,7 +238,7 @@ def test_too_many_voxels_are_refused_before_they_are_made():
 
 
 def winding_number(mesh, points):
-    """Solid angle of the surface seen from each point over 4 pi (van Oosterom and Strackee 1983)."""
+    """Return the solid angle of the surface over 4 pi (van Oosterom and Strackee 1983)."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]][None] - points[:, None] for k in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
     dot = lambda u, v: (u * v).sum(axis=2)  # noqa: E731
@@ -251,7 +249,7 @@ def winding_number(mesh, points):
 
 @pytest.mark.parametrize("name", ["mesh_bunny.ply", "mesh_spot.ply"])
 def test_real_meshes_agree_with_a_second_opinion(data, name):
-    mesh = fitted(read_mesh(data / name), shape=64, spacing=1)
+    mesh = fit_mesh(read_mesh(data / name), shape=64, spacing=1)
     image = voxelise(mesh, spacing=1, shape=64)
     assert image.values.sum() == pytest.approx(
         trimesh.Trimesh(mesh.vertices, mesh.faces).volume, rel=2e-3

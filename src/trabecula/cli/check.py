@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.finish import print_check
     from trabecula.io.lengths import with_lengths
     from trabecula.io.units import to_metres
-    from trabecula.mesh.sizes import say_size
+    from trabecula.mesh.sizes import notify_size
 
     limits = shared.settings(options.set)
     image = with_lengths(
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     found = print_check(
         image, printer=options.printer, phase=options.phase, memory=options.memory, **limits
     )
-    say_size(
+    notify_size(
         [side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]],
         image.unit,
     )

@@ -53,10 +53,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _size(extent: Any, unit: str, out: str) -> str:
     """Return the size in millimetres, and the unit in the file where it is another."""
+    from trabecula.mesh.formats import surface_format
     from trabecula.mesh.sizes import size_text
 
-    # STL is in millimetres, 3MF names its unit; the others leave it to their reader.
-    other = Path(out).suffix.lower() in (".ply", ".obj") and unit not in ("mm", "voxel")
+    other = surface_format(out).own_unit and unit not in ("mm", "voxel")
     return size_text(extent, unit) + (f"; its coordinates are in {unit}" if other else "")
 
 
@@ -65,9 +65,11 @@ def _too_large(options: argparse.Namespace) -> Any:
     it.
     """
     from trabecula.io.lazy import slabs_if_large
+    from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.slabs import in_core_bytes
 
-    if Path(options.out).suffix.lower() != ".stl":
+    form = FORMATS.get(Path(options.out).suffix.lower())
+    if form is None or not form.in_slabs:
         return None
     return slabs_if_large(options.file, need=in_core_bytes, memory=options.memory)
 

@@ -4,44 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.core.errors import InputError, MemoryBudgetError, TrabeculaError
 from trabecula.core.progress import notify
 
+if TYPE_CHECKING:
+    from trabecula.finish.operations import Option
+
 Step = tuple[str, dict[str, Any]]
 """Name of an operation and its settings."""
 
-_OPTION = {"prune": "--prune", "smooth": "--smooth", "thicken": "--thicken"}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the file and the operations."""
+    """Add the file and the operations of the table."""
+    from trabecula.finish import OPERATIONS
+
     parser.add_argument("file", metavar="FILE", help="volume of labels")
     parser.add_argument("--out", required=True, metavar="FILE", help="volume to write")
     group = parser.add_argument_group("what to do, in this order whatever the order of the words")
-    group.add_argument(
-        "--prune", action="store_true", help="remove short struts with a free end, extend long ones"
-    )
-    group.add_argument(
-        "--connect",
-        action="store_true",
-        help="join all components but specks, which are removed: one component is left",
-    )
-    group.add_argument(
-        "--smooth",
-        metavar="S",
-        help="smooth the surface at the same volume: sigma, in the image's unit",
-    )
-    group.add_argument(
-        "--thicken", metavar="T", help="least thickness of a strut, in the image's unit"
-    )
-    group.add_argument(
-        "--floaters", action="store_true", help="remove every component but the largest"
-    )
-    group.add_argument("--fill", action="store_true", help="fill closed pores")
+    for operation in OPERATIONS.values():
+        _add_option(group, operation.option)
     parser.add_argument(
         "--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault"
     )
@@ -52,17 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for --prune and --connect: the form that the volume fills, a surface or a volume "
         "(default: what its recipe names)",
     )
-    group = parser.add_argument_group("for --connect")
-    group.add_argument(
-        "--reach",
-        metavar="N",
-        help="longest join in voxels; what is farther is removed (default: no limit)",
-    )
-    group.add_argument(
-        "--min-size",
-        metavar="N",
-        help="voxels of the smallest component that is joined (default: more than a speck)",
-    )
+    for operation in OPERATIONS.values():
+        if operation.more:
+            group = parser.add_argument_group(f"for {operation.option.flag}")
+            for option in operation.more:
+                _add_option(group, option)
     shared.add_lengths(parser)
     group = parser.add_argument_group("large volumes")
     shared.add_memory(
@@ -81,20 +60,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
+    """Add an option of an operation: a switch, or one with a value."""
+    if option.setting is None:
+        group.add_argument(option.flag, action="store_true", help=option.help)
+    else:
+        group.add_argument(option.flag, metavar=option.metavar, help=option.help)
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the operations that were chosen, each on the result of the one before."""
+    from trabecula.finish import OPERATIONS
     from trabecula.pipeline.outputs import check_target
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
     if options.mask is not None and not (options.prune or options.connect):
         raise InputError("--mask is the form for --prune and --connect: give one of them as well")
-    for name in ("reach", "min_size"):
-        if getattr(options, name) is not None and not options.connect:
-            raise InputError(f"--{name.replace('_', '-')} is for --connect: give --connect as well")
+    for operation in OPERATIONS.values():
+        flag, chosen = operation.option.flag, getattr(options, operation.option.name)
+        for option in operation.more:
+            if getattr(options, option.name) is not None and not chosen:
+                raise InputError(f"{option.flag} is for {flag}: give {flag} as well")
     steps = list(_steps(options))
     if not steps:
-        words = "--prune, --connect, --smooth S, --thicken T, --floaters, --fill"
+        every = [operation.option for operation in OPERATIONS.values()]
+        words = ", ".join(" ".join(filter(None, (one.flag, one.metavar))) for one in every)
         raise InputError(f"nothing to do: give --connect, or another of {words}")
     check_target(options.out, resumes=True)
     text, done = (
@@ -124,15 +115,16 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
     given = shared.lengths(options)
     scale = given.pop("scale")
     part = with_lengths(read(options.file, level=options.level), **given)
-    more: dict[str, dict[str, Any]] = {"prune": {}, "connect": {}}
+    images: dict[str, Any] = {}
     if options.like is not None:
-        more["prune"]["exemplar"] = with_lengths(load_like(options.like, part), scale=scale)
+        images["exemplar"] = with_lengths(load_like(options.like, part), scale=scale)
     form = _form(part, options)
     if form is not None:
-        more["prune"]["mask"] = more["connect"]["mask"] = form
+        images["mask"] = form
     part = with_lengths(part, scale=scale)
     for name, settings in steps:
-        part = OPERATIONS[name](part, phase=options.phase, **settings, **more.get(name, {}))
+        inputs = {key: images[key] for key in OPERATIONS[name].inputs if key in images}
+        part = OPERATIONS[name](part, phase=options.phase, **settings, **inputs)
     write(part, options.out)
     return repr(part), part.recipe.steps[-len(steps) :]
 
@@ -178,7 +170,8 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
         It does not, and one of the steps needs it so, or what is written.
     """
     from trabecula.engine.memory import available_memory, format_bytes
-    from trabecula.finish.slabs import IN_PLACE, in_core_bytes
+    from trabecula.finish import OPERATIONS
+    from trabecula.finish.slabs import in_core_bytes
     from trabecula.io.lazy import volume_shape
 
     shape = volume_shape(options.file, level=options.level)
@@ -186,14 +179,14 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     budget = available_memory() if options.memory is None else options.memory
     if shape is None or in_core_bytes(shape, names) <= budget:
         return False
-    whole = [_OPTION[name] for name in names if name not in IN_PLACE]
+    operations = [OPERATIONS[name] for name in names]
+    whole = [one.option.flag for one in operations if one.in_place is None]
     need = format_bytes(in_core_bytes(shape, names))
     why = f"{options.file} needs {need} as a whole, {format_bytes(budget)} may be used"
     if whole:
         raise MemoryBudgetError(
             f"{why}, and {', '.join(whole)} cannot go slab by slab as --connect, --floaters and "
-            "--fill can: leave it out, "
-            "finish a coarser level (--level 1), or raise --memory"
+            "--fill can: leave it out, finish a coarser level (--level 1), or raise --memory"
         )
     if not options.out.lower().endswith(".zarr"):
         raise MemoryBudgetError(
@@ -230,27 +223,22 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
 
 
 def _steps(options: argparse.Namespace) -> Iterator[Step]:
-    """Yield the operations that were chosen, in their order: struts, one component, surface,
-    strength, then what that left floating or closed.
-    """
-    if options.prune:
-        yield "prune", {}
-    if options.connect:
-        given = {"reach": options.reach, "min_size": options.min_size}
-        named = {"reach": "--reach", "min_size": "--min-size"}
-        yield (
-            "connect",
-            {
-                name: shared.integer(word, name=named[name])
-                for name, word in given.items()
-                if word is not None
-            },
-        )
-    if options.smooth is not None:
-        yield "smooth", {"sigma": shared.numbers([options.smooth], name="--smooth")[0]}
-    if options.thicken is not None:
-        yield "thicken", {"thickness": shared.numbers([options.thicken], name="--thicken")[0]}
-    if options.floaters:
-        yield "remove_floaters", {}
-    if options.fill:
-        yield "fill_trapped", {}
+    """Yield the operations that were chosen, in the order of the table."""
+    from trabecula.finish import OPERATIONS
+
+    for operation in OPERATIONS.values():
+        if getattr(options, operation.option.name) in (None, False):
+            continue
+        settings = {}
+        for option in (operation.option, *operation.more):
+            word = getattr(options, option.name)
+            if option.setting is not None and word is not None:
+                settings[option.setting] = _number(word, option)
+        yield operation.name, settings
+
+
+def _number(word: str, option: Option) -> float:
+    """Return the value of an option."""
+    if option.whole:
+        return shared.integer(word, name=option.flag)
+    return shared.numbers([word], name=option.flag)[0]

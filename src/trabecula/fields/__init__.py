@@ -1,22 +1,20 @@
-"""Fields: descriptors that vary from place to place, measured, interpolated, drawn, or from
-topology optimisation.
+"""Fields: descriptors that vary in space, measured, interpolated, drawn, or from topology
+optimisation.
 
-A field is a grey Image of float32 with the spacing of its grid; a request takes it as a target
-where it has the result's shape. `windowed` is for those who need the descriptors of every window as
-arrays.
+A field is a grey Image of float32 with the spacing of its grid; a request takes it as a target if
+it has the result's shape. `windowed` returns the descriptors of every window as arrays.
 """
 
 from collections.abc import Callable
 
 from trabecula.core.image import Image
 from trabecula.fields.interpolate import fill, interpolate
-from trabecula.fields.local import windowed
-from trabecula.fields.measure import directions, measure
+from trabecula.fields.local import directions, measure, windowed
 from trabecula.fields.resample import resample, rescale
 from trabecula.fields.shapes import formula, picture, radial, ramp
 from trabecula.fields.topology import case, simp
 
-# By the name that stands in a recipe's step, so that the step can be done again.
+# By their names in a recipe's step, so that it can be replayed.
 FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
     "measure": measure,
     "picture": picture,

@@ -1,4 +1,4 @@
-"""Where the voxels of a field lie, and a field as an Image with its recipe."""
+"""The grid of a field, and a field as an Image with its recipe."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AXES = {2: "yx", 3: "zyx"}
 
 
 def as_sides(shape: int | Sequence[int]) -> tuple[int, ...]:
-    """The shape of a field: two or three whole numbers, one means a cube."""
+    """Return the shape of a field: two or three whole numbers; one means a cube."""
     several = (
         len(shape) == 2
         if isinstance(shape, list | tuple)
@@ -27,7 +27,7 @@ def as_sides(shape: int | Sequence[int]) -> tuple[int, ...]:
 
 
 def as_region(given: ArrayLike, shape: tuple[int, ...], *, name: str) -> np.ndarray:
-    """A boolean array of `shape` that holds something."""
+    """Return a boolean array of `shape`, checked to contain a voxel."""
     try:
         region = np.asarray(given)
     except ValueError:
@@ -36,7 +36,8 @@ def as_region(given: ArrayLike, shape: tuple[int, ...], *, name: str) -> np.ndar
         ) from None
     if region.dtype != bool or region.shape != shape:
         raise InputError(
-            f"{name} is {region.dtype} of shape {region.shape}: give a boolean array of shape {shape}"
+            f"{name} is {region.dtype} of shape {region.shape}: give a boolean array of shape "
+            f"{shape}"
         )
     if not region.any():
         raise InputError(f"{name} holds no voxel: mark with True what counts")
@@ -44,8 +45,9 @@ def as_region(given: ArrayLike, shape: tuple[int, ...], *, name: str) -> np.ndar
 
 
 def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
-    """Positions of the voxels' middles along every axis, from 0 at the first face; arrays that
-    broadcast to `shape`.
+    """Return the positions of the voxels' middles along every axis, from 0 at the first face.
+
+    One array an axis, which broadcast to `shape`.
     """
     found = []
     for axis, (side, edge) in enumerate(zip(shape, spacing, strict=True)):
@@ -55,7 +57,7 @@ def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
 
 
 def as_axis(axis: str | int, ndim: int) -> int:
-    """An axis by its letter, or counted from 0."""
+    """Return the number of an axis given by its letter or number."""
     if axis in tuple(AXES[ndim]):
         return AXES[ndim].index(str(axis))
     if (
@@ -79,25 +81,30 @@ def as_field(
     before: Recipe | None = None,
     report: Mapping[str, Any] | None = None,
 ) -> Image:
-    """Values as a grey Image of float32, with the step that made them and what there is to tell of
-    it.
-    """
+    """Return values as a grey Image of float32, with the recipe's step that makes them."""
     check_finite(np.asarray(values), name=f"the field of {make}")
     field = np.ascontiguousarray(values, np.float32)
-    told = {} if report is None else {"report": dict(report)}
-    recipe = (before or Recipe()).then("field", field, make=make, settings=dict(settings), **told)
+    more = {} if report is None else {"report": dict(report)}
+    recipe = (before or Recipe()).then("field", field, make=make, settings=dict(settings), **more)
     return Image(
         field, "grey", spacing=as_spacing(spacing, ndim=field.ndim), unit=unit, recipe=recipe
     )
 
 
 def of_image(values: np.ndarray, make: str, settings: Mapping[str, Any], image: Image) -> Image:
-    """As `as_field`, on the grid of an image and after its recipe."""
+    """Return values as a field on the grid of an image, with its recipe and the step."""
     return as_field(
         values, make, settings, spacing=image.spacing, unit=image.unit, before=history_of(image)
     )
 
 
 def history_of(image: Image) -> Recipe:
-    """An image's recipe; of an array in memory its digest."""
+    """Return an image's recipe; for an array in memory, one with its digest."""
     return image.recipe or Recipe().then("array", image.values)
+
+
+def check_grey(field: Image) -> None:
+    """Raise where a field is no grey Image."""
+    if not isinstance(field, Image) or field.kind != "grey":
+        kind = field.kind if isinstance(field, Image) else type(field).__name__
+        raise InputError(f"a field is a grey Image, got {kind}: give tb.Image(array, kind='grey')")

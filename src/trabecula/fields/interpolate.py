@@ -1,9 +1,11 @@
-"""Inverse-distance interpolation: values that are known in places, everywhere.
+"""Inverse-distance interpolation of values that are known at points or in a region.
 
 Liu and Shapiro 2016, equation 7 (after Biswas, Shapiro, Tsukanov 2004,
 doi:10.1016/j.cagd.2003.08.003): D(y) = sum_i D(y_i) / d(y, y_i)^p over sum_i 1 / d(y, y_i)^p. In a
-domain that bends, d may be the way inside it (Fryazinov, Sanchez, Pasko 2015,
-doi:10.1016/j.cag.2014.09.026).
+domain that bends, d may be the length of the shortest path inside it (Fryazinov, Sanchez, Pasko
+2015, doi:10.1016/j.cag.2014.09.026): the eikonal equation |grad t| = 1 by fast sweeping, upwind
+differences of first order, updated in the eight orders of running through the axes (Zhao 2005,
+doi:10.1090/S0025-5718-04-01678-3), until nothing changes.
 """
 
 from __future__ import annotations
@@ -19,11 +21,14 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest
-from trabecula.fields.geodesic import interior_distance
-from trabecula.fields.grid import as_field, as_region, as_sides, middles, of_image
+from trabecula.engine.compile import inline, kernel
+from trabecula.fields.grid import as_field, as_region, as_sides, check_grey, middles, of_image
 from trabecula.numerics.transforms import fast_side
 
-_HIGHEST = 4.0  # power up to which sums by transform hold every weight that counts
+_BALL = 4  # voxels around the source in which the straight line is taken, where all are inside
+_CONVERGED = 1e-9  # largest change of the last round, in voxel edges
+_MOST = 1000  # rounds; no form of a material has as many turns
+_HIGHEST = 4.0  # power up to which sums by transform resolve all weights that matter
 
 
 def interpolate(
@@ -36,7 +41,7 @@ def interpolate(
     spacing: float | Sequence[float] | None = None,
     unit: str = "voxel",
 ) -> Image:
-    """A field from its values at some points (equation 7).
+    """Interpolate a field from its values at some points (equation 7).
 
     Parameters
     ----------
@@ -49,10 +54,10 @@ def interpolate(
     power : float
         p of equation 7, 0.5 .. 16. Higher: more like the nearest point's value.
     mask : bool array of `shape`, optional
-        The domain. Distances are then ways inside it, and points have to lie in it. What no way
-        reaches, and what lies outside, goes by straight lines.
+        The domain. Distances are then lengths of paths inside it, and points have to be inside.
+        Voxels that no path reaches, and those outside, take straight distances.
     spacing, unit
-        Of the grid.
+        Spacing and unit of the grid.
 
     Returns
     -------
@@ -89,20 +94,20 @@ def interpolate(
     field = field.clip(known.min(), known.max())
     settings: dict[str, Any] = {"shape": sides, "points": where, "values": known, "power": power}
     settings |= {"spacing": edges, "unit": unit}
-    if domain is not None:  # an array cannot be made again from a recipe, which then says so
+    if domain is not None:  # an array cannot be replayed from a recipe: its digest says so
         settings["mask"] = digest(domain.view(np.uint8))
     return as_field(field, "interpolate", settings, spacing=edges, unit=unit)
 
 
 def fill(field: Image, known: ArrayLike, *, power: float = 4.0) -> Image:
-    """A field that is known in a region, everywhere: equation 7 with every known voxel as a point.
+    """Fill in a field that is known in a region: equation 7 with every known voxel as a point.
 
     Parameters
     ----------
     field : Image
-        Grey; what it holds where it is not known does not matter.
+        Grey; its values where it is not known do not matter.
     known : bool array, the field's shape
-        Where it counts, and stays as it is.
+        True where the field is known, and stays as it is.
     power : float
         p of equation 7, 0.5 .. 4. The sums are convolutions, so the number of voxels hardly
         matters.
@@ -117,12 +122,11 @@ def fill(field: Image, known: ArrayLike, *, power: float = 4.0) -> Image:
     InputError
         Not grey; a region of another shape or type, or without a voxel.
     """
-    if not isinstance(field, Image) or field.kind != "grey":
-        raise InputError("fill needs a field as a grey Image: give tb.Image(array, kind='grey')")
+    check_grey(field)
     region = as_region(known, field.shape, name="known")
     power = as_number(power, name="power", low=0.5, high=_HIGHEST)
     held = np.where(region, field.values.astype(np.float64), 0)
-    middle = float(held[region].mean())  # what is near 0 loses the least in the transforms
+    middle = float(held[region].mean())  # values near 0 lose the least in the transforms
     above = _sums(np.where(region, held - middle, 0), field.spacing, power)
     below = _sums(region.astype(np.float64), field.spacing, power)
     found = middle + above / np.maximum(below, 1e-300)
@@ -131,12 +135,12 @@ def fill(field: Image, known: ArrayLike, *, power: float = 4.0) -> Image:
 
 
 def _sums(values: np.ndarray, spacing: tuple[float, ...], power: float) -> np.ndarray:
-    """Sum over all other voxels of their values over distance^power (in the shortest edge)."""
+    """Sum over all other voxels their values over distance^power, in units of the shortest edge."""
     sides = [fast_side(2 * side - 1) for side in values.shape]
     squares: np.ndarray | float = 0.0
     for axis, (side, full, edge) in enumerate(zip(values.shape, sides, spacing, strict=True)):
         offset = np.minimum(np.arange(full), full - np.arange(full)) * (edge / min(spacing))
-        offset[side : full - side + 1] = np.inf  # no two voxels are so far apart
+        offset[side : full - side + 1] = np.inf  # padding: no two voxels are so far apart
         squares = squares + (offset**2).reshape(
             [-1 if k == axis else 1 for k in range(values.ndim)]
         )
@@ -150,6 +154,7 @@ def _sums(values: np.ndarray, spacing: tuple[float, ...], power: float) -> np.nd
 
 
 def _as_points(points: ArrayLike, values: ArrayLike, ndim: int) -> tuple[np.ndarray, np.ndarray]:
+    """Convert points (N, ndim) and values (N,) to float64, and check them."""
     try:
         where, known = np.array(points, np.float64), np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -170,6 +175,7 @@ def _as_points(points: ArrayLike, values: ArrayLike, ndim: int) -> tuple[np.ndar
 def _as_domain(
     mask: ArrayLike | None, sides: tuple[int, ...], points: np.ndarray, edges: tuple[float, ...]
 ) -> np.ndarray | None:
+    """Return the domain as a bool array, or None; check that all points are inside."""
     if mask is None:
         return None
     domain = as_region(mask, sides, name="the mask")
@@ -180,3 +186,117 @@ def _as_domain(
                 f"the point {point.tolist()} lies outside the mask: no way inside leads from it"
             )
     return domain
+
+
+def interior_distance(
+    inside: np.ndarray, point: Sequence[float], spacing: Sequence[float]
+) -> np.ndarray:
+    """Return the length of the shortest path inside a domain from a point to every voxel's middle.
+
+    Parameters
+    ----------
+    inside : (Z, Y, X) or (Y, X) bool
+        The domain.
+    point : one float per axis
+        From the first voxel's corner, in the unit of the spacing; in a voxel of the domain.
+    spacing : one float per axis
+        Voxel edges.
+
+    Returns
+    -------
+    distance : float64 array, the domain's shape
+        Infinite outside the domain, and where no path leads. First order: up to some percent too
+        long across the grid.
+    """
+    deep = np.ascontiguousarray(inside if inside.ndim == 3 else inside[None])
+    edges = np.array(spacing if inside.ndim == 3 else (1.0, *spacing), np.float64)
+    at = np.array(point if inside.ndim == 3 else (0.5, *point), np.float64)
+    time = np.full(deep.shape, np.inf)
+    held = _start_at(deep, at, edges, time)
+    for _ in range(_MOST):
+        if _sweep(deep, held, edges, time) <= _CONVERGED * edges.min():
+            break
+    return time if inside.ndim == 3 else time[0]
+
+
+def _start_at(
+    inside: np.ndarray, at: np.ndarray, edges: np.ndarray, time: np.ndarray
+) -> np.ndarray:
+    """Write straight distances around the source into `time`; return where, a bool array."""
+    cell = np.clip((at / edges).astype(np.int64), 0, np.array(inside.shape) - 1)
+    for reach in (_BALL, 1, 0):
+        box = tuple(slice(max(0, c - reach), c + reach + 1) for c in cell)
+        if inside[box].all() or reach == 0:
+            break
+    grid = np.meshgrid(
+        *(np.arange(s.start, min(s.stop, n)) for s, n in zip(box, inside.shape, strict=True)),
+        indexing="ij",
+    )
+    apart = [
+        (index + 0.5) * edge - origin for index, edge, origin in zip(grid, edges, at, strict=True)
+    ]
+    time[box] = np.sqrt(sum(difference**2 for difference in apart))
+    held = np.zeros(inside.shape, bool)
+    held[box] = True
+    return held
+
+
+@inline
+def _upwind(a, b, c, p, q, r):
+    """Return the arrival time from neighbours at times a, b, c, at distances p, q, r on the axes.
+
+    Solves ((t - a) / p)^2 + ((t - b) / q)^2 + ((t - c) / r)^2 = 1 over the neighbours before t.
+    """
+    if b < a:
+        a, b, p, q = b, a, q, p
+    if c < b:
+        b, c, q, r = c, b, r, q
+    if b < a:
+        a, b, p, q = b, a, q, p
+    t = a + p
+    if t <= b:
+        return t
+    # The quadratic equation with two neighbours, and then with the third.
+    u, v = 1.0 / (p * p), 1.0 / (q * q)
+    square, line, rest = u + v, u * a + v * b, u * a * a + v * b * b - 1.0
+    t = (line + np.sqrt(max(0.0, line * line - square * rest))) / square
+    if t <= c:
+        return t
+    w = 1.0 / (r * r)
+    square, line, rest = square + w, line + w * c, rest + w * c * c
+    return (line + np.sqrt(max(0.0, line * line - square * rest))) / square
+
+
+@kernel
+def _sweep(inside, held, edges, time):
+    """Update all times in the eight orders; return the largest change."""
+    depth, height, width = time.shape
+    largest = 0.0
+    far = np.inf
+    for order in range(8):
+        for i in range(depth):
+            z = i if order & 4 else depth - 1 - i
+            for j in range(height):
+                y = j if order & 2 else height - 1 - j
+                for k in range(width):
+                    x = k if order & 1 else width - 1 - k
+                    if not inside[z, y, x] or held[z, y, x]:
+                        continue
+                    a = min(
+                        time[z - 1, y, x] if z else far, time[z + 1, y, x] if z + 1 < depth else far
+                    )
+                    b = min(
+                        time[z, y - 1, x] if y else far,
+                        time[z, y + 1, x] if y + 1 < height else far,
+                    )
+                    c = min(
+                        time[z, y, x - 1] if x else far, time[z, y, x + 1] if x + 1 < width else far
+                    )
+                    if min(a, b, c) == far:
+                        continue
+                    t = _upwind(a, b, c, edges[0], edges[1], edges[2])
+                    if t < time[z, y, x]:
+                        change = time[z, y, x] - t
+                        largest = max(largest, change)
+                        time[z, y, x] = t
+    return largest

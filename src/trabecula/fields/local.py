@@ -1,36 +1,38 @@
-"""Descriptors of every neighbourhood of an image, as fields: volume fractions and densities of
-Minkowski functionals.
+"""Local descriptors of an image as fields: volume fractions, Minkowski functionals, orientation.
 
-Every voxel, and every cube of 2x2x2 voxels, adds a number that a table gives (`measure.cubes`). The
-sum over a window follows from the one beside it: a layer enters, a layer leaves. The tables are
-made whole numbers first, so the sums are exact whatever the order, and a window costs the same at
-any size.
+Every voxel, and every cube of 2x2x2 voxels, adds a number from a table (`measure.configurations`).
+The sum over a window follows from the one beside it: a layer enters, a layer leaves. The tables are
+converted to whole numbers first, so the sums are exact in any order, and the cost of a window does
+not depend on its size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number, as_spacing, check_name
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, phase_index
+from trabecula.core.image import Image, as_image, phase_index
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.fields.grid import of_image
 from trabecula.measure.configurations import (
     cube_euler,
     curvature_table,
     square_euler,
     surface_table,
 )
+from trabecula.measure.orientation import structure_tensor
 from trabecula.measure.phases import as_connectivity, indicator
 
 FUNCTIONALS = {2: ("perimeter", "euler"), 3: ("surface", "mean_curvature", "euler")}
 """Names of the Minkowski functionals beside the volume fraction, by dimension."""
 
-_UNIT = 1 << 24  # a table's 1 in whole numbers
+_UNIT = 1 << 24  # the whole number that stands for 1 in a table
 
 
 def windowed(
@@ -42,7 +44,7 @@ def windowed(
     connectivity: int | None = None,
     spacing: float | Sequence[float] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Descriptors of every window of `size` voxels a side that lies wholly inside.
+    """Measure descriptors of every window of `size` voxels a side that is wholly inside.
 
     Parameters
     ----------
@@ -58,14 +60,14 @@ def windowed(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
     spacing : float or one per axis, optional
-        Voxel edges. Default: 1, so that densities are per voxel, whatever the image's own spacing.
+        Voxel edges. Default: 1, so that densities are per voxel; the image's spacing is ignored.
 
     Returns
     -------
     fields : dict of str to (Z - s + 1, Y - s + 1, X - s + 1) float32
-        Element (z, y, x) is of the window whose first voxel is (z, y, x). Fractions are of the s^3
+        Element (z, y, x) belongs to the window with first voxel (z, y, x). Fractions are of the s^3
         voxels; functionals are densities over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as
-        `measure.minkowski` of the window gives.
+        those of `measure.minkowski` of the window.
 
     Raises
     ------
@@ -103,7 +105,100 @@ def windowed(
     return fields
 
 
+def measure(
+    image: Image | ArrayLike,
+    name: str = "volume_fraction",
+    *,
+    size: int,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+) -> Image:
+    """Measure a descriptor of the window around every voxel, on the image's grid.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    name : str
+        As for `windowed`: "volume_fraction", "porosity", "volume_fraction:PHASE", "surface"
+        ("perimeter" in 2-D), "mean_curvature" (3-D), "euler".
+    size : int
+        Side of the windows in voxels.
+    phase, connectivity
+        As for `windowed`.
+
+    Returns
+    -------
+    field : Image
+        Grey, float32, the image's shape. Densities are per voxel. Windows are wholly inside: within
+        half a window of a face the nearest such window counts.
+
+    Raises
+    ------
+    InputError, UnknownNameError
+        As `windowed`.
+
+    Examples
+    --------
+    >>> steps = np.repeat([[0, 0, 0, 1, 1, 1]], 3, axis=0)
+    >>> measure(steps, size=3).values[1].round(2)
+    array([0.  , 0.  , 0.33, 0.67, 1.  , 1.  ], dtype=float32)
+    """
+    source = as_image(image)
+    width = int(as_number(size, name="size", low=2, high=1 << 20, whole=True))
+    options: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
+    windows = windowed(source, size=width, names=[name], **options)[name]
+    # On the voxel in the middle of its window; the outermost values continue to the faces.
+    field = np.pad(windows, [((width - 1) // 2, width // 2)] * windows.ndim, mode="edge")
+    return of_image(field, "measure", {"name": name, "size": width, **options}, source)
+
+
+def directions(
+    image: Image | ArrayLike, *, sigma: float = 1.0, window: float = 4.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the local orientation: the direction in which values change least, and its clarity.
+
+    The eigenvector of the structure tensor's smallest eigenvalue (see `measure.orientation`).
+
+    Parameters
+    ----------
+    image, sigma, window
+        As for `measure.structure_tensor`.
+
+    Returns
+    -------
+    vectors : (ndim, ...) float32
+        Unit vectors in the order of the axes, the last component that is not 0 positive. 0 where
+        nothing changes.
+    clarity : (...) float32
+        0 .. 1: in 2-D (l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2, in 3-D (l2 - l3) / l1.
+
+    Raises
+    ------
+    InputError
+        As `measure.structure_tensor`.
+    """
+    tensor = structure_tensor(image, sigma=sigma, window=window)
+    ndim = len(tensor)
+    vectors = np.empty((ndim, *tensor.shape[2:]), np.float32)
+    clarity = np.empty(tensor.shape[2:], np.float32)
+    # Slice by slice: eigenvectors in float64 take 24 times the memory of a field.
+    for k in range(tensor.shape[2]):
+        values, axes = np.linalg.eigh(
+            np.moveaxis(tensor[:, :, k].astype(np.float64), (0, 1), (-2, -1))
+        )
+        most = values[..., -1] + (values[..., 0] if ndim == 2 else 0)
+        apart = values[..., 1] - values[..., 0]
+        clarity[k] = np.where(most > 0, apart / np.where(most > 0, most, 1), 0)
+        least = np.moveaxis(axes[..., 0], -1, 0)
+        sign = np.sign(least[0])
+        for component in least[1:]:
+            sign = np.where(component == 0, sign, np.sign(component))
+        vectors[:, k] = np.where(most > 0, least * sign, 0)
+    return vectors, clarity
+
+
 def _check_descriptor(name: str, image: Image) -> None:
+    """Raise where an image has no such descriptor."""
     head, sign, _ = name.partition(":")
     known = ("porosity", "volume_fraction", *FUNCTIONALS[image.ndim])
     if head == "volume_fraction" and sign:
@@ -113,14 +208,17 @@ def _check_descriptor(name: str, image: Image) -> None:
 
 
 def _label(name: str, image: Image) -> int:
-    """The phase that a fraction is of."""
+    """Return the label of the phase in the name of a fraction."""
     return phase_index(
         image, None if name == "porosity" else name.partition(":")[2], default="void"
     )
 
 
 def _codes(inside: np.ndarray) -> np.ndarray:
-    """(Z - 1, Y - 1, X - 1) uint8: every cube's number among the 256 (every square's among the 16)."""
+    """Return the configuration of every cube (of every square in 2-D), uint8.
+
+    Of shape (Z - 1, Y - 1, X - 1); 0..255 in 3-D, 0..15 in 2-D.
+    """
     shape = tuple(side - 1 for side in inside.shape)
     codes = np.zeros(shape, np.uint8)
     for bit, corner in enumerate(np.ndindex((2,) * inside.ndim)):
@@ -130,7 +228,7 @@ def _codes(inside: np.ndarray) -> np.ndarray:
 
 
 def _functional_table(name: str, spacing: tuple[float, ...], connectivity: int) -> np.ndarray:
-    """(256,) what each cube adds to a density; of a square, whose number is below 16."""
+    """Return the contribution (256,) of each configuration to a density; of squares, below 16."""
     flat = len(spacing) == 2
     if name in ("surface", "perimeter"):
         return surface_table((1.0, *spacing) if flat else spacing, flat=flat)
@@ -141,7 +239,7 @@ def _functional_table(name: str, spacing: tuple[float, ...], connectivity: int) 
 
 
 def _mean_of(codes: np.ndarray, table: np.ndarray, width: int) -> np.ndarray:
-    """The table's mean over every window of `width` codes a side, float32."""
+    """Return the table's mean over every window of `width` codes a side, float32."""
     deep = np.ascontiguousarray(codes if codes.ndim == 3 else codes[None])
     depth = width if codes.ndim == 3 else 1
     largest = max(1.0, float(np.abs(table).max()))
@@ -159,7 +257,7 @@ def _mean_of(codes: np.ndarray, table: np.ndarray, width: int) -> np.ndarray:
 
 @kernel
 def _slide(codes, table, depth, width, scale, means, start, stop):
-    """Windows of depth x width x width codes: columns along z, then rows of them, then the windows."""
+    """Sum windows of depth x width x width codes: columns along z, rows of them, then windows."""
     _, height, length = codes.shape
     columns = np.zeros((height, length), np.int64)
     band = np.zeros(length, np.int64)

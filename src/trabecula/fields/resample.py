@@ -1,4 +1,4 @@
-"""A field on another grid, and in another range."""
+"""Resampling of a field to another grid, and rescaling to another range."""
 
 from __future__ import annotations
 
@@ -9,44 +9,42 @@ import numpy as np
 from trabecula.core.checks import as_number, as_shape
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.fields.grid import as_field, history_of, of_image
+from trabecula.fields.grid import as_field, check_grey, history_of, of_image
 
 
 def resample(field: Image, shape: int | Sequence[int]) -> Image:
-    """The same field on a grid of another number of voxels over the same box, by linear
-    interpolation.
+    """Resample a field to another number of voxels over the same box, by linear interpolation.
 
     Parameters
     ----------
     field : Image
         Grey.
     shape : int or ints
-        Voxels along every axis. Beyond the middles of the outermost voxels their value goes on.
+        Voxels along every axis. Beyond the middles of the outermost voxels the field is constant.
 
     Returns
     -------
     field : Image
-        With the spacing that leaves the box as large as it was.
+        With the spacing that keeps the size of the box.
 
     Raises
     ------
     InputError
-        Not grey, or a shape that is none.
+        Not grey, or no valid shape.
     """
-    _check_grey(field)
+    check_grey(field)
     sides = as_shape(shape, ndim=field.ndim)
     spacing = [
         edge * old / new for edge, old, new in zip(field.spacing, field.shape, sides, strict=True)
     ]
-    values, before = resampled(field.values, sides), history_of(field)
+    values, before = resample_array(field.values, sides), history_of(field)
     return as_field(
         values, "resample", {"shape": sides}, spacing=spacing, unit=field.unit, before=before
     )
 
 
 def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Image:
-    """The field brought into a range: stretched so that its least and greatest values are `low` and
-    `high`, or cut off there.
+    """Rescale a field linearly so that its least and greatest values are `low` and `high`.
 
     Parameters
     ----------
@@ -54,7 +52,7 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
         Grey.
     low, high : float
     clip : bool
-        Leave what is inside as it is and cut off the rest.
+        Clip the values to the range instead.
 
     Returns
     -------
@@ -73,7 +71,7 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
     >>> rescale(steep, low=0.2, high=0.6, clip=True).values
     array([[0.2, 0.5, 0.6]], dtype=float32)
     """
-    _check_grey(field)
+    check_grey(field)
     least, most = (
         as_number(value, name=name, low=-1e6, high=1e6)
         for name, value in (("low", low), ("high", high))
@@ -90,8 +88,8 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
     )
 
 
-def resampled(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
-    """Linear interpolation between the voxels' middles, one axis after another, float64."""
+def resample_array(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """Interpolate linearly between the voxels' middles, one axis after another, in float64."""
     found = np.asarray(values, np.float64)
     for axis, side in enumerate(shape):
         old = found.shape[axis]
@@ -103,9 +101,3 @@ def resampled(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
         upper = np.minimum(lower + 1, old - 1)
         found = found.take(lower, axis) * (1 - share) + found.take(upper, axis) * share
     return found
-
-
-def _check_grey(field: Image) -> None:
-    if not isinstance(field, Image) or field.kind != "grey":
-        what = field.kind if isinstance(field, Image) else type(field).__name__
-        raise InputError(f"a field is a grey Image, got {what}: give tb.Image(array, kind='grey')")

@@ -12,9 +12,9 @@ from trabecula.core.errors import InputError
 from trabecula.core.expression import Expression
 from trabecula.core.image import Image
 from trabecula.fields.grid import AXES, as_axis, as_field, as_sides, history_of, middles
-from trabecula.fields.resample import resampled
+from trabecula.fields.resample import resample_array
 
-_FAR = 1e6  # values beyond this are no descriptor's
+_FAR = 1e6  # no descriptor has a larger value
 
 
 def ramp(
@@ -26,18 +26,18 @@ def ramp(
     spacing: float | Sequence[float] | None = None,
     unit: str = "voxel",
 ) -> Image:
-    """A field that runs evenly from one face to the opposite one.
+    """Return a field that changes linearly from one face to the opposite one.
 
     Parameters
     ----------
     shape : int or two or three ints
         Voxels along (z, y, x), or (y, x); one number means a cube.
     axis : {"z", "y", "x"} or int
-        Along which it runs.
+        Axis of the change.
     start, end : float
         Values of the first and the last voxel along it.
     spacing, unit
-        Of the grid.
+        Spacing and unit of the grid.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def ramp(
     Raises
     ------
     InputError
-        A shape, axis or value that is none.
+        No valid shape, axis or value.
 
     Examples
     --------
@@ -56,12 +56,12 @@ def ramp(
     """
     sides = as_sides(shape)
     along = as_axis(axis, len(sides))
-    ends = _values(start=start, end=end)
+    ends = _as_values(start=start, end=end)
     line = np.linspace(ends[0], ends[1], sides[along]).reshape(
         [-1 if k == along else 1 for k in range(len(sides))]
     )
     settings = {"shape": sides, "axis": AXES[len(sides)][along], "start": ends[0], "end": ends[1]}
-    return _drawn(np.broadcast_to(line, sides), "ramp", settings, spacing, unit)
+    return _grid_field(np.broadcast_to(line, sides), "ramp", settings, spacing, unit)
 
 
 def radial(
@@ -75,7 +75,7 @@ def radial(
     spacing: float | Sequence[float] | None = None,
     unit: str = "voxel",
 ) -> Image:
-    """A field that runs evenly from a centre to a radius, and stays what it is there beyond.
+    """Return a field that changes linearly from a centre to a radius, and is constant beyond.
 
     Parameters
     ----------
@@ -84,11 +84,11 @@ def radial(
     inside, outside : float
         Values at the centre, and from the radius outwards.
     radius : float, optional
-        In the unit of the spacing. Default: half the shortest side that counts.
+        In the unit of the spacing. Default: half the shortest side across the axis.
     centre : one float per axis, optional
         In the unit of the spacing, from the first voxel's corner. Default: the middle.
     axis : {"z", "y", "x"} or int, optional
-        Distance is counted from the line along this axis (a cylinder). Default: from the point (a
+        Measure the distance from the line along this axis (a cylinder). Default: from the point (a
         ball).
 
     Returns
@@ -98,7 +98,7 @@ def radial(
     Raises
     ------
     InputError
-        A radius that is not positive, or another argument that is none.
+        A radius that is not positive, or another invalid argument.
 
     Examples
     --------
@@ -115,7 +115,7 @@ def radial(
     middle = _centre(centre, extent)
     squares = [(at - middle[k]) ** 2 for k, at in enumerate(middles(sides, edges)) if k != line]
     share = np.minimum(np.sqrt(sum(squares)) / reach, 1)
-    ends = _values(inside=inside, outside=outside)
+    ends = _as_values(inside=inside, outside=outside)
     settings = {
         "shape": sides,
         "inside": ends[0],
@@ -124,7 +124,7 @@ def radial(
         "centre": middle,
         "axis": None if line is None else AXES[len(sides)][line],
     }
-    return _drawn(
+    return _grid_field(
         np.broadcast_to(ends[0] + (ends[1] - ends[0]) * share, sides),
         "radial",
         settings,
@@ -134,6 +134,7 @@ def radial(
 
 
 def _centre(centre: Sequence[float] | None, extent: list[float]) -> list[float]:
+    """Return the centre, one number an axis; the middle for None."""
     if centre is None:
         return [length / 2 for length in extent]
     found = [
@@ -152,16 +153,16 @@ def formula(
     spacing: float | Sequence[float] | None = None,
     unit: str = "voxel",
 ) -> Image:
-    """A field by a formula in the position.
+    """Return a field by a formula of the position.
 
     Parameters
     ----------
     shape, spacing, unit
         As for `ramp`.
     text : str
-        In z, y, x (position of a voxel's middle, in the unit of the spacing, from the first face)
-        and Z, Y, X (the sides of the whole in that unit), read by `core.expression.Expression`:
-        "0.3 + 0.2 * z / Z".
+        A formula in z, y, x (position of a voxel's middle, in the unit of the spacing, from the
+        first face) and Z, Y, X (the sides of the grid in that unit), parsed by
+        `core.expression.Expression`: "0.3 + 0.2 * z / Z".
 
     Returns
     -------
@@ -170,9 +171,9 @@ def formula(
     Raises
     ------
     InputError
-        A formula that cannot be read, or that has no value somewhere.
+        A formula that cannot be parsed, or without a finite value somewhere.
     UnknownNameError
-        A name or a function that there is not.
+        An unknown name or function.
 
     Examples
     --------
@@ -195,7 +196,7 @@ def formula(
         raise InputError(
             f"the formula {text!r} has no finite value at voxel {bad}: give one that has"
         )
-    return _drawn(found, "formula", {"shape": sides, "text": text}, spacing, unit)
+    return _grid_field(found, "formula", {"shape": sides, "text": text}, spacing, unit)
 
 
 def picture(
@@ -208,21 +209,21 @@ def picture(
     spacing: float | Sequence[float] | None = None,
     unit: str = "voxel",
 ) -> Image:
-    """A field drawn as a picture: black is `low`, white is `high`, the same at every depth.
+    """Return a field from a picture: black is `low`, white is `high`, the same at every depth.
 
     Parameters
     ----------
     image : Image or array, (Y, X) or colour
-        Stretched over the faces across `axis`; of a colour the mean of its channels. Of 0 .. 255 in
-        integers of a byte, else its own least and greatest values are black and white.
+        Stretched over the faces across `axis`; colour is averaged over its channels. 0 and 255 are
+        black and white of uint8, else the picture's least and greatest values.
     shape : int or two or three ints
-        Of the field; with two numbers the picture is the field.
+        Shape of the field; with two numbers the picture is the field.
     low, high : float
         Values of black and white.
     axis : {"z", "y", "x"} or int
-        The direction one looks along.
+        The direction of view.
     spacing, unit
-        Of the grid.
+        Spacing and unit of the grid.
 
     Returns
     -------
@@ -231,15 +232,16 @@ def picture(
     Raises
     ------
     InputError
-        Not a picture, or a shape that is none.
+        Not a picture, or no valid shape.
     """
     source = image if isinstance(image, Image) else Image(np.asarray(image), "grey")
     if source.ndim != 2:
         raise InputError(
-            f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice of it"
+            f"a field is drawn by a picture, got a volume of shape {source.shape}: give one slice "
+            "of it"
         )
     sides = as_sides(shape)
-    ends = _values(low=low, high=high)
+    ends = _as_values(low=low, high=high)
     grey = source.values.astype(np.float64)
     grey = grey.mean(axis=-1) if source.kind == "colour" else grey
     black, white = (
@@ -251,7 +253,7 @@ def picture(
     flat = len(sides) == 2
     along = 0 if flat else as_axis(axis, 3)
     face = sides if flat else tuple(side for k, side in enumerate(sides) if k != along)
-    drawn = ends[0] + (ends[1] - ends[0]) * resampled(share, face)
+    drawn = ends[0] + (ends[1] - ends[0]) * resample_array(share, face)
     deep = drawn if flat else np.broadcast_to(np.expand_dims(drawn, along), sides)
     edges = as_spacing(spacing, ndim=len(sides))
     settings = {
@@ -265,11 +267,12 @@ def picture(
     return as_field(deep, "picture", settings, spacing=edges, unit=unit, before=history_of(source))
 
 
-def _values(**given: float) -> list[float]:
-    return [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in given.items()]
+def _as_values(**values: float) -> list[float]:
+    """Return the values, each checked under its name."""
+    return [as_number(value, name=name, low=-_FAR, high=_FAR) for name, value in values.items()]
 
 
-def _drawn(
+def _grid_field(
     values: np.ndarray,
     make: str,
     settings: dict,

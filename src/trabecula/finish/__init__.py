@@ -1,28 +1,18 @@
-"""Image -> Image: what a material needs before it is printed or simulated. Every operation adds a
-step to the recipe; `trapped` and `print_check` only look."""
+"""Image -> Image: the repairs of a material before it is printed or simulated.
 
-from collections.abc import Callable
+Every operation adds a step to the recipe; `trapped` and `print_check` change nothing.
+"""
 
-from trabecula.core.image import Image
 from trabecula.finish.closed_pores import fill_trapped, trapped
 from trabecula.finish.connect import connect
 from trabecula.finish.floaters import remove_floaters
 from trabecula.finish.forms import mask_steps
+from trabecula.finish.operations import OPERATIONS
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
 from trabecula.finish.slabs import finish_slabs
 from trabecula.finish.smooth import smooth
 from trabecula.finish.thicken import thicken
-
-# By the name that stands in a recipe's step, so that the step can be done again.
-OPERATIONS: dict[str, Callable[..., Image]] = {
-    "prune": prune,
-    "connect": connect,
-    "smooth": smooth,
-    "thicken": thicken,
-    "remove_floaters": remove_floaters,
-    "fill_trapped": fill_trapped,
-}
 
 __all__ = [
     "OPERATIONS",

@@ -1,10 +1,11 @@
-"""Take a branch off: which voxels are its own, and their removal one simple voxel after another."""
+"""Removal of a branch: the voxels that belong to it, removed one simple voxel after another."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.finish.labels import lift
 from trabecula.measure.skeleton import SkeletonGraph
 from trabecula.measure.skeleton.simple import (
     FACES,
@@ -15,32 +16,31 @@ from trabecula.measure.skeleton.simple import (
     neighbourhood,
 )
 
-_MOST = 0.8  # of a strut's voxels have to be free to go
+_MOST = 0.8  # least share of a strut's voxels that have to be removable
 
 
 class Territories:
-    """Every voxel of a phase belongs to the branch or joint of the nearest skeleton voxel, as far
-    as ways inside the phase lead.
+    """The branch or joint of the skeleton that owns each voxel of a phase: the nearest one, along
+    paths inside the phase.
 
-    Owners are numbered: branches as in the graph, then joints. Volumes are lifted to three axes and
-    have a margin of one voxel.
+    Owners are numbered: branches as in the graph, then joints. Volumes have three axes and a margin
+    of one voxel.
     """
 
     def __init__(self, graph: SkeletonGraph, inside: np.ndarray, radius: np.ndarray) -> None:
-        lift = 3 - inside.ndim
-        self.inside = np.pad(inside.reshape((1,) * lift + inside.shape), 1).astype(np.uint8)
-        self.edge = np.array((max(graph.spacing),) * lift + tuple(graph.spacing))
+        self.inside = np.pad(lift(inside), 1).astype(np.uint8)
+        self.edge = np.array((max(graph.spacing),) * (3 - inside.ndim) + tuple(graph.spacing))
         self.owner = np.full(self.inside.shape, -1, np.int32)
         self.added: list[np.ndarray] = []
         """(n, 3) voxels of every strut that has been grown."""
-        along, joints = tuple(self.lifted(graph.voxels).T), tuple(self.lifted(graph.joint_voxels).T)
+        along, joints = tuple(self.lift(graph.voxels).T), tuple(self.lift(graph.joint_voxels).T)
         self.owner[along] = np.repeat(np.arange(graph.branches), np.diff(graph.offsets))
-        # over the ends of the branches that meet there
+        # after the branches: a joint's voxels are also ends of the branches that meet there
         self.owner[joints] = graph.branches + graph.joint_of
         self.spine = self.owner >= 0
-        self.radius = radius.reshape((1,) * lift + radius.shape)
+        self.radius = lift(radius)
         self._girth = float(radius[graph.skeleton].max(initial=0))
-        _spread(
+        _propagate_owners(
             self.inside.reshape(-1),
             self.owner.reshape(-1),
             np.flatnonzero(self.spine),
@@ -53,13 +53,14 @@ class Territories:
         self._owned = owned[order]
         self._first = np.searchsorted(label[order], np.arange(graph.branches + 1))
 
-    def lifted(self, voxels: np.ndarray) -> np.ndarray:
-        """(n, 3) places in the volumes of voxels (n, D) of the image."""
+    def lift(self, voxels: np.ndarray) -> np.ndarray:
+        """Return the indices (n, 3) in the volumes of voxels (n, D) of the image."""
         return np.pad(voxels, [(0, 0), (3 - voxels.shape[1], 0)]) + 1
 
-    def of(self, branch: int) -> np.ndarray:
-        """(n,) flat places of the voxels of a branch that lie in no sphere around another part of
-        the skeleton.
+    def branch_voxels(self, branch: int) -> np.ndarray:
+        """Return the flat indices (n,) of the voxels that belong to a branch alone.
+
+        They are in no largest sphere around a skeleton voxel of another branch or joint.
         """
         flat = self._owned[self._first[branch] : self._first[branch + 1]]
         if not len(flat):
@@ -72,17 +73,18 @@ class Territories:
         return flat[_in_no_sphere(at, near, self.radius[tuple(near.T - 1)], self.edge)]
 
     def places(self, flat: np.ndarray) -> np.ndarray:
-        """(n, 3) of flat places."""
+        """Return the indices (n, 3) of flat indices (n,)."""
         return np.stack(np.unravel_index(flat, self.inside.shape), axis=1)
 
     def at_face(self, places: np.ndarray) -> bool:
-        """Whether any of the voxels lies at a face of the image."""
+        """Return whether any of the voxels touches a face of the image."""
         at, last = self.places(places), np.array(self.inside.shape) - 2
         return bool(((at == 1) | (at == last))[:, last > 1].any())
 
     def surface(self, places: np.ndarray) -> tuple[float, float]:
-        """Area by which voxels (rising flat places) touch the rest of the phase, and what is not
-        the phase.
+        """Return the area by which voxels touch the rest of the phase, and the other phases.
+
+        `places` are flat indices in rising order.
         """
         flat, sides = self.inside.reshape(-1), around(self.inside.shape)[[4, 10, 12, 14, 16, 22]]
         area = np.prod(self.edge) / self.edge[[0, 1, 2, 2, 1, 0]]
@@ -93,36 +95,35 @@ class Territories:
         return float(held.sum(axis=0) @ area), float(free.sum(axis=0) @ area)
 
     def cut(self, branch: int, tip: np.ndarray) -> np.ndarray:
-        """Remove the branch's voxels from `inside`, those nearest to its tip first; their flat
-        places.
+        """Remove the branch's voxels from `inside`, those nearest to its tip first.
 
-        Only voxels whose removal changes no topology go, with 26 neighbours and with 6; where many
-        would have to stay, the branch is more than a strut (part of a plate with holes, say), and
-        nothing goes.
+        Returns their flat indices. Only voxels whose removal keeps the topology are removed, with
+        26 neighbours and with 6; where many would have to stay, the branch is more than a strut
+        (part of a plate with holes, say), and none is removed.
         """
-        flat = self.of(branch)
+        flat = self.branch_voxels(branch)
         at = self.places(flat)
         far = np.linalg.norm((at - tip) * self.edge, axis=1)
         order = flat[np.argsort(far, kind="stable")]
         flat_inside = self.inside.reshape(-1)
-        gone = _peel_off(flat_inside, order, around(self.inside.shape), euler_changes())
-        if np.count_nonzero(gone) < _MOST * len(order):
+        removed = _peel_off(flat_inside, order, around(self.inside.shape), euler_changes())
+        if np.count_nonzero(removed) < _MOST * len(order):
             flat_inside[order] = 1
             return order[:0]
-        return order[gone]
+        return order[removed]
 
 
 @kernel
 def _in_no_sphere(at, centre, radius, edge):
-    """Which of the voxels lie in none of the spheres."""
+    """Return which of the voxels are in none of the spheres, a bool array."""
     free = np.ones(len(at), np.bool_)
     for n in range(len(at)):
         for k in range(len(centre)):
             z = (at[n, 0] - centre[k, 0]) * edge[0]
             y = (at[n, 1] - centre[k, 1]) * edge[1]
             x = (at[n, 2] - centre[k, 2]) * edge[2]
-            # Squares of float32 distances: voxels on the sphere itself should not be in or out by
-            # rounding.
+            # The radius is a float32: its square needs slack, or rounding decides about voxels on
+            # the sphere itself.
             if z * z + y * y + x * x <= np.float64(radius[k]) ** 2 * (1 + 1e-6):
                 free[n] = False
                 break
@@ -130,9 +131,10 @@ def _in_no_sphere(at, centre, radius, edge):
 
 
 @kernel
-def _spread(inside, owner, seeds, steps, edge):
-    """Hand every seed's owner on to the voxels that are nearer to it than to any other seed known
-    to them.
+def _propagate_owners(inside, owner, seeds, steps, edge):
+    """Propagate the owner of every seed to the voxels nearer to it than to any seed seen so far.
+
+    A queue of voxels in a ring buffer; each is queued again when a nearer seed reaches it.
     """
     height = steps[22] - steps[13]  # one step along z
     width = steps[16] - steps[13]
@@ -180,9 +182,7 @@ def _spread(inside, owner, seeds, steps, edge):
 
 @kernel
 def _peel_off(state, order, steps, changes):
-    """Remove the voxels that may go, in this order, again and again until none may; which of them
-    went.
-    """
+    """Remove simple voxels in this order, in passes until none is; return which, as bools."""
     gone = np.zeros(len(order), np.bool_)
     removed = 1
     while removed > 0:
@@ -191,8 +191,8 @@ def _peel_off(state, order, steps, changes):
             if gone[n]:
                 continue
             found = neighbourhood(state, order[n], steps)
-            # Without a face neighbour it is a piece of its own, by faces, and its loss breaks
-            # nothing.
+            # Without a face neighbour it is a component of its own, by faces, and its removal
+            # disconnects nothing.
             if is_simple(found, changes) and (
                 found & FACES == 0 or is_simple_by_faces(found, changes)
             ):

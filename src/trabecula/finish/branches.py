@@ -1,11 +1,11 @@
-"""Struts that end freely, and the cells that they stick into.
+"""Struts with a free end, and the cells that they stick into.
 
-Surfaces that are rough and plates have branches with free ends too. One is taken for a strut where
-the part of the phase that is its own
+Rough surfaces and plates have skeleton branches with free ends too. A branch is taken for a strut
+where its own voxels
 
-- sticks out: the void touches at least twice as much of its surface as the rest of the phase does;
-- is not more than twice as wide as thick;
-- is not cut by a face of the image, nor by the surface of the form that it fills.
+- stick out: the void touches at least twice as much of their surface as the rest of the phase does;
+- are not more than twice as wide as thick;
+- are not cut by a face of the image, nor by the surface of the form that it fills.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from trabecula.measure.distance import distance_transform
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph
 from trabecula.measure.skeleton.graph import END_JOINT, JOINT_JOINT
 
-_FLAT = 2.0  # width over thickness of what is a plate
-_SAMPLED = 200  # joints whose loops tell the size of a typical cell
-_FREE = 2.0  # free surface over what hangs on the rest
+_FLAT = 2.0  # width over thickness above which a branch is a plate
+_SAMPLED = 200  # joints whose loops give the size of a typical cell
+_FREE = 2.0  # least free surface over surface shared with the rest of the phase
 
 
 @dataclass(frozen=True, eq=False)
 class FreeEnd:
-    """A strut that ends freely inside the image. Lengths are in the unit of the spacing."""
+    """A strut with a free end inside the image. Lengths are in the unit of the spacing."""
 
     branch: int
     """Number in the skeleton graph."""
     root: int
     """The joint that it grows from."""
     length: float
-    """Of the branch, from joint to tip."""
+    """Length of the branch, from joint to tip."""
     thickness: float
     """Mean diameter, along the branch outside of its root."""
     tip: np.ndarray
@@ -46,30 +46,30 @@ class FreeEnd:
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """A phase taken apart into branches."""
+    """A phase divided into the territories of its skeleton's branches."""
 
     graph: SkeletonGraph
     radius: np.ndarray
-    """The image's shape: distance of every voxel of the phase to the rest, in the unit of the
+    """Distance of every voxel of the phase to the rest, of the image's shape, in the unit of the
     spacing.
     """
     territories: Territories
     ends: list[FreeEnd]
     """Shortest first."""
     volume: float
-    """Of the image, or of the form that it fills, without the margin in which ends are not judged;
-    in the unit of the spacing.
+    """Volume of the image, or of the form that it fills, without the margin in which ends are not
+    judged; in the unit of the spacing.
     """
 
 
 def anatomy(
     inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | None = None
 ) -> Anatomy:
-    """Skeleton, territories and free ends of a phase, a boolean array; lengths are in the unit of
-    `spacing`.
+    """Find skeleton, territories and free ends of a phase, a boolean array.
 
-    Ends nearer to a face, or to the surface of a `form` (bool, of the same shape), than the mean
-    thickness of the struts are not judged: it may have cut a strut there.
+    Lengths are in the unit of `spacing`. Ends nearer to a face, or to the surface of a `form`
+    (bool, same shape), than the mean thickness of the struts are not judged: a strut may be cut
+    there.
     """
     graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
     radius = distance_transform(inside, spacing=spacing)
@@ -77,33 +77,34 @@ def anatomy(
     territories = Territories(graph, inside, radius)
     girth = np.zeros(len(graph.joints))
     np.maximum.at(girth, graph.joint_of, radius[tuple(graph.joint_voxels.T)])
-    room = _Room.of(inside.shape, spacing, form)
+    domain = _FilledDomain.of(inside.shape, spacing, form)
     found = []
     for branch in np.flatnonzero(graph.kind == END_JOINT):
-        if room.depth(graph.path(branch)[0]) >= margin:
+        if domain.depth(graph.path(branch)[0]) >= margin:
             end = _free_end(
-                int(branch), graph, radius, girth[graph.stop[branch]], territories, room
+                int(branch), graph, radius, girth[graph.stop[branch]], territories, domain
             )
             found += [] if end is None else [end]
     found.sort(key=lambda end: end.length)  # stable: equal ones stay in the order of the graph
-    return Anatomy(graph, radius, territories, found, room.volume(margin))
+    return Anatomy(graph, radius, territories, found, domain.volume(margin))
 
 
 @dataclass(frozen=True, eq=False)
-class _Room:
-    """Where a phase may be: a box, or a form in it."""
+class _FilledDomain:
+    """The domain that a phase fills: a box, or a form in it."""
 
     sides: np.ndarray
     spacing: np.ndarray
     deep: np.ndarray | None
-    """Of a form: how far the centre of every voxel lies below its surface, a face of a voxel or of
-    the box.
+    """Depth of the centre of every voxel below the surface of a form, a face of a voxel or of the
+    box; None for a box.
     """
 
     @classmethod
     def of(
         cls, shape: tuple[int, ...], spacing: tuple[float, ...], form: np.ndarray | None
-    ) -> _Room:
+    ) -> _FilledDomain:
+        """Return the domain of an image of this shape, or of a form in it."""
         edge = np.array(spacing)
         deep = None
         if form is not None:
@@ -114,20 +115,20 @@ class _Room:
         return cls(np.array(shape) * edge, edge, deep)
 
     def depth(self, voxel: np.ndarray) -> float:
-        """How far the centre of a voxel lies below the surface."""
+        """Return the depth of the centre of a voxel below the surface."""
         if self.deep is not None:
             return float(self.deep[tuple(voxel)])
         centre = (voxel + 0.5) * self.spacing
         return float(min(centre.min(), (self.sides - centre).min()))
 
     def volume(self, margin: float) -> float:
-        """Of what lies deeper than a margin."""
+        """Return the volume deeper than a margin."""
         if self.deep is not None:
             return float(np.count_nonzero(self.deep >= margin) * np.prod(self.spacing))
         return float(np.prod(np.maximum(self.sides - 2 * margin, 0)))
 
     def cuts(self, space: Territories, places: np.ndarray) -> bool:
-        """Whether any voxel of a branch lies at the surface."""
+        """Return whether any voxel of a branch touches the surface."""
         if self.deep is None:
             return space.at_face(places)
         at = space.places(places)[:, 3 - self.deep.ndim :] - 1
@@ -140,23 +141,25 @@ def _free_end(
     radius: np.ndarray,
     girth: float,
     space: Territories,
-    room: _Room,
+    domain: _FilledDomain,
 ) -> FreeEnd | None:
-    """The strut that a branch is the middle of; None where it is no strut, or a face cuts it.
-    `girth` is the radius at its root."""
+    """Return the strut around a branch; None where it is no strut, or a face cuts it.
+
+    `girth` is the radius at its root.
+    """
     edge, root = space.edge, int(graph.stop[branch])
-    own = space.of(branch)
-    if not len(own) or room.cuts(space, own):
+    own = space.branch_voxels(branch)
+    if not len(own) or domain.cuts(space, own):
         return None
     held, free = space.surface(own)
     if free < _FREE * held:
         return None
-    path = space.lifted(graph.path(branch))
-    base = space.lifted(graph.joints[root][None])[0]
+    path = space.lift(graph.path(branch))
+    base = space.lift(graph.joints[root][None])[0]
     away = np.linalg.norm((path[:-1] - base) * edge, axis=1)
     outside = graph.path(branch)[:-1][away >= min(girth, away[0])]
     diameter = 2 * float(radius[tuple(outside.T)].mean()) - edge.min() / 2
-    if not away[0]:  # a joint around its own branch: no way leads outwards
+    if not away[0]:  # a joint around its own branch: no direction is outwards
         return None
     outward = (path[0] - base) * edge / away[0]
     at = space.places(own) * edge
@@ -170,21 +173,20 @@ def _free_end(
 
 
 def _widths(at: np.ndarray, along: np.ndarray, edge: np.ndarray) -> tuple[float, float]:
-    """Larger and smaller width across a direction: of the box that has the same second moments."""
+    """Return two widths across a direction, larger first: of the box of equal second moments."""
     across = at - at.mean(axis=0)
     across -= np.outer(across @ along, along)
-    # A voxel is no point: its own moment comes on top.
+    # A voxel is no point: add its own second moment, edge^2 / 12.
     moments = np.linalg.eigvalsh(across.T @ across / len(at) + np.diag(edge**2) / 12)
     return float(np.sqrt(12 * moments[2])), float(np.sqrt(12 * moments[1]))
 
 
 def cell_perimeters(graph: SkeletonGraph, roots: list[int]) -> np.ndarray:
-    """Perimeter of the cell around each joint, in the unit of the spacing; infinite where the graph
-    has no loops at all.
+    """Return the perimeter of the cell around each joint, in the unit of the spacing.
 
     It is the length of the shortest loop through the joint, but no less than the median of such
-    loops: a small hole in a strut is no cell, and a joint without a loop (on a tree that hangs into
-    a cell) has one around it all the same.
+    loops: a small hole in a strut is no cell, and a joint without a loop (on a tree inside a cell)
+    still has one around it. Infinite where the graph has no loops at all.
     """
     edges = _edges(graph)
     every = 1 + len(edges) // _SAMPLED
@@ -199,7 +201,7 @@ def cell_perimeters(graph: SkeletonGraph, roots: list[int]) -> np.ndarray:
 
 
 def _edges(graph: SkeletonGraph) -> list[list[tuple[int, float, int]]]:
-    """For every joint the branches to others: the other joint, the length between both centres, the
+    """List for every joint its branches: the other joint, the length between both centres, the
     branch's number.
     """
     edge = np.array(graph.spacing)
@@ -215,8 +217,9 @@ def _edges(graph: SkeletonGraph) -> list[list[tuple[int, float, int]]]:
 
 
 def _shortest_loop(root: int, edges: list[list[tuple[int, float, int]]]) -> float:
-    """Dijkstra from the root. A loop closes where two ways meet that left the root by different
-    branches.
+    """Return the length of the shortest loop through the root, by Dijkstra's algorithm.
+
+    A loop closes where two paths meet that left the root by different branches.
     """
     best = min((length for other, length, _ in edges[root] if other == root), default=np.inf)
     queue = [(length, other, branch) for other, length, branch in edges[root] if other != root]

@@ -1,10 +1,9 @@
-"""The shortest way from a loose part to the body, through the background: breadth first, block by
-block.
+"""The shortest path from a loose component to the body through the background, block by block.
 
-All shortest ways from a part have an order: by the voxel that they start from, then by the side by
-which each next voxel is entered. A search in a box finds the first of those inside it. A way is no
-longer than `reach`, so blocks of the part, with so many voxels around, hold every way; the first of
-theirs is the first of all, and the search takes the memory of a block.
+All shortest paths from a component have an order: by the voxel that they start from, then by the
+side through which each next voxel is entered. A search in a box finds the first of those inside it.
+A path is no longer than `reach`, so blocks of the component, with a halo of `reach` voxels, hold
+every path; the first of theirs is the first of all, and the search takes the memory of one block.
 """
 
 from __future__ import annotations
@@ -24,24 +23,23 @@ SIDE = 128
 _BODY, _LOOSE, _OPEN, _CLOSED = 1, 2, 3, 4
 
 _STEPS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-"""To the sides of a voxel, in the order in which they are tried."""
+"""Steps to the neighbours of a voxel, in the order in which they are tried."""
 
 
 def shortest_join(
     values: np.ndarray,
     runs: Runs,
     bounds: Sequence[int],
-    part: int,
+    component: int,
     body: int,
     background: int,
     worth: np.ndarray,
     reach: int,
     inside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Voxels (n, 3) of the first of the shortest ways, before them the voxel of the part that it
-    starts from.
+    """Return the first of the shortest paths (n, 3), beginning with a voxel of the component.
 
-    Empty where more than `reach` would be needed.
+    Empty where it is longer than `reach`.
 
     Parameters
     ----------
@@ -49,16 +47,17 @@ def shortest_join(
     runs : Runs
         Their components.
     bounds : six ints
-        The part's first voxel and the one past its last, along z, y, x.
-    part, body : int
-        Components.
+        The component's first voxel and the one past its last, along z, y, x.
+    component, body : int
+        Numbers of the two components.
     background : int
-        Label of what the way goes through.
+        Label that the path runs through.
     worth : (n + 1,) bool
-        Of every component and of none: whether it will stay.
+        True for components that will stay; element 0 is of no component.
     reach : int
+        Longest path, in voxels of background.
     inside : (Z, Y, X) bool, optional
-        Where ways may run. Default: everywhere.
+        Voxels that paths may run through. Default: all.
     """
     best: tuple[tuple[int, ...], np.ndarray] | None = None
     low = np.array(bounds[:3])
@@ -67,7 +66,9 @@ def shortest_join(
     )
     for core in cores:
         box = _around(core, low, reach + 1, values.shape)
-        state = _states(runs.labels(box), values[slices_of(box)], part, body, background, worth)
+        state = _states(
+            runs.labels(box), values[slices_of(box)], component, body, background, worth
+        )
         if inside is not None:
             state[(state == _OPEN) & ~inside[slices_of(box)]] = _CLOSED
         path = _shortest_path(state, reach) + np.array([start for start, _ in box])
@@ -79,13 +80,13 @@ def shortest_join(
 
 
 def search_bytes(shape: Sequence[int], reach: int) -> int:
-    """Memory that a search takes."""
+    """Return the memory of a search."""
     sides = [min(side, SIDE + 2 * (reach + 1)) for side in shape]
     return 24 * int(np.prod(sides, dtype=np.int64))
 
 
 def _around(core: Box, low: np.ndarray, margin: int, shape: Sequence[int]) -> Box:
-    """A block that is counted from `low`, with a margin as far as there are voxels."""
+    """Return a block that is counted from `low`, with a margin clipped to the volume."""
     ends = zip(core, low.tolist(), shape, strict=True)
     return tuple(
         (max(low + first - margin, 0), min(low + last + margin, side))
@@ -94,30 +95,35 @@ def _around(core: Box, low: np.ndarray, margin: int, shape: Sequence[int]) -> Bo
 
 
 def _order(path: np.ndarray) -> tuple[int, ...]:
-    """What sorts ways: their length, where they start, the sides that they take."""
+    """Return the sort key of a path: its length, its start, the sides that it takes."""
     sides = [_STEPS.index(tuple(step)) for step in np.diff(path, axis=0).tolist()]
     return (len(path), *path[0].tolist(), *sides)
 
 
 def _states(
-    labels: np.ndarray, values: np.ndarray, part: int, body: int, background: int, worth: np.ndarray
+    labels: np.ndarray,
+    values: np.ndarray,
+    component: int,
+    body: int,
+    background: int,
+    worth: np.ndarray,
 ) -> np.ndarray:
-    """What a voxel is to the search. Specks are open, as they will be removed; other parts and
-    phases are closed.
+    """Return the state of every voxel in the search.
+
+    Specks are open, as they will be removed; other components and phases are closed.
     """
     state = np.where(worth[labels] | (values != background), np.uint8(_CLOSED), np.uint8(_OPEN))
     state[(labels > 0) & ~worth[labels]] = _OPEN
-    state[labels == part] = _LOOSE
+    state[labels == component] = _LOOSE
     state[labels == body] = _BODY
     return state
 
 
 @kernel
 def _shortest_path(state, reach):
-    """Open voxels (n, 3) that lead from the loose part to the body, breadth first; before them the
-    voxel they start from.
+    """Find the open voxels (n, 3) from the loose component to the body, breadth first.
 
-    Empty where more than `reach` would be needed.
+    The first voxel is one of the component. Empty where the path is longer than `reach`.
     """
     depth, height, width = state.shape
     step = np.array([height * width, -height * width, width, -width, 1, -1])

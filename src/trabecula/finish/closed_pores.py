@@ -1,4 +1,4 @@
-"""Trapped: pores that no way leads out of, where powder or resin would stay."""
+"""Closed pores, in which powder or resin is trapped: their figures, and filling them."""
 
 from __future__ import annotations
 
@@ -8,19 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, with_values
+from trabecula.core.image import Image, as_image
 from trabecula.engine.parallel import in_order
-from trabecula.finish.connect import background_of
-from trabecula.finish.labels import repainted
+from trabecula.finish.labels import background_of, lift, relabel, with_step
 from trabecula.measure.labelling import label_components
 from trabecula.measure.phases import as_connectivity, indicator, members
 from trabecula.measure.runs import runs_of
 
 
 class _Pores(NamedTuple):
-    """The phase, the void around it, the void's components with their sizes, and which of them
-    touch no face.
-    """
+    """A phase, its void, the void's components with their sizes, and the closed ones of these."""
 
     image: Image
     inside: np.ndarray
@@ -33,16 +30,16 @@ class _Pores(NamedTuple):
 def trapped(
     image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
 ) -> dict[str, Any]:
-    """Pores that do not reach a face of the image: what is in them cannot come out.
+    """Measure the closed pores, those that reach no face of the image.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     phase : str or int, optional
-        The phase that walls them in. Default: "solid", which is every phase but "void" taken
+        The phase around them. Default: "solid", which is every phase but "void" taken
         together.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
-        Ways through the void. Default: through faces of voxels.
+        Neighbours within the void. Default: voxels that share a face.
 
     Returns
     -------
@@ -97,42 +94,39 @@ def fill_trapped(
     image = as_image(image)
     background = background_of(image, phase)
     values = np.array(image.values, order="C")
-    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
     settings: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
-    if len(_present(lifted, image, phase)) <= 1:
-        report = fill_trapped_in_place(lifted, image, **settings)
+    if len(_labels_present(lift(values), image, phase)) <= 1:
+        report = fill_trapped_in_place(lift(values), image, **settings)
     else:
         pores = _pores(image, phase, connectivity)
         after = pores.inside | np.concatenate([[False], pores.closed])[pores.labels]
-        values = repainted(image, pores.inside, after, background)
+        values = relabel(image, pores.inside, after, background)
         report = {
             "filled_pores": np.count_nonzero(pores.closed),
             "filled": int(pores.sizes[pores.closed].sum()),
         }
-    recipe = image.recipe.then(
-        "finish", values, operation="fill_trapped", settings=settings, report=report
-    )
-    return with_values(image, values, recipe=recipe)
+    return with_step(image, values, "fill_trapped", settings, report)
 
 
 def fill_trapped_in_place(
     values: np.ndarray, image: Image, *, phase: str | int | None, connectivity: int | None
 ) -> dict[str, int]:
-    """As `fill_trapped`, of labels (Z, Y, X) that are written into; `image` tells what they mean.
-    The report.
+    """Fill the closed pores of labels (Z, Y, X) in place; return the report.
+
+    The settings are those of `fill_trapped`; `image` names the phases, its values are not read.
 
     Raises
     ------
     InputError
-        The phase has several labels here, of which the nearest would have to be found.
+        The phase has several labels here: the nearest one cannot be found slab by slab.
     """
     background = background_of(image, phase)
-    labels = _present(values, image, phase)
+    labels = _labels_present(values, image, phase)
     if len(labels) > 1:
         names = ", ".join(image.phases[label] for label in labels)
         raise InputError(
-            f"pores among {names} take the nearest of them, which needs the whole volume in memory: name one --phase, or "
-            "raise --memory"
+            f"pores among {names} take the nearest of them, which needs the whole volume in "
+            "memory: name one --phase, or raise --memory"
         )
     void = np.arange(256) == background
     runs = runs_of(values, void, as_connectivity(connectivity, image.ndim))
@@ -142,8 +136,8 @@ def fill_trapped_in_place(
     return {"filled_pores": int(np.count_nonzero(closed)), "filled": int(runs.sizes[closed].sum())}
 
 
-def _present(values: np.ndarray, image: Image, phase: str | int | None) -> np.ndarray:
-    """The labels of a phase that occur in an array (Z, Y, X)."""
+def _labels_present(values: np.ndarray, image: Image, phase: str | int | None) -> np.ndarray:
+    """Return the labels of a phase that occur in an array (Z, Y, X)."""
     counts = np.zeros(256, np.int64)
 
     def count(first: int, last: int) -> None:

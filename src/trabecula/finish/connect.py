@@ -1,16 +1,15 @@
 """Connect: one component out of many, by the cheapest joins; only specks are discarded.
 
 1. Number the components; the largest is the body, those below a stated size are specks.
-2. Join the others along a minimum spanning tree (`finish.spanning`), however far they lie. Where a
-reach is given,
-   grow from every component through the background instead until the body is met or `reach` voxels
-   are passed (`finish.joins`), and again, since a component that is joined may bring others within
-   reach.
-3. What is still loose becomes background: specks, and with a reach whatever lies farther.
+2. Join the others along a minimum spanning tree (`finish.spanning`), at any distance. Where a reach
+   is given, search from every component through the background for the body instead, at most
+   `reach` voxels far (`finish.bridges`), and repeat, since a component that has been joined may
+   bring others within reach.
+3. Components that are still loose become background: specks, and with a reach those farther away.
 
-Components are kept as runs along x. With a reach a component is searched from in its own box, and
-no array of the image's size is needed besides the image and the result; without one three of them.
-The result may lie in a scratch file, and they do then as well (see `finish.slabs`).
+Components are stored as runs along x. With a reach, each search is confined to a box around its
+component, and no array of the image's size is needed besides the image and the result; without one
+three are needed. They are memory-mapped where the result is (see `finish.slabs`).
 """
 
 from __future__ import annotations
@@ -21,29 +20,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import check_name
-from trabecula.core.errors import InputError, UnnamedVoidError
-from trabecula.core.image import Image, as_image, check_labels, phase_index, with_values
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
 from trabecula.finish.bridges import shortest_join
 from trabecula.finish.forms import as_form, form_recipe
+from trabecula.finish.labels import background_of, check_present, lift, with_step
 from trabecula.finish.spanning import cheapest_joins
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import Runs, runs_of
 
 _SOME = 32
-"""Parts that are joined before pages of scratch files are handed back."""
+"""Components that are joined before pages of memory-mapped arrays are released."""
 
 _SHARE = 0.005
-"""Of the phase: no component of more is a speck, unless `min_size` says so."""
+"""Largest share of the phase that a speck may have, where `min_size` is not given."""
 
 _MUCH = 0.01
-"""Share of the phase above which what is discarded is worth a note."""
+"""Share of the phase above which discarded voxels are worth a note."""
 
 UNJOINED = ("keep", "remove")
-"""What can become of components that are not joined."""
+"""Choices for the components that are not joined."""
 
 
 def connect(
@@ -57,8 +57,7 @@ def connect(
     unjoined: str | None = None,
     mask: Image | ArrayLike | None = None,
 ) -> Image:
-    """Make a phase one connected component: join whatever is larger than a speck, discard the
-    specks.
+    """Connect a phase: join every component larger than a speck, discard the specks.
 
     Parameters
     ----------
@@ -66,18 +65,20 @@ def connect(
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
     reach : int, optional
-        Longest join, in voxels of background passed from face to face; 0 joins nothing. Default: no
-        limit, components are joined along a minimum spanning tree, which fills the fewest voxels.
+        Longest join, in voxels of background passed from face to face; 0 joins nothing. Default:
+        no limit; components are joined along a minimum spanning tree, which fills the fewest
+        voxels.
     brush : int
         Thickness of a join, in voxels.
     min_size : int, optional
         Components of fewer voxels are specks: they are discarded and not joined. Default: a cube of
         the phase's mean chord, but no more than 0.5 % of the phase.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
-        What counts as connected. Default: voxels that share a face.
+        Neighbours of a voxel. Default: those that share a face.
     unjoined : {"keep", "remove"}, optional
-        What becomes of components that are no specks and cannot be joined, since they lie farther
-        than `reach` or behind another phase. Default: "remove" where a reach is given, else "keep".
+        Treatment of components that are no specks and cannot be joined, since they are farther
+        than `reach` or behind another phase. Default: "remove" where a reach is given, else
+        "keep".
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): joins run inside it.
 
@@ -85,17 +86,17 @@ def connect(
     -------
     image : Image
         No voxel of a component that is not removed has changed. Joins take the label they start
-        from, and what is removed becomes void (where the void itself is connected: the other
+        from, and removed components become void (where the void itself is connected: the other
         phase). The recipe's step holds a `report`: `joins`, `added` (voxels that the joins fill),
-        `longest` (of the joins, voxels of background on its way), `removed_parts`, `removed`
-        (voxels), `left_parts`, `left` (components that stay loose beside the largest, and their
-        voxels), `min_size`.
+        `longest` (voxels of background along the longest join), `removed_parts`, `removed`
+        (components and voxels), `left_parts`, `left` (components that stay loose beside the
+        largest, and their voxels), `min_size`.
 
     Raises
     ------
     InputError
         The phase is empty; a negative reach or size; a mask of another shape; the void of an image
-        of several phases, where it is open what a removed pore would be filled with.
+        of several phases, since it is open which of them fills a removed pore.
 
     References
     ----------
@@ -121,16 +122,11 @@ def connect(
         "connectivity": connectivity,
         "unjoined": unjoined,
     }
-    lifted = values.reshape((1,) * (3 - values.ndim) + values.shape)
     form = as_form(mask, image.shape)
     report = connect_in_place(
-        lifted, image, **settings, inside=None if form is None else form.reshape(lifted.shape)
+        lift(values), image, **settings, inside=None if form is None else lift(form)
     )
-    made = form_recipe(mask)
-    recipe = image.recipe.then(
-        "finish", values, operation="connect", settings=settings, **made, report=report
-    )
-    return with_values(image, values, recipe=recipe)
+    return with_step(image, values, "connect", settings, report, **form_recipe(mask))
 
 
 def connect_in_place(
@@ -145,13 +141,14 @@ def connect_in_place(
     unjoined: str | None,
     inside: np.ndarray | None = None,
 ) -> dict[str, int]:
-    """As `connect`, of labels (Z, Y, X) that are written into; `image` tells what they mean. The
-    report.
+    """Connect a phase within labels (Z, Y, X) in place; return the report.
+
+    The settings are those of `connect`; `image` names the phases, its values are not read.
     """
     background, member = background_of(image, phase), members(image, phase)
     _check_settings(reach, brush, min_size)
     unjoined = ("keep" if reach is None else "remove") if unjoined is None else unjoined
-    check_name(unjoined, UNJOINED, name="way with what is not joined")
+    check_name(unjoined, UNJOINED, name="treatment of unjoined components")
     neighbours = as_connectivity(connectivity, image.ndim)
     runs = _runs(values, member, neighbours, phase)
     whole = int(runs.sizes.sum())
@@ -173,22 +170,20 @@ def connect_in_place(
         "left": int(runs.sizes[left].sum()),
         "min_size": int(least),
     }
-    _say_losses(found, whole)
+    _notify_losses(found, whole)
     return found
 
 
 def _runs(values: np.ndarray, member: np.ndarray, neighbours: int, phase: str | int | None) -> Runs:
     runs = runs_of(values, member, neighbours)
-    if not len(runs.sizes):
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to connect"
-        )
+    check_present(len(runs.sizes) > 0, phase, "to connect")
     return runs
 
 
 def _speck_size(values: np.ndarray, member: np.ndarray, whole: int) -> int:
-    """Voxels of a cube of the mean chord, over all axes that have more than one voxel, but no more
-    than a share of all.
+    """Return the voxels of a cube of the mean chord, at most `_SHARE` of the phase.
+
+    The mean is over the axes that have more than one voxel.
     """
     chords = sum_slabs(lambda start, stop: _count_chords(values, member, start, stop), len(values))
     axes = [side > 1 for side in values.shape]
@@ -196,12 +191,13 @@ def _speck_size(values: np.ndarray, member: np.ndarray, whole: int) -> int:
     return max(2, round(min(chord ** sum(axes), _SHARE * whole)))
 
 
-def _say_losses(found: dict[str, int], whole: int) -> None:
-    """Say what was discarded where it is much, and what stays loose."""
+def _notify_losses(found: dict[str, int], whole: int) -> None:
+    """Report the discarded components where they are many, and those that stay loose."""
     if found["removed"] > _MUCH * whole:
         notify(
-            f"connect: {found['removed_parts']} components were removed, {found['removed'] / whole:.2%} of the phase; "
-            f"those of {found['min_size']} voxels or more are joined where no reach is given (min_size, --min-size)"
+            f"connect: {found['removed_parts']} components were removed, "
+            f"{found['removed'] / whole:.2%} of the phase; those of {found['min_size']} voxels or "
+            "more are joined where no reach is given (min_size, --min-size)"
         )
     if found["left_parts"]:
         notify(
@@ -217,20 +213,18 @@ def _join_all(
     settings: tuple[int, int],
     inside: np.ndarray | None,
 ) -> dict[str, int]:
-    """Join all components but specks along a minimum spanning tree, writing into `values`; what it
-    took.
-    """
+    """Join all components but specks along a minimum spanning tree, in place; return the counts."""
     brush, least = settings
     worth = runs.sizes >= least
     worth[np.argmax(runs.sizes)] = True
     filled = longest = 0
-    ways = cheapest_joins(values, runs, worth, background, inside)
-    for number, way in enumerate(ways):
-        filled += int(_fill(values, way, background, brush, _where(inside)))
-        longest = max(longest, len(way) - 1)
+    paths = cheapest_joins(values, runs, worth, background, inside)
+    for number, path in enumerate(paths):
+        filled += int(_fill(values, path, background, brush, _paintable(inside)))
+        longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             memmap.release_pages()
-    return {"joins": len(ways), "added": filled, "longest": longest}
+    return {"joins": len(paths), "added": filled, "longest": longest}
 
 
 def _join_near(
@@ -241,13 +235,14 @@ def _join_near(
     inside: np.ndarray | None,
     again: tuple[np.ndarray, int, str | int | None],
 ) -> tuple[dict[str, int], Runs]:
-    """Join what is within reach of the largest component, and again until nothing is; what it took,
-    and the components then.
+    """Join the components within reach of the largest one, in place, until none is within reach.
+
+    Returns the counts, and the components afterwards.
     """
     found = {"joins": 0, "added": 0, "longest": 0}
     while True:
         body = int(np.argmax(runs.sizes)) + 1
-        joins, filled, longest = _join_parts(values, runs, body, background, settings, inside)
+        joins, filled, longest = _join_components(values, runs, body, background, settings, inside)
         if not joins:
             return found, runs
         found = {
@@ -255,12 +250,12 @@ def _join_near(
             "added": found["added"] + filled,
             "longest": max(found["longest"], longest),
         }
-        del runs  # before the next
+        del runs  # before the next ones are allocated
         runs = _runs(values, *again)
 
 
-def _where(inside: np.ndarray | None) -> np.ndarray:
-    """Where may be painted, for the kernel: an empty array where that is everywhere."""
+def _paintable(inside: np.ndarray | None) -> np.ndarray:
+    """Return the voxels that may be painted, for the kernel: an empty array means all of them."""
     return np.empty((0, 0, 0), np.bool_) if inside is None else inside
 
 
@@ -277,31 +272,7 @@ def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None
             raise InputError(f"{name} {value!r} must be a whole number of voxels, at least {least}")
 
 
-def background_of(image: Image, phase: str | int | None) -> int:
-    """Return the label of what joins run through, and of what is left where a part is removed.
-
-    Raises
-    ------
-    UnnamedVoidError
-        No phase is named void; of two phases the other one is meant where `phase` is given.
-    """
-    check_labels(image)
-    if "void" not in image.phases:
-        if phase is None or len(image.phases) > 2:
-            raise UnnamedVoidError(image.phases, phase_helps=len(image.phases) == 2)
-        return 1 - phase_index(image, phase, default="solid")
-    void = phase_index(image, None, default="void")
-    if phase is None or phase_index(image, phase, default="solid") != void:
-        return void
-    if len(image.phases) > 2:
-        raise InputError(
-            f"the void of an image of {len(image.phases)} phases cannot be connected: it is open which phase fills a "
-            "removed pore; merge the others first"
-        )
-    return 1 - void
-
-
-def _join_parts(
+def _join_components(
     values: np.ndarray,
     runs: Runs,
     body: int,
@@ -309,8 +280,9 @@ def _join_parts(
     settings: tuple[int, int, int],
     inside: np.ndarray | None,
 ) -> tuple[int, int, int]:
-    """Join every part within reach of the body, writing into `values`; joins, voxels filled, and
-    the longest join.
+    """Join every component within reach of the body, in place.
+
+    Returns the number of joins, the voxels filled, and the length of the longest join.
     """
     reach, brush, min_size = settings
     chosen = runs.sizes >= min_size
@@ -319,13 +291,15 @@ def _join_parts(
         return 0, 0, 0
     worth = np.concatenate([[False], chosen])
     joins = filled = longest = 0
-    for number, (part, bounds) in enumerate(
+    for number, (component, bounds) in enumerate(
         zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
     ):
-        path = shortest_join(values, runs, bounds, part, body, background, worth, reach, inside)
+        path = shortest_join(
+            values, runs, bounds, component, body, background, worth, reach, inside
+        )
         if len(path):
             joins += 1
-            filled += int(_fill(values, path, background, brush, _where(inside)))
+            filled += int(_fill(values, path, background, brush, _paintable(inside)))
             longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             memmap.release_pages()
@@ -334,7 +308,7 @@ def _join_parts(
 
 @kernel
 def _count_chords(values, member, start, stop):
-    """Runs of members along z, y and x that begin in a slab."""
+    """Count the runs of members along z, y and x that begin in a slab."""
     height, width = values.shape[1:]
     found = np.zeros(3, np.int64)
     for z in range(start, stop):
@@ -349,8 +323,10 @@ def _count_chords(values, member, start, stop):
 
 @kernel
 def _fill(values, path, background, brush, inside):
-    """Paint the path with a cube of side `brush` in the label of its first voxel; only background
-    is painted over, and nothing outside of a form."""
+    """Paint the path with a cube of side `brush` in the label of its first voxel.
+
+    Only background is painted over, and nothing outside of a form. Returns the voxels painted.
+    """
     label = values[path[0, 0], path[0, 1], path[0, 2]]
     before = (brush - 1) // 2
     filled = 0

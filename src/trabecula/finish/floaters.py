@@ -1,4 +1,4 @@
-"""Floaters: parts of a phase that hang on nothing."""
+"""Floaters: components of a phase besides the largest one."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
-from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, with_values
-from trabecula.finish.connect import background_of
+from trabecula.core.image import Image, as_image
+from trabecula.finish.labels import background_of, check_present, lift, with_step
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import runs_of
 
@@ -22,23 +21,23 @@ def remove_floaters(
     phase: str | int | None = None,
     connectivity: int | None = None,
 ) -> Image:
-    """Remove the parts of a phase that are not joined to its largest component.
+    """Remove the components of a phase besides its largest one.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     smaller_than : int, optional
-        Remove only parts of fewer voxels than this. Default: all but the largest.
+        Remove only components of fewer voxels than this. Default: all but the largest.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
-        What counts as joined. Default: voxels that share a face.
+        Neighbours of a voxel. Default: those that share a face.
 
     Returns
     -------
     image : Image
-        What is removed becomes void. The recipe's step holds a `report`: `removed_parts`, `removed`
-        (voxels), `left` (parts).
+        Removed voxels become void. The recipe's step holds a `report`: `removed_parts`, `removed`
+        (components and voxels), `left` (components).
 
     Raises
     ------
@@ -59,13 +58,8 @@ def remove_floaters(
         "phase": phase,
         "connectivity": connectivity,
     }
-    report = remove_floaters_in_place(
-        values.reshape((1,) * (3 - values.ndim) + values.shape), image, **settings
-    )
-    recipe = image.recipe.then(
-        "finish", values, operation="remove_floaters", settings=settings, report=report
-    )
-    return with_values(image, values, recipe=recipe)
+    report = remove_floaters_in_place(lift(values), image, **settings)
+    return with_step(image, values, "remove_floaters", settings, report)
 
 
 def remove_floaters_in_place(
@@ -76,8 +70,9 @@ def remove_floaters_in_place(
     phase: str | int | None,
     connectivity: int | None,
 ) -> dict[str, int]:
-    """As `remove_floaters`, of labels (Z, Y, X) that are written into; `image` tells what they
-    mean. The report.
+    """Remove the floaters of labels (Z, Y, X) in place; return the report.
+
+    The settings are those of `remove_floaters`; `image` names the phases, its values are not read.
     """
     if smaller_than is not None:
         smaller_than = int(
@@ -86,16 +81,13 @@ def remove_floaters_in_place(
     background, member = background_of(image, phase), members(image, phase)
     runs = runs_of(values, member, as_connectivity(connectivity, image.ndim))
     sizes = runs.sizes
-    if not len(sizes):
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing floats in it"
-        )
-    goes = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than
-    goes[np.argmax(sizes)] = False
-    runs.write(values, goes, background)
-    removed = int(np.count_nonzero(goes))
+    check_present(len(sizes) > 0, phase, "floats in it")
+    floats = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than
+    floats[np.argmax(sizes)] = False
+    runs.write(values, floats, background)
+    removed = int(np.count_nonzero(floats))
     return {
         "removed_parts": removed,
-        "removed": int(sizes[goes].sum()),
+        "removed": int(sizes[floats].sum()),
         "left": len(sizes) - removed,
     }

@@ -1,4 +1,4 @@
-"""The form that an image fills: where a request had a mask, what lies outside of it is no pore."""
+"""The form that an image fills: where a request had a mask, the outside of it is no pore."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trabecula.core.recipe import Recipe
 
 
 def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray | None:
-    """The voxels of a form as a bool array of `shape`; None where there is none.
+    """Return the voxels of a form as a bool array of `shape`; None where there is none.
 
     Raises
     ------
@@ -37,7 +37,8 @@ def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray 
             )
     if inside.shape != tuple(shape):
         raise InputError(
-            f"the mask has shape {inside.shape}, the image {tuple(shape)}: give the mask that it was made with"
+            f"the mask has shape {inside.shape}, the image {tuple(shape)}: give the mask that it "
+            "was made with"
         )
     if not inside.any():
         raise InputError("the mask holds no voxel: mark with True what the form fills")
@@ -45,7 +46,7 @@ def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray 
 
 
 def form_recipe(mask: Image | ArrayLike | None) -> dict[str, Any]:
-    """What a step of the recipe says of a mask: how it came to be, where there is one."""
+    """Return the entry of a recipe's step for a mask, its own recipe; empty where there is none."""
     if mask is None:
         return {}
     if isinstance(mask, Image):
@@ -54,15 +55,15 @@ def form_recipe(mask: Image | ArrayLike | None) -> dict[str, Any]:
 
 
 def fills_form(recipe: Recipe) -> bool:
-    """Whether a recipe says that its image was made to fill a form."""
+    """Return whether the image of a recipe was generated to fill a form."""
     return mask_steps(recipe) is not None
 
 
 def mask_steps(recipe: Recipe) -> list[dict[str, Any]] | None:
-    """The recipe of the form that an image was made to fill, as JSON; None where it fills none."""
+    """Return the recipe of the form that an image fills, as JSON; None where it fills none."""
     for step in reversed(recipe.steps):
         if step["verb"] == "crop":
-            return None  # of which the form would have to be cut as well
+            return None  # the form would have to be cropped as well
         if step["verb"] == "generate":
             found = dict(step.get("request") or {}).get("mask")
             return found if isinstance(found, list) else None

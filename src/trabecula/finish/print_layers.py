@@ -1,5 +1,7 @@
-"""What happens layer by layer, from z = 0 upwards: parts that start in the air, ceilings, resin
-that is sealed off.
+"""Checks of a print layer by layer, from z = 0 upwards: cups, islands, overhangs and bridges.
+
+Each check returns a `Finding`; the figures behind it are functions of a solid (Z, Y, X), bool, in
+which z is the direction of the layers.
 """
 
 from __future__ import annotations
@@ -7,50 +9,107 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.finish.printers import Finding, Part, Printer
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.labelling import label_components
 from trabecula.measure.smooth import gaussian
 from trabecula.measure.union_find import root_of
 
+_LEANING = 0.05
+"""Share of the surface that faces down above which supports are worth a warning."""
+
 _SOFT = 1.5
-"""Voxels over which the direction of a surface is averaged: the faces of voxels know six directions
-only.
+"""Voxels over which the direction of a surface is averaged, since the faces of voxels have six
+directions only.
 """
 
 _STEEPEST = 0.1
-"""Least cosine between a surface's normal and the vertical that is told from a staircase's wall."""
+"""Least cosine between a surface's normal and the vertical: below it, a wall of voxels."""
 
 
-def islands(solid: np.ndarray) -> tuple[int, np.ndarray]:
-    """Parts of a layer that lie on nothing of the layer below: their number, and where they are
-    (bool, like `solid`).
+def check_cups(part: Part, limit: float) -> Finding:
+    """Check that no more resin than `limit`, mm**3, is sealed off during the print."""
+    volume = largest_cup(part.solid) * part.voxel
+    figures = {"volume": float(volume), "cup": limit}
+    if volume <= limit:
+        return Finding("cups", "pass", figures, f"the largest cup holds {volume:.3g} mm3")
+    says = (
+        f"a cup of {volume:.3g} mm3 seals resin off while it is printed: turn the part, or give "
+        "the cup a drain"
+    )
+    return Finding("cups", "warn", figures, says)
 
-    The first layer lies on the plate.
+
+def check_islands(part: Part, printer: Printer) -> Finding:
+    """Check that nothing starts in the air."""
+    count, places = find_islands(part.solid)
+    figures = {"islands": count, "volume": float(np.count_nonzero(places) * part.voxel)}
+    if not count:
+        return Finding("islands", "pass", figures, "every layer lies on the one before")
+    says = (
+        f"{count} places start in the air: print with supports (soluble ones inside of pores), or "
+        "turn the part"
+    )
+    return Finding("islands", "refuse" if printer.process == "fdm" else "warn", figures, says)
+
+
+def check_overhangs(part: Part, angle: float) -> Finding:
+    """Check that little of the surface leans more than `angle` degrees from the vertical."""
+    down, leaning = overhang_area(part.solid, part.spacing, angle)
+    share = leaning / down if down else 0.0
+    figures = {"share": round(share, 6), "area": leaning, "overhang": angle}
+    says = f"{share:.1%} of the surface facing down leans more than {angle:g} degrees"
+    if share <= _LEANING:
+        return Finding("overhangs", "pass", figures, says)
+    return Finding("overhangs", "warn", figures, f"{says}: it needs supports, or sags")
+
+
+def check_bridges(part: Part, limit: float) -> Finding:
+    """Check that no bridge spans more than `limit`.
+
+    A bridge is held at both ends, so its middle is half of the span away from its supports.
+    """
+    span = 2 * longest_reach(part.solid, part.spacing)
+    figures = {"span": float(span), "bridge": limit}
+    if span <= limit:
+        return Finding("bridges", "pass", figures, f"the longest span is {span:.3g} mm")
+    says = f"a span of {span:.3g} mm is longer than {limit:g}: it needs supports"
+    return Finding("bridges", "warn", figures, says)
+
+
+def find_islands(solid: np.ndarray) -> tuple[int, np.ndarray]:
+    """Find the components of a layer that rest on nothing of the layer below.
+
+    Returns their number and their voxels (bool, of the shape of `solid`). The first layer rests on
+    the plate.
     """
     count = 0
     alone = np.zeros(solid.shape, bool)
     for z in range(1, len(solid)):
         labels, sizes = label_components(solid[z], connectivity=8)
-        hangs = np.ones(len(sizes) + 1, bool)
-        hangs[labels[solid[z - 1]]] = False
-        hangs[0] = False
-        count += int(np.count_nonzero(hangs))
-        alone[z] = hangs[labels]
+        unsupported = np.ones(len(sizes) + 1, bool)
+        unsupported[labels[solid[z - 1]]] = False
+        unsupported[0] = False
+        count += int(np.count_nonzero(unsupported))
+        alone[z] = unsupported[labels]
     return count, alone
 
 
-def overhang(solid: np.ndarray, spacing: tuple[float, ...], angle: float) -> tuple[float, float]:
-    """Area of the surface that faces down, and of that part of it that leans by more than `angle`
-    degrees from the vertical; in the unit of `spacing` squared. What lies on the plate is left out.
+def overhang_area(
+    solid: np.ndarray, spacing: tuple[float, ...], angle: float
+) -> tuple[float, float]:
+    """Return the area of the surface that faces down, and of its share beyond `angle`.
 
-    Every face of a voxel that looks down stands for the piece of surface above it: its area over
-    the cosine between the vertical and the normal, which is the gradient of the smoothed volume.
+    The angle is in degrees from the vertical, areas are in the unit of `spacing` squared; the
+    bottom on the plate is left out. Every downward face of a voxel represents the surface patch
+    above it: its area over the cosine between the vertical and the normal, which is the gradient of
+    the smoothed volume.
     """
     down = solid[1:] & ~solid[:-1]
     if not down.any():
         return 0.0, 0.0
-    # Beyond the faces the part goes on, so that where it ends there its surface does not seem to
-    # bend.
+    # The Gaussian continues the part beyond the faces of the image, so that its surface does not
+    # seem to bend where they cut it.
     level = gaussian(solid, _SOFT)
     slopes = [
         np.gradient(level, edge, axis=axis) if solid.shape[axis] > 1 else np.zeros_like(level)
@@ -64,25 +123,27 @@ def overhang(solid: np.ndarray, spacing: tuple[float, ...], angle: float) -> tup
     return float(area.sum(dtype=np.float64)), float(area[leans].sum(dtype=np.float64))
 
 
-def reach(solid: np.ndarray, spacing: tuple[float, ...]) -> float:
-    """How far, at most, a voxel with nothing below lies from one of its layer with something below,
-    in the unit of `spacing`. Islands do not count: no bridge carries them."""
+def longest_reach(solid: np.ndarray, spacing: tuple[float, ...]) -> float:
+    """Return the largest distance of an unsupported voxel to a supported one of its layer.
+
+    In the unit of `spacing`; a voxel is supported by the one below it. Islands do not count: no
+    bridge carries them.
+    """
     held = solid[1:] & solid[:-1]
-    free = solid[1:] & ~solid[:-1] & ~islands(solid)[1][1:]
+    free = solid[1:] & ~solid[:-1] & ~find_islands(solid)[1][1:]
     if not free.any():
         return 0.0
-    # Layers so far apart that the nearest voxel is always one of the own layer.
+    # Layers so far apart that the nearest voxel is always one of the same layer.
     extent = max(side * edge for side, edge in zip(solid.shape, spacing, strict=True))
     away = distance_transform(~held, spacing=(extent * 4, *spacing[1:]))
     return float(away[free].max())
 
 
-def sealed(solid: np.ndarray) -> int:
-    """Most voxels of void that any one pocket holds which, at some time of the print, only the
-    layer in hand leaves open.
+def largest_cup(solid: np.ndarray) -> int:
+    """Return the voxels of the largest cup at any time of the print.
 
-    Such a pocket is a cup: it opens towards the side from which the next layer comes, and to
-    nowhere else. Below the first layer it is open, as between supports.
+    A cup is a pocket of void that is open only to the side of the next layer. Below the first layer
+    the void is open, as between supports.
     """
     void = np.pad(~solid, ((1, 0), (1, 1), (1, 1)), constant_values=True)
     return int(_largest_cup(np.ascontiguousarray(void)))
@@ -90,9 +151,7 @@ def sealed(solid: np.ndarray) -> int:
 
 @kernel
 def _largest_cup(void):
-    """Union-find over the void, layer by layer; node 0 is the outside, which the margin of every
-    layer belongs to.
-    """
+    """Join the void by union-find, layer by layer; node 0 is the outside, with every margin."""
     depth, height, width = void.shape
     layer = height * width
     parent = np.zeros(depth * layer + 1, np.int32)
@@ -120,8 +179,7 @@ def _largest_cup(void):
                             low, high = min(a, b), max(a, b)
                             parent[high] = low
                             size[low] += size[high]
-        # Pockets that are still sealed off when this layer is done and that reach down into earlier
-        # ones.
+        # Pockets that are still sealed off after this layer and that reach down into earlier ones.
         for y in range(1, height - 1):
             for x in range(1, width - 1):
                 if z > 0 and void[z, y, x] and void[z - 1, y, x]:

@@ -1,6 +1,6 @@
-"""What printers can make: typical limits by process, in millimetres.
+"""Printers with their limits, parts, and the findings about a part; lengths in millimetres.
 
-They are the figures that makers and print services commonly publish for desktop and service
+The limits are the figures that makers and print services commonly publish for desktop and service
 machines of the process, not those of one machine: give your own where you know them.
 """
 
@@ -10,33 +10,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 
 
 @dataclass(frozen=True)
 class Printer:
-    """Limits of a process; None where it has none. Lengths in millimetres, every one can be given
-    anew.
+    """Limits of a process, in millimetres; None where it has none. Each can be replaced.
 
     Parameters
     ----------
     process : str
         "sls" (powder sintered by a laser), "sla" (resin cured by light), "fdm" (molten filament).
     box : (z, y, x)
-        Largest part; z is the direction in which layers are laid.
+        Largest part; z is the direction of the layers.
     wall : float
         Least thickness of a strut or wall.
     gap : float
         Least width of a pore that stays open.
     passage : float, optional
-        Least width of the way on which powder or resin is cleared out.
+        Least width of the path on which powder or resin is cleared out.
     cup : float, optional
-        Largest volume, mm**3, of resin that may be sealed off during the print by what is printed
-        so far.
+        Largest volume, mm**3, of resin that may be sealed off during the print.
     overhang : float, optional
-        Largest angle from the vertical, degrees, at which a surface carries itself while it is
-        printed.
+        Largest angle from the vertical, degrees, of a surface without supports.
     bridge : float, optional
         Longest span between two supports.
     """
@@ -61,7 +60,7 @@ _RANGES = {"overhang": (0.0, 90.0), "cup": (0.0, 1e9)}
 
 
 def printer_of(process: str, limits: Mapping[str, Any]) -> Printer:
-    """The printer of a process with other limits than the typical ones.
+    """Return the printer of a process, with other limits than the typical ones.
 
     Raises
     ------
@@ -88,3 +87,37 @@ def _limit(name: str, value: Any) -> Any:
     if len(sides) != 3:
         raise InputError(f"box={value!r} should be one number of millimetres, or three (z, y, x)")
     return tuple(as_number(side, name=name, low=low, high=high) for side in sides)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of one check of a part.
+
+    Parameters
+    ----------
+    name : str
+    verdict : {"pass", "warn", "refuse"}
+    figures : dict
+        Plain values; lengths in millimetres.
+    says : str
+        Its meaning, and a remedy where it is no pass.
+    """
+
+    name: str
+    verdict: str
+    figures: dict[str, Any]
+    says: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part in millimetres; `room` is the part with a margin of void around it."""
+
+    solid: np.ndarray
+    room: np.ndarray
+    spacing: tuple[float, ...]
+
+    @property
+    def voxel(self) -> float:
+        """Return the volume of a voxel, mm**3."""
+        return float(np.prod(self.spacing))

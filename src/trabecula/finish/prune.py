@@ -1,18 +1,16 @@
-"""Prune: struts that end freely are removed where they are short, and grown into the next strut
+"""Prune: struts with a free end are removed where they are short, and extended to the next strut
 where they are long.
 
 Section 4.4 of Zhang, Chen, Wang and Wang 2017. A round:
 
-1. Thin the phase, read the skeleton as a graph, and find the struts that end freely
-(`finish.branches`).
-2. Of these as many are spurious as there are more, per volume of what is filled, than in the
-exemplar; the shortest
-   first, but before them any that are longer than all of the exemplar's.
-3. One that is shorter than theta times the perimeter of its cell is removed (`finish.cutting`), any
-other grown
-   (`finish.growing`).
+1. Thin the phase, convert the skeleton to a graph, and find the struts with a free end
+   (`finish.branches`).
+2. The excess over the exemplar's number per filled volume is spurious: first the ends that are
+   longer than all of the exemplar's, then the shortest ones.
+3. A spurious end shorter than theta times the perimeter of its cell is removed
+   (`finish.branch_removal`), any other is grown (`finish.branch_growth`).
 
-Rounds go on while they change something, as the skeleton changes with the material.
+Rounds repeat while they change something, as the skeleton changes with the material.
 """
 
 from __future__ import annotations
@@ -29,16 +27,16 @@ from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe
 from trabecula.finish.branch_growth import Struts, grow, struts_of
 from trabecula.finish.branches import Anatomy, FreeEnd, anatomy, cell_perimeters
-from trabecula.finish.connect import background_of
 from trabecula.finish.forms import as_form, fills_form, form_recipe
+from trabecula.finish.labels import background_of, check_present, lift, with_step
 from trabecula.measure.phases import indicator
 
 _ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
-    """What an exemplar has of free ends, and its struts."""
+class _Reference:
+    """The free ends and the struts of an exemplar; lengths in the image's smallest voxel edge."""
 
     ends: int
     density: float
@@ -54,17 +52,18 @@ def prune(
     theta: float = 0.11,
     mask: Image | ArrayLike | None = None,
 ) -> Image:
-    """Remove or complete struts that end freely: the connectivity pruning of Zhang, Chen, Wang and
-    Wang 2017, section 4.4.
+    """Remove or complete struts with a free end.
+
+    The connectivity pruning of Zhang, Chen, Wang and Wang 2017, section 4.4.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     exemplar : Image or array of labels, optional
-        What the image was made from. Real materials have free ends too: no more are treated than
-        the image has above the exemplar's number per volume, and what is grown is copied from the
-        exemplar's struts. Without one every free end is spurious, and grown straight on with its
-        own thickness. Where one of the two has no unit, their voxels are taken to be alike.
+        The exemplar of the image. Real materials have free ends too: only the excess over the
+        exemplar's number per volume is treated, and new struts are copied from the exemplar's.
+        Without one every free end is spurious, and new struts are straight, of the thickness of the
+        old one. Where one of the two has no unit, their voxels are taken to be equal.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
     theta : float
@@ -74,18 +73,18 @@ def prune(
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): free ends are counted per volume of it,
         struts that its surface cuts are not judged, and nothing is grown outside of it. Default:
-        the image is filled as a whole; where its recipe tells of a form, this is said.
+        the whole image, with a notice where its recipe names a form.
 
     Returns
     -------
     image : Image
-        With no more components than before: what is removed opens no loop and leaves no piece
-        behind, and what is grown makes a loop (or joins two components). New voxels take the label
-        at the free end; what is removed becomes void. The recipe's step holds a `report`:
+        With no more components than before: a removal opens no loop and leaves no component
+        behind, and a grown strut makes a loop (or joins two components). New voxels take the label
+        at the free end; removed voxels become void. The recipe's step holds a `report`:
         `ends_before`, `ends_after`, `ends_exemplar`, `ends_allowed` (the exemplar's number per
         volume, times the volume of the image or of the form), `removed`, `grown`, `left` (spurious
-        ones for which nothing could be done: nothing within a cell's diameter ahead, or no loops at
-        all), `removed_voxels`, `added`, `rounds`.
+        ends without a remedy: no target within a cell's diameter, or no loops at all),
+        `removed_voxels`, `added`, `rounds`.
 
     Raises
     ------
@@ -114,23 +113,23 @@ def prune(
     background = background_of(as_image(image), phase)
     image, inside = indicator(image, phase)
     theta = as_number(theta, name="theta", low=0, high=10)
-    if not inside.any():
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to prune"
-        )
-    source = None if exemplar is None else _source(exemplar, image)
+    check_present(bool(inside.any()), phase, "to prune")
+    source = None if exemplar is None else _as_exemplar(exemplar, image)
     form = as_form(mask, image.shape)
     if form is None and fills_form(image.recipe):
         notify(
-            "prune: the image fills a form, and free ends are counted as if it filled its box: give the form (mask, --mask), "
-            "so that they are counted per volume of it and struts that its surface cuts are left alone"
+            "prune: the image fills a form, and free ends are counted as if it filled its box: "
+            "give the form (mask, --mask), so that they are counted per volume of it and struts "
+            "that its surface cuts are left alone"
         )
-    # Lengths from here on in the smallest edge: the same voxels then whatever the unit.
+    # Lengths from here on in units of the smallest edge: the voxels do not depend on the unit.
     scale = min(image.spacing)
     spacing = tuple(edge / scale for edge in image.spacing)
-    model = _Model(0, 0.0, np.inf, None) if source is None else _model(source, phase, scale)
+    reference = (
+        _Reference(0, 0.0, np.inf, None) if source is None else _measure(source, phase, scale)
+    )
     values = np.array(image.values, order="C")
-    closed = _lifted(((values != background) & ~inside) | (False if form is None else ~form))
+    closed = _pad_marked(((values != background) & ~inside) | (False if form is None else ~form))
     parts = anatomy(inside, spacing, form)
     report = {
         "ends_before": len(parts.ends),
@@ -141,44 +140,48 @@ def prune(
         "rounds": 0,
     }
     while report["rounds"] < _ROUNDS and _round(
-        parts, values, background, model, theta, closed, report
+        parts, values, background, reference, theta, closed, report
     ):
         report["rounds"] += 1
         inside = parts.territories.inside[1:-1, 1:-1, 1:-1].astype(bool).reshape(values.shape)
         parts = anatomy(inside, spacing, form)
-    report |= {"ends_after": len(parts.ends), "left": len(_spurious(parts, model))}
-    report |= {"ends_exemplar": model.ends, "ends_allowed": round(model.density * parts.volume)}
+    report |= {"ends_after": len(parts.ends), "left": len(_spurious_ends(parts, reference))}
+    allowed = round(reference.density * parts.volume)
+    report |= {"ends_exemplar": reference.ends, "ends_allowed": allowed}
+    exemplars = [] if source is None else [source.recipe]
     settings = {"phase": phase, "theta": theta}
-    made = {"exemplars": [] if source is None else [source.recipe], **form_recipe(mask)}
-    recipe = image.recipe.then(
-        "finish", values, operation="prune", settings=settings, **made, report=report
+    return with_step(
+        image, values, "prune", settings, report, exemplars=exemplars, **form_recipe(mask)
     )
-    return with_values(image, values, recipe=recipe)
 
 
-def _source(exemplar: Image | ArrayLike, image: Image) -> Image:
-    """The exemplar, checked; one without a recipe gets one that names its voxels."""
+def _as_exemplar(exemplar: Image | ArrayLike, image: Image) -> Image:
+    """Check the exemplar; one without a recipe gets one that names its voxels."""
     source, _ = indicator(exemplar, None)
     if source.ndim != image.ndim:
         raise InputError(
-            f"the exemplar has {source.ndim} axes, the image {image.ndim}: give the exemplar that the image was made from"
+            f"the exemplar has {source.ndim} axes, the image {image.ndim}: give the exemplar that "
+            "the image was made from"
         )
     recipe = source.recipe if source.recipe else Recipe().then("array", source.values)
     if source.unit == image.unit:
         return with_values(source, source.values, recipe=recipe)
     if "voxel" not in (source.unit, image.unit):
         raise InputError(
-            f"the exemplar is in {source.unit}, the image in {image.unit}: lengths are compared, so give both in one unit"
+            f"the exemplar is in {source.unit}, the image in {image.unit}: lengths are compared, "
+            "so give both in one unit"
         )
     if source.unit != image.unit or source.spacing != image.spacing:
         notify(
-            f"prune: the image is in {image.unit}, the exemplar in {source.unit}, so one voxel of both is taken for the same "
-            "length: give the spacing and unit of both (--spacing, --unit) where it is not"
+            f"prune: the image is in {image.unit}, the exemplar in {source.unit}, so one voxel of "
+            "both is taken for the same length: give the spacing and unit of both (--spacing, "
+            "--unit) where it is not"
         )
     return with_values(source, source.values, recipe=recipe, spacing=image.spacing, unit=image.unit)
 
 
-def _model(exemplar: Image, phase: str | int | None, scale: float) -> _Model:
+def _measure(exemplar: Image, phase: str | int | None, scale: float) -> _Reference:
+    """Measure the free ends and struts of the exemplar; `scale` is the unit of length."""
     _, inside = indicator(exemplar, phase)
     if not inside.any():
         raise InputError(
@@ -187,40 +190,40 @@ def _model(exemplar: Image, phase: str | int | None, scale: float) -> _Model:
     parts = anatomy(inside, tuple(edge / scale for edge in exemplar.spacing))
     longest = max((end.length for end in parts.ends), default=0.0)
     density = len(parts.ends) / parts.volume if parts.volume else 0.0
-    return _Model(len(parts.ends), density, longest, struts_of(parts))
+    return _Reference(len(parts.ends), density, longest, struts_of(parts))
 
 
-def _lifted(marked: np.ndarray) -> np.ndarray | None:
-    """With three axes and the territories' margin; None where nothing is marked."""
-    if not marked.any():
-        return None
-    return np.pad(marked.reshape((1,) * (3 - marked.ndim) + marked.shape), 1)
+def _pad_marked(marked: np.ndarray) -> np.ndarray | None:
+    """Return the array with three axes and the territories' margin; None where all is False."""
+    return np.pad(lift(marked), 1) if marked.any() else None
 
 
-def _spurious(parts: Anatomy, model: _Model) -> list[FreeEnd]:
-    """The free ends to treat: as many as there are too many."""
-    excess = max(0, len(parts.ends) - round(model.density * parts.volume))
-    unlike = [end for end in parts.ends if end.length > model.longest]
-    return (unlike[::-1] + [end for end in parts.ends if end.length <= model.longest])[:excess]
+def _spurious_ends(parts: Anatomy, reference: _Reference) -> list[FreeEnd]:
+    """Return the free ends to treat: the excess over the reference's density."""
+    excess = max(0, len(parts.ends) - round(reference.density * parts.volume))
+    longer = [end for end in parts.ends if end.length > reference.longest]
+    others = [end for end in parts.ends if end.length <= reference.longest]
+    return (longer[::-1] + others)[:excess]
 
 
 def _round(
     parts: Anatomy,
     values: np.ndarray,
     background: int,
-    model: _Model,
+    reference: _Reference,
     theta: float,
     closed: np.ndarray | None,
     report: dict[str, int],
 ) -> bool:
-    """Treat every spurious end once, writing into `values`, the territories and the report; whether
-    anything changed.
+    """Remove or grow every spurious end once; return whether any voxel changed.
+
+    Writes into `values`, the territories and the report.
     """
-    ends = _spurious(parts, model)
+    ends = _spurious_ends(parts, reference)
     perimeters = cell_perimeters(parts.graph, [end.root for end in ends])
     shape = parts.territories.inside.shape
     changed = False
-    for short in (True, False):  # what is grown should not end at what is removed
+    for short in (True, False):  # remove first: no new strut should end at one that is removed
         for end, perimeter in zip(ends, perimeters, strict=True):
             if not np.isfinite(perimeter) or (end.length < theta * perimeter) != short:
                 continue
@@ -228,7 +231,7 @@ def _round(
             places = (
                 space.cut(end.branch, end.tip)
                 if short
-                else grow(end, perimeter, parts, model.struts, closed)
+                else grow(end, perimeter, parts, reference.struts, closed)
             )
             at = tuple(np.stack(np.unravel_index(places, shape))[3 - values.ndim :] - 1)
             values[at] = background if short else values[tuple(end.tip[3 - values.ndim :] - 1)]

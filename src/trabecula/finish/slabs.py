@@ -1,15 +1,14 @@
-"""`finish_slabs`: operations that need no volume in memory, from a store into a store.
+"""`finish_slabs`: operations out of core, from a store into a store.
 
-1. The labels are read slab by slab into a scratch file beside the result.
-2. Every operation writes into them, slab by slab; components are runs of voxels (measure.runs), in
-scratch files as well.
-3. The result is written block by block.
+1. Read the labels slab by slab into a memory-mapped array beside the result.
+2. Apply every operation in place, slab by slab; components are stored as runs of voxels
+   (`measure.runs`), memory-mapped as well.
+3. Write the result block by block.
 """
 
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,39 +34,26 @@ from trabecula.engine.memory import Plan, available_memory, check_budget
 from trabecula.engine.storage.location import Folder, Location, location_of
 from trabecula.engine.store import CHUNK
 from trabecula.finish.bridges import search_bytes
-from trabecula.finish.closed_pores import fill_trapped, fill_trapped_in_place
-from trabecula.finish.connect import connect, connect_in_place
-from trabecula.finish.floaters import remove_floaters, remove_floaters_in_place
+from trabecula.finish.operations import OPERATIONS
 from trabecula.io.units import long_name
 
 Step = tuple[str, Mapping[str, Any]]
 """Name of an operation and its settings."""
 
-IN_PLACE: dict[str, tuple[Callable[..., Image], Callable[..., dict[str, int]]]] = {
-    "connect": (connect, connect_in_place),
-    "remove_floaters": (remove_floaters, remove_floaters_in_place),
-    "fill_trapped": (fill_trapped, fill_trapped_in_place),
+IN_PLACE: dict[str, Callable[..., dict[str, int]]] = {
+    name: operation.in_place
+    for name, operation in OPERATIONS.items()
+    if operation.in_place is not None
 }
-"""The operations that need no volume in memory: of an Image, and of labels that are written into.
-"""
-
-_IN_CORE = {
-    "connect": 10,
-    "remove_floaters": 5,
-    "fill_trapped": 5,
-    "smooth": 22,
-    "thicken": 22,
-    "prune": 50,
-}
-"""Bytes a voxel of an operation in memory, with what is read and what is written."""
+"""The operations that need no whole volume in memory, by name."""
 
 _PAGES = 48 << 20
-"""Bytes of scratch files that are resident at least."""
+"""Least number of resident bytes of memory-mapped arrays."""
 
 
 def in_core_bytes(shape: Sequence[int], operations: Sequence[str]) -> int:
-    """About what operations on a volume in memory need."""
-    return max(_IN_CORE[name] for name in operations) * prod(shape)
+    """Return about the memory of operations on a volume in memory."""
+    return max(OPERATIONS[name].bytes_per_voxel for name in operations) * prod(shape)
 
 
 def finish_slabs(
@@ -78,32 +64,32 @@ def finish_slabs(
     memory: int | None = None,
     folder: str | os.PathLike[str] | None = None,
 ) -> Recipe:
-    """Finish a volume that is read some planes at a time, into a store: the voxels and the recipe
-    that the operations give.
+    """Finish a volume that is read some planes at a time, into a store.
+
+    Voxels and recipe are those of the operations on the whole volume.
 
     Parameters
     ----------
     volume : Slabs
     path : path
-        `.zarr`. A run that was interrupted leaves the blocks that it wrote, and the same run does
-        not write them again.
+        `.zarr`. A run that was interrupted leaves the blocks that it wrote, and the same run
+        resumes with the others.
     steps : sequence of (name, settings)
-        `connect`, `remove_floaters` or `fill_trapped`, each on the result of the one before, with
-        their settings.
+        `connect`, `remove_floaters` or `fill_trapped`, each on the result of the one before.
     memory : int, optional
         Bytes that may be used. Default: what is available.
     folder : path, optional
-        Where scratch files go, of up to six times the voxels. Default: beside the result.
+        Folder for scratch files, of up to six times the voxels. Default: beside the result.
 
     Returns
     -------
     Recipe
-        Of the result. Its last steps hold the reports.
+        The recipe of the result. Its last steps hold the reports.
 
     Raises
     ------
     InputError
-        Another operation or suffix, no step; as the operations.
+        Another operation or suffix, no step; the errors of the operations.
     MemoryBudgetError
         Not even a slab of one plane fits.
     FileError
@@ -112,60 +98,54 @@ def finish_slabs(
     target = location_of(path)
     if not target.name.lower().endswith(".zarr"):
         raise InputError(
-            f"{path}: what does not fit into memory is finished into a .zarr; name it so"
+            f"{path}: a volume that does not fit into memory is finished into a .zarr; name it so"
         )
     if not steps:
         raise InputError(f"nothing to do: name at least one of {', '.join(IN_PLACE)}")
-    settings = [_settings(name, given) for name, given in steps]
-    depth, pages = _cut(volume, settings, available_memory() if memory is None else memory)
-    place = (
-        target.folder if folder is None else Path(folder)
-    ) / f".{target.beside('.finish').name}"
-    grown = target.growing()
+    complete = [_complete(name, settings) for name, settings in steps]
+    budget = available_memory() if memory is None else memory
+    depth, pages = _slab_depth(volume, complete, budget)
+    parent = target.folder if folder is None else Path(folder)
+    scratch = parent / f".{target.beside('.finish').name}"
+    partial = target.growing()
     if isinstance(target, Folder):
         target.check_replaceable()
-    with hold_lock(grown.path) if isinstance(grown, Folder) else nullcontext():
-        remove(place)  # of a run that was killed
+    with hold_lock(partial.path) if isinstance(partial, Folder) else nullcontext():
+        remove(scratch)  # left by a run that was killed
         try:
-            with memmap.map_large_arrays(place, memory=pages):
-                return _finished(volume, target, settings, depth)
+            with memmap.map_large_arrays(scratch, memory=pages):
+                return _finish(volume, target, complete, depth)
         except OSError as error:
             if isinstance(error, TrabeculaError):
                 raise
             raise FileError(
-                f"cannot write to {place.parent}: {error.strerror or error}; scratch files of up to six times the voxels lie "
-                "there while a volume is finished: make room, or choose another folder (--scratch)"
+                f"cannot write to {parent}: {error.strerror or error}; scratch files of up to six "
+                "times the voxels are stored there while a volume is finished: make room, or "
+                "choose another folder (--scratch)"
             ) from error
         finally:
-            remove(place)
+            remove(scratch)
 
 
-def _settings(name: str, given: Mapping[str, Any]) -> Step:
-    """A step with all its settings."""
+def _complete(name: str, settings: Mapping[str, Any]) -> Step:
+    """Return a step with all its settings; a mask is none, as it is not read in slabs."""
     check_name(name, IN_PLACE, name="operation in slabs")
-    known = inspect.signature(IN_PLACE[name][0]).parameters.values()
-    defaults = {
-        each.name: each.default for each in known if each.kind is inspect.Parameter.KEYWORD_ONLY
-    }
-    defaults.pop("mask", None)  # an array of the volume's size, which nothing reads in slabs
-    for setting in given:
-        check_name(setting, defaults, name=f"setting of {name}")
-    return name, {**defaults, **given}
+    return name, OPERATIONS[name].complete(settings)
 
 
-def _cut(volume: Slabs, steps: Sequence[Step], budget: int) -> tuple[int, int]:
-    """Planes that are read at once, and bytes of scratch files that may be resident."""
+def _slab_depth(volume: Slabs, steps: Sequence[Step], budget: int) -> tuple[int, int]:
+    """Return the planes of a slab, and the bytes of memory-mapped arrays that may be resident."""
     depth = min(volume.grain, volume.shape[0])
     while depth > 1 and forecast(volume, steps, depth).peak > budget:
         depth = (depth + 1) // 2
     plan = forecast(volume, steps, depth)
     check_budget(plan, budget=budget, advice="finish a coarser level (--level 1)")
-    # What is touched here and there comes on top of the slabs that are worked on.
+    # Scattered accesses come on top of the slab in work, hence half of the rest.
     return depth, max(plan.memory["pages"], budget - plan.memory["work"]) // 2
 
 
 def forecast(volume: Slabs, steps: Sequence[Step], depth: int) -> Plan:
-    """What `finish_slabs` needs when it reads `depth` planes at once."""
+    """Return the memory of `finish_slabs` where it reads `depth` planes at once."""
     plane = prod(volume.shape[1:])
     search = max(
         (
@@ -178,7 +158,7 @@ def forecast(volume: Slabs, steps: Sequence[Step], depth: int) -> Plan:
     written = part_bytes(
         volume.shape, [min(side, CHUNK) for side in volume.shape], np.dtype(np.uint8)
     )
-    # One number a row for the runs, and one while they are counted.
+    # Two numbers of 8 bytes per row of voxels: the first run, and the count before it.
     rows = 16 * volume.shape[0] * volume.shape[1]
     return Plan(
         {
@@ -188,28 +168,29 @@ def forecast(volume: Slabs, steps: Sequence[Step], depth: int) -> Plan:
     )
 
 
-def _finished(volume: Slabs, target: Location, steps: Sequence[Step], depth: int) -> Recipe:
+def _finish(volume: Slabs, target: Location, steps: Sequence[Step], depth: int) -> Recipe:
+    """Read the volume, apply the steps, and write the result."""
     values = memmap.empty(volume.shape, np.uint8)
-    read = _read(volume, values, depth)
+    source = _read(volume, values, depth)
     recipe, last = volume.recipe, len(steps) - 1
     about: dict[str, Any] = {}
     for number, (name, settings) in enumerate(steps):
-        # What the labels mean is all that the operations ask of an Image, beside its values.
-        report = IN_PLACE[name][1](values, cast(Image, volume), **settings)
+        # Beside the values, the operations read only the meaning of the labels from an Image.
+        report = IN_PLACE[name](values, cast(Image, volume), **settings)
         about = {"operation": name, "settings": settings, "report": report}
-        if number < last:  # the last one's digest is that of what is written
+        if number < last:  # the digest of the last one follows while it is written
             recipe = recipe.then_digest("finish", _digest(values, depth), **about)
-    made = _made(
+    result = _result_volume(
         volume,
         values,
         lambda sha256: recipe.then_digest("finish", sha256, **about),
-        _identity(volume, read, steps),
+        _identity(volume, source, steps),
     )
-    return recipe.then_digest("finish", stream(made, target, side=CHUNK), **about)
+    return recipe.then_digest("finish", stream(result, target, side=CHUNK), **about)
 
 
 def _read(volume: Slabs, values: np.ndarray, depth: int) -> str:
-    """Read everything into an array; the digest of what was read."""
+    """Read the volume into an array; return the digest of its voxels."""
 
     def slabs() -> Iterator[np.ndarray]:
         first = 0
@@ -223,6 +204,8 @@ def _read(volume: Slabs, values: np.ndarray, depth: int) -> str:
 
 
 def _digest(values: np.ndarray, depth: int) -> str:
+    """Return the digest of an array, read some planes at a time."""
+
     def slabs() -> Iterator[np.ndarray]:
         for first in range(0, len(values), depth):
             yield values[first : first + depth]
@@ -231,21 +214,21 @@ def _digest(values: np.ndarray, depth: int) -> str:
     return digest_of(values.dtype, values.shape, slabs())
 
 
-def _identity(volume: Slabs, read: str, steps: Sequence[Step]) -> str:
-    """Of all that the result depends on."""
-    about = [read, volume.spacing, volume.unit, volume.phases, steps, versions()]
+def _identity(volume: Slabs, source: str, steps: Sequence[Step]) -> str:
+    """Return the digest of everything that the result depends on."""
+    about = [source, volume.spacing, volume.unit, volume.phases, steps, versions()]
     return hashlib.sha256(json.dumps(about, default=str).encode()).hexdigest()
 
 
-def _made(
+def _result_volume(
     volume: Slabs, values: np.ndarray, recipe: Callable[[str], Recipe], identity: str
 ) -> StoredVolume:
-    """What is written: `values`, as the volume is described."""
+    """Return the volume to write: `values` with the spacing, unit and phases of the source."""
 
     def make(box: Box) -> np.ndarray:
-        made = np.array(values[slices_of(box)])
+        block = np.array(values[slices_of(box)])
         memmap.release_pages()
-        return made
+        return block
 
     fields = describe_fields(cast(Image, volume))
     return StoredVolume(

@@ -7,19 +7,17 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, with_values
-from trabecula.finish.connect import background_of
-from trabecula.finish.labels import repainted
+from trabecula.core.image import Image, as_image
+from trabecula.finish.labels import background_of, check_present, relabel, with_step
 from trabecula.measure.phases import indicator
 from trabecula.measure.smooth import gaussian
 
 
 def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = None) -> Image:
-    """Smooth the surface of a phase: a Gaussian over its indicator, cut at the level that keeps its
-    volume.
+    """Smooth the surface of a phase: a Gaussian of its indicator, cut at the same volume.
 
     The first of the two operations of Zhang, Chen, Wang and Wang 2017, section 5.4. Struts thinner
-    than about `sigma` vanish: thicken afterwards, and remove what floats.
+    than about `sigma` vanish: thicken afterwards, and remove the floaters.
 
     Parameters
     ----------
@@ -54,30 +52,26 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     sigma = as_number(sigma, name="sigma", low=0, high=extent)
     if sigma == 0:
         raise InputError("sigma 0 smooths nothing: give a length above 0, in the image's unit")
-    if not inside.any():
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to smooth"
-        )
+    check_present(bool(inside.any()), phase, "to smooth")
     level = gaussian(inside, [sigma / edge for edge in image.spacing])
-    # Other phases keep their place: only the phase and the background share out what is theirs.
+    # Other phases stay as they are: voxels change between the phase and the background alone.
     free = inside | (image.values == background)
-    after, cut = _largest(level, free, int(np.count_nonzero(inside)))
-    values = repainted(image, inside, after, background)
+    after, cut = _cut_at_volume(level, free, int(np.count_nonzero(inside)))
+    values = relabel(image, inside, after, background)
     report = {
         "added": np.count_nonzero(after & ~inside),
         "removed": np.count_nonzero(inside & ~after),
         "level": round(float(cut), 6),
     }
-    settings = {"sigma": sigma, "phase": phase}
-    recipe = image.recipe.then(
-        "finish", values, operation="smooth", settings=settings, report=report
-    )
-    return with_values(image, values, recipe=recipe)
+    return with_step(image, values, "smooth", {"sigma": sigma, "phase": phase}, report)
 
 
-def _largest(level: np.ndarray, free: np.ndarray, count: int) -> tuple[np.ndarray, np.float32]:
-    """The `count` free voxels of highest level, all or none of those that share the last level; and
-    that level.
+def _cut_at_volume(
+    level: np.ndarray, free: np.ndarray, count: int
+) -> tuple[np.ndarray, np.float32]:
+    """Return the `count` free voxels of highest level, and the level of the last of them.
+
+    Of the voxels that share this level all or none are taken, whichever is nearer to `count`.
     """
     among = level[free]
     cut = np.partition(among, len(among) - count)[len(among) - count]

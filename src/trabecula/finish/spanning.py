@@ -1,17 +1,17 @@
-"""The cheapest joins of several components: a minimum spanning tree of them, by the background
-voxels that each join fills.
+"""The cheapest joins of several components: a minimum spanning tree of them.
 
-1. Number every voxel by the component nearest to it through the background (faces of voxels), with
-the distance: two sweeps
-   where the background is all there is besides, more of them around what is closed.
-2. Boruvka's rounds: every component takes the cheapest way to another one, and both belong together
-from then on. A way runs
-   where two numbers meet; that such ways hold a minimum spanning tree of all ways is theorem 1 of
-   Mehlhorn 1988, doi:10.1016/0020-0190(88)90066-X.
-3. Follow every way to both its ends, and draw it straight between them where that is as short and
-nothing lies in between.
+The cost of a join is the number of background voxels that it fills.
 
-All passes go by slabs along z one after the other, and the arrays may lie in scratch files.
+1. Give every voxel the number of its nearest component through the background (by faces of voxels),
+   and the distance to it: two sweeps where all other voxels are background, more of them around
+   closed ones.
+2. Boruvka's rounds: every tree of components takes the cheapest path to another one, and the two
+   are one tree from then on. Paths run where two numbers meet; that such paths hold a minimum
+   spanning tree of all paths is theorem 1 of Mehlhorn 1988, doi:10.1016/0020-0190(88)90066-X.
+3. Follow every path to both ends, and draw it straight between them where that is as short and
+   open.
+
+All passes run over slabs along z one after the other, and the arrays may be memory-mapped.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from trabecula.measure.runs import Runs
 from trabecula.measure.union_find import root_of
 
 NOWHERE = np.iinfo(np.uint16).max
-"""Distance of what no way leads to, and a voxel more than the longest way."""
+"""Distance of voxels that no path reaches: one more than that of the longest path."""
 
 
 def cheapest_joins(
@@ -37,8 +37,7 @@ def cheapest_joins(
     background: int,
     inside: np.ndarray | None = None,
 ) -> list[np.ndarray]:
-    """Ways (n, 3) that join components at the least number of background voxels, in the order of
-    their cost.
+    """Return paths that join components through the fewest background voxels, cheapest first.
 
     Parameters
     ----------
@@ -46,15 +45,15 @@ def cheapest_joins(
     runs : Runs
         Their components.
     worth : (n,) bool
-        Which components are joined. Ways may run through the others, and through the background.
+        True for the components to join. Paths may run through the others and the background.
     background : int
         Label of the background.
     inside : (Z, Y, X) bool, optional
-        Where ways may run. Default: everywhere.
+        Voxels that paths may run through. Default: all.
 
     Returns
     -------
-    ways : list of (n, 3) int64
+    paths : list of (n, 3) int64
         The first voxel is one of the smaller of two components, the others are open; the last one
         touches the other component.
     """
@@ -63,7 +62,7 @@ def cheapest_joins(
     count = int(numbers.max())
     if count < 2:
         return []
-    open_to = _is_open(values, runs, worth, background, inside)
+    open_to = _open_voxels(values, runs, worth, background, inside)
     owner = memmap.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
     far = memmap.empty(values.shape, np.uint16)
     seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
@@ -74,23 +73,23 @@ def cheapest_joins(
     _spread_owners(owner, far, open_to, again=held < values.size)
     sizes = np.concatenate([[0], runs.sizes[worth]])
     found = [
-        _straight(_follow(owner, far, place, axis, sizes), open_to)
+        _straighten(_follow(owner, far, place, axis, sizes), open_to)
         for place, axis in _tree(owner, far, count)
     ]
     return sorted(found, key=len)
 
 
-def _is_open(
+def _open_voxels(
     values: np.ndarray, runs: Runs, worth: np.ndarray, background: int, inside: np.ndarray | None
 ) -> np.ndarray:
-    """(Z, Y, X) bool: where ways may run."""
+    """Return the voxels (Z, Y, X) that paths may run through, a bool array."""
     free = memmap.zeros(values.shape, np.bool_)
 
     def mark(start: int, stop: int) -> None:
         free[start:stop] = values[start:stop] == background
 
     in_order(mark, len(values))
-    runs.write(free.view(np.uint8), ~worth, 1)  # specks will go
+    runs.write(free.view(np.uint8), ~worth, 1)  # specks will be removed
     if inside is not None:
 
         def close(start: int, stop: int) -> None:
@@ -103,8 +102,8 @@ def _is_open(
 def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, again: bool) -> None:
     """Write the nearest component and the distance to it into every open voxel.
 
-    Where nothing is closed, no shortest way turns back along an axis, and one sweep each way finds
-    all of them; else both are done `again` until nothing changes.
+    Where no voxel is closed, a shortest path never turns back along an axis, and one sweep in each
+    direction finds all of them; else the two are repeated (`again`) until nothing changes.
     """
     depth, changed = len(owner), [True]
     while changed[0]:
@@ -123,30 +122,31 @@ def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, a
 
 
 def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int]]:
-    """The ways of the tree: flat place and axis of the two neighbouring voxels at which the two
-    halves of a way meet.
+    """Find the paths of the minimum spanning tree by Boruvka's rounds.
+
+    Each is the flat index and the axis of the two neighbouring voxels at which its halves meet.
     """
     parent = np.arange(count + 1, dtype=np.int32)
-    ways: list[tuple[int, int]] = []
+    paths: list[tuple[int, int]] = []
     while True:
         cost = np.full(count + 1, 2 * NOWHERE, np.int64)
         place = np.full(count + 1, -1, np.int64)
         axis = np.zeros(count + 1, np.int64)
         in_order(partial(_cheapest, owner, far, parent, cost, place, axis), len(owner))
-        before = len(ways)
-        # Ways have an order (cost, then place and axis), so that no ring closes; two components may
-        # name the same way.
+        before = len(paths)
+        # Paths have a strict order (cost, then place and axis), so that no ring closes; two trees
+        # may name the same path.
         for tree in np.flatnonzero(place >= 0):
             if _unite(owner, parent, int(place[tree]), int(axis[tree])):
-                ways.append((int(place[tree]), int(axis[tree])))
-        if len(ways) == before:
-            return ways
+                paths.append((int(place[tree]), int(axis[tree])))
+        if len(paths) == before:
+            return paths
 
 
 def _follow(
     owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray
 ) -> np.ndarray:
-    """A way from a voxel of the smaller of its two components to one of the larger."""
+    """Return a path from a voxel of the smaller of its two components to one of the larger."""
     here = np.array(np.unravel_index(place, owner.shape), np.int64)
     there = here.copy()
     there[axis] += 1
@@ -156,27 +156,28 @@ def _follow(
     return np.concatenate([first[::-1], last])
 
 
-def _straight(way: np.ndarray, open_to: np.ndarray) -> np.ndarray:
-    """A way without its last voxel: along the straight line between its ends where all of that is
-    open and no longer.
+def _straighten(path: np.ndarray, open_to: np.ndarray) -> np.ndarray:
+    """Return a path without its last voxel, drawn as a straight line where that is open.
+
+    Only where the line, by faces of voxels, is as short as the path.
     """
-    apart = way[-1] - way[0]
+    apart = path[-1] - path[0]
     count = int(np.abs(apart).sum())
-    if count != len(way) - 1:
-        return way[:-1]
-    line, lag = np.repeat(way[:1], count, axis=0), np.zeros(3)
+    if count != len(path) - 1:
+        return path[:-1]
+    line, lag = np.repeat(path[:1], count, axis=0), np.zeros(3)
     for n in range(1, count):
         lag += np.abs(apart) / count
         axis = int(np.argmax(lag))
         lag[axis] -= 1
         line[n] = line[n - 1]
         line[n, axis] += np.sign(apart[axis])
-    return line if open_to[tuple(line[1:].T)].all() else way[:-1]
+    return line if open_to[tuple(line[1:].T)].all() else path[:-1]
 
 
 @kernel
 def _seed(first, begin, end, label, numbers, owner, far, start, stop):
-    """Distance 0 in the components that are joined."""
+    """Write distance 0 and the owner into the components to join."""
     height = owner.shape[1]
     far[start:stop] = NOWHERE
     for row in range(start * height, stop * height):
@@ -190,7 +191,7 @@ def _seed(first, begin, end, label, numbers, owner, far, start, stop):
 
 @kernel
 def _sweep(owner, far, open_to, way, start, stop):
-    """Hand owners on in raster order (way 1) or against it (way -1); whether anything changed."""
+    """Propagate owners in raster order (way 1) or against it (-1); return whether any changed."""
     depth, height, width = owner.shape
     changed = False
     for i in range(stop - start):
@@ -219,7 +220,7 @@ def _sweep(owner, far, open_to, way, start, stop):
 
 @kernel
 def _cheapest(owner, far, parent, cost, place, axis, start, stop):
-    """For every tree of components the first of the cheapest ways to another tree."""
+    """Find, for every tree of components, the first of the cheapest paths to another tree."""
     depth, height, width = owner.shape
     for z in range(start, stop):
         for y in range(height):
@@ -247,7 +248,7 @@ def _cheapest(owner, far, parent, cost, place, axis, start, stop):
 
 @kernel
 def _unite(owner, parent, place, axis):
-    """Join the trees on both sides of a meeting place; whether they were two."""
+    """Join the trees on both sides of a meeting place; return whether they were two."""
     height, width = owner.shape[1:]
     z, y, x = place // (height * width), place // width % height, place % width
     k, j, i = z + (axis == 0), y + (axis == 1), x + (axis == 2)
@@ -258,7 +259,7 @@ def _unite(owner, parent, place, axis):
 
 @kernel
 def _descend(owner, far, voxel):
-    """Voxels (n, 3) from `voxel` to its component."""
+    """Follow the distance down from `voxel` to its component; return the voxels (n, 3)."""
     length = np.int64(far[voxel[0], voxel[1], voxel[2]])
     path = np.empty((length + 1, 3), np.int64)
     path[0] = voxel

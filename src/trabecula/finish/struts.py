@@ -1,10 +1,10 @@
-"""Which struts are thinner than asked for: shared by `thicken` and the print check.
+"""The struts that are thinner than a length, for `thicken` and the print check.
 
-Thin is a voxel whose local thickness (the largest sphere of the phase that holds it) is below a
-length. That is so at every sharp corner of a thick part as well, so not all thin voxels count, but
-the *cores* of what is thin: those that lie about as deep as that largest sphere's own centre. At a
-corner the sphere that holds a voxel is larger than the voxel is deep: 1.4 times or more along the
-edge of a right angle. Along a strut, and at its waist, both are nearly the same.
+A voxel is thin if its local thickness (the largest sphere of the phase that contains it) is below
+the length. So is every sharp corner of a thick region, hence not all thin voxels count, but only
+the *cores*: those about as deep as the centre of that largest sphere. At a corner the radius of the
+sphere exceeds the voxel's depth: by 1.4 times or more along the edge of a right angle. Along a
+strut, and at its waist, both are nearly the same.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.finish.labels import lift
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.spheres import paint_largest
 
 DEEP = 0.75
-"""Depth of a core's voxel over the radius of the largest sphere that holds it, at least."""
+"""Least depth of a core's voxel over the radius of the largest sphere that contains it."""
 
 
 @dataclass(frozen=True)
 class Cores:
-    """The cores of what is thin.
+    """The cores of thin struts and walls.
 
     Parameters
     ----------
@@ -33,11 +34,11 @@ class Cores:
     depth : (n,) float32 array
         Distance to the nearest voxel that is not of the phase.
     aside : (n,) float32 array
-        How much deeper the middle of the strut is.
+        Radius of the largest sphere minus depth: how far the middle of the strut is away.
     thinnest : float
         The smallest local thickness among them, infinite where there are none.
     share : float
-        How much of the phase is thin and lies about them, 0..1.
+        Share of the phase that is thin and belongs to their struts, 0..1.
     """
 
     places: np.ndarray
@@ -48,25 +49,26 @@ class Cores:
 
 
 def thin_cores(inside: np.ndarray, spacing: tuple[float, ...], thickness: float) -> Cores:
-    """The cores of struts and walls whose local thickness is below `thickness` by more than half a
-    voxel, its error.
+    """Find the cores of struts and walls whose local thickness is below `thickness`.
+
+    By more than half a voxel, the error of a local thickness.
 
     Parameters
     ----------
     inside : (Z, Y, X) or (Y, X) bool array
-        The phase; somewhere it must end.
+        The phase; at least one voxel is not of it.
     spacing : tuple of float
         Edge of a voxel along every axis.
     thickness : float
         In the unit of `spacing`.
     """
-    # In units of the smallest edge, as everything about spheres of voxels.
+    # In units of the smallest edge, as `measure.spheres` expects.
     scale = min(spacing)
     steps = tuple(edge / scale for edge in spacing)
     depth = distance_transform(inside, spacing=steps)
     radius = _radius_where_thin(inside, depth, steps, thickness / scale)
     found = (radius > 0) & (depth >= DEEP * radius)
-    places = np.argwhere(found.reshape((1,) * (3 - found.ndim) + found.shape))
+    places = np.argwhere(lift(found))
     thinnest = float(2 * radius[found].min() - 0.5) if len(places) else float("inf")
     # The voxels between a sphere and the surface around it belong to the strut as well.
     around = balls(places, depth[found] + 1, inside.shape, steps)
@@ -79,13 +81,12 @@ def thin_cores(inside: np.ndarray, spacing: tuple[float, ...], thickness: float)
 def _radius_where_thin(
     inside: np.ndarray, depth: np.ndarray, steps: tuple[float, ...], thickness: float
 ) -> np.ndarray:
-    """Radius of the largest sphere that holds each voxel (as deep as its centre), where it is too
-    small; else 0.
+    """Return the radius of the largest sphere that contains each voxel where it is thin, else 0.
 
-    Half a voxel is taken off a diameter (see `measure.thickness.local_thickness`) and allowed to
-    lack, so that a voxel is thin where its sphere's diameter lacks anything. Where most are not,
-    only those spheres are painted that hold a voxel which no sphere of the very size asked for
-    holds.
+    A local thickness is the sphere's diameter minus half a voxel (`measure.local_thickness`), and
+    half a voxel below `thickness` is allowed; the two cancel, so a voxel is thin where the diameter
+    itself is below `thickness`. Where most voxels are not thin, only those spheres are painted that
+    contain a voxel outside of all spheres of diameter `thickness`.
     """
     deep = depth >= thickness / 2
     if inside.all():
@@ -100,19 +101,17 @@ def _radius_where_thin(
         needed = np.where(
             distance_transform(~doubtful, spacing=steps) < depth, depth, np.float32(0)
         )
-    lift = 3 - inside.ndim
-    edges = np.array((max(steps),) * lift + steps)
-    diameter = paint_largest(
-        needed.reshape((1,) * lift + needed.shape), edges, (False,) * 3
-    ).reshape(inside.shape)
+    edges = np.array((max(steps),) * (3 - inside.ndim) + steps)
+    diameter = paint_largest(lift(needed), edges, (False,) * 3).reshape(inside.shape)
     return np.where(doubtful & (diameter < thickness - 0.001), diameter / 2, np.float32(0))
 
 
 def balls(
     places: np.ndarray, radius: np.ndarray, shape: tuple[int, ...], spacing: tuple[float, ...]
 ) -> np.ndarray:
-    """True in every voxel whose centre lies no farther than `radius` from one of `places` (n, 3);
-    `shape` has 2 or 3 axes.
+    """Return a bool array of `shape`: True within `radius` (n,) of the voxels `places` (n, 3).
+
+    Distances are between the centres of voxels; `shape` has 2 or 3 axes.
     """
     lifted = (1,) * (3 - len(shape)) + shape
     edges = np.array((max(spacing),) * (3 - len(shape)) + tuple(spacing))
@@ -127,7 +126,7 @@ def _paint(places, radius, spacing, painted, start, stop):
     _, height, width = painted.shape
     for n in range(len(places)):
         z, y, x = places[n, 0], places[n, 1], places[n, 2]
-        # A hair more, so that a distance of exactly the radius counts whatever the unit.
+        # A hair more, so that a distance of exactly the radius counts in every unit.
         limit = radius[n] * radius[n] * (1.0 + 1e-6)
         deep = int(np.sqrt(limit) / spacing[0])
         for k in range(max(z - deep, start), min(z + deep + 1, stop)):

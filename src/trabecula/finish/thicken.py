@@ -1,4 +1,4 @@
-"""Thicken: struts that are too thin grow to a least thickness; what is thick enough stays as it is."""
+"""Thicken: struts that are too thin grow to a least thickness, the others stay as they are."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image, as_image, with_values
-from trabecula.finish.connect import background_of
-from trabecula.finish.labels import repainted
+from trabecula.core.image import Image, as_image
+from trabecula.finish.labels import background_of, check_present, relabel, with_step
 from trabecula.finish.struts import balls, thin_cores
 from trabecula.measure.phases import indicator
 
 # Radius of the balls of each round, over half the thickness, in voxels. A ball of voxels is half a
-# voxel wider than its
-# radius, give or take rounding: what is still too thin after a round gets a little more in the
-# next.
+# voxel wider than its radius, give or take rounding: struts that are still too thin after a round
+# get a little more in the next.
 _MORE = (-0.5, -0.25, 0.0, 0.25)
 
 
@@ -24,14 +22,14 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     """Grow the struts and walls of a phase to a least thickness, only where they are thinner.
 
     The second operation of Zhang, Chen, Wang and Wang 2017, section 5.4, which dilates everything
-    alike; here a ball of that diameter is put around the middle of what is thinner than it.
+    alike; here balls of that diameter are put along the middle of struts that are thinner.
 
     Parameters
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     thickness : float
-        Least thickness in the image's unit, above 0 and at most the longest side. A strut may come
-        out one and a half voxels thicker, by rounding; one that is thinner by less than half a
+        Least thickness in the image's unit, above 0 and at most the longest side. By rounding, a
+        strut may become one and a half voxels thicker; one that is thinner by less than half a
         voxel counts as thick enough.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
@@ -39,9 +37,9 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     Returns
     -------
     image : Image
-        No voxel of the phase is lost, and no other phase but the void gives way. New voxels take
-        the nearest label. The recipe's step holds a `report`: `added` (voxels), `thin_before`,
-        `thin_after` (share of the phase that lay, and lies, in struts that are too thin), `rounds`.
+        No voxel of the phase is lost, and only void is replaced. New voxels take the nearest
+        label. The recipe's step holds a `report`: `added` (voxels), `thin_before`, `thin_after`
+        (share of the phase in struts that are too thin, 0..1), `rounds`.
 
     Raises
     ------
@@ -50,8 +48,8 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
 
     Notes
     -----
-    Pores that are narrower than twice what is added close. Sharp edges of thick parts are no struts
-    and stay sharp.
+    Pores narrower than twice the added layer close. Sharp edges of thick regions are no struts and
+    stay sharp.
 
     Examples
     --------
@@ -65,31 +63,25 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     thickness = as_number(thickness, name="thickness", low=0, high=extent)
     if thickness == 0:
         raise InputError("thickness 0 thickens nothing: give a length above 0, in the image's unit")
-    if not inside.any():
-        raise InputError(
-            f"the image holds nothing of phase {'solid' if phase is None else phase!r}: nothing to thicken"
-        )
+    check_present(bool(inside.any()), phase, "to thicken")
     free = image.values == background
-    after, shares = _grown(inside, free, image.spacing, thickness)
-    values = repainted(image, inside, after, background)
+    after, shares = _grow_struts(inside, free, image.spacing, thickness)
+    values = relabel(image, inside, after, background)
     report = {
         "added": np.count_nonzero(after & ~inside),
         "thin_before": round(shares[0], 6),
         "thin_after": round(shares[-1], 6),
         "rounds": len(shares) - 1,
     }
-    settings = {"thickness": thickness, "phase": phase}
-    recipe = image.recipe.then(
-        "finish", values, operation="thicken", settings=settings, report=report
-    )
-    return with_values(image, values, recipe=recipe)
+    return with_step(image, values, "thicken", {"thickness": thickness, "phase": phase}, report)
 
 
-def _grown(
+def _grow_struts(
     inside: np.ndarray, free: np.ndarray, spacing: tuple[float, ...], thickness: float
 ) -> tuple[np.ndarray, list[float]]:
-    """The phase with its thin struts grown into what is free; the share of thin struts before every
-    round and at the end.
+    """Grow the thin struts of a phase into the free voxels.
+
+    Returns the phase, and the share of thin struts before every round and at the end.
     """
     shares: list[float] = []
     for more in (*_MORE, None):

@@ -1,8 +1,8 @@
 """Image -> closed surface -> file for the printer.
 
-`tb.mesh(image)` is the function `trabecula.mesh.surface.mesh`; this room has the same name. Whoever
-imports a module of the room first would leave `tb.mesh` a plain module, so the room can be called
-and passes the call on.
+`tb.mesh(image)` is the function `trabecula.mesh.surface.mesh`, and this package has the same name.
+Importing a module of the package first would leave `tb.mesh` a plain module, so the package itself
+can be called and passes the call on.
 """
 
 import sys

@@ -59,7 +59,8 @@ class Mesh:
             raise InputError("the mesh holds vertices that are NaN or infinite: remove them first")
         if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
             raise InputError(
-                f"faces name vertices {faces.min()}..{faces.max()}, the mesh has 0..{len(vertices) - 1}"
+                f"faces name vertices {faces.min()}..{faces.max()}, the mesh has "
+                f"0..{len(vertices) - 1}"
             )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces.astype(np.int32, copy=False))

@@ -1,4 +1,4 @@
-"""`check`: what a printer's software would ask of a surface."""
+"""`check`: closedness, orientation and size of a surface."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class MeshCheck:
     Parameters
     ----------
     watertight : bool
-        Every edge lies in exactly two faces, which run through it in opposite directions.
+        Every edge is in exactly two faces, which run through it in opposite directions.
     open_edges, crowded_edges, twisted_edges : int
         Edges of one face; of more than two; of two faces in the same direction.
     degenerate_faces : int
         Faces that name a vertex twice or have no area.
     components : int
-        Pieces of surface (a hollow part has two: outside and inside).
+        Connected components of the surface (a hollow part has two: outside and inside).
     volume, area : float
         Enclosed volume in unit**3 (meaningful where watertight), surface in unit**2.
     bounds : ((x, y, z), (x, y, z))
@@ -46,12 +46,12 @@ class MeshCheck:
     unit: str
 
     def to_json(self) -> dict[str, Any]:
-        """The findings as plain JSON."""
+        """Return the findings as plain JSON."""
         return asdict(self)
 
 
 def check(mesh: Mesh) -> MeshCheck:
-    """Closedness, orientation, pieces, volume and area of a mesh.
+    """Check closedness, orientation, components, volume and area of a mesh.
 
     Parameters
     ----------
@@ -83,10 +83,10 @@ def check(mesh: Mesh) -> MeshCheck:
 
 
 def _edge_faults(faces: np.ndarray, count: int) -> tuple[int, int, int]:
-    """Numbers of edges in one face, in more than two, and in two that run the same way."""
+    """Count the edges of one face, of more than two, and of two in the same direction."""
     ends = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)]]).astype(np.int64)
     # One integer an edge: its ends, sorted, and in the last bit the direction. Integers sort far
-    # quicker than rows.
+    # faster than rows.
     keys = (ends.min(axis=1) * count + ends.max(axis=1)) * 2 + (ends[:, 0] > ends[:, 1])
     keys.sort()
     if not len(keys):
@@ -98,7 +98,7 @@ def _edge_faults(faces: np.ndarray, count: int) -> tuple[int, int, int]:
 
 
 def _extent(mesh: Mesh) -> tuple[float, float, int]:
-    """Volume (divergence theorem), area, and the number of faces without area."""
+    """Return volume (divergence theorem), area, and the number of faces without area."""
     if not len(mesh.faces):
         return 0.0, 0.0, 0
     # Relative to the middle, so that far-off coordinates do not cancel.
@@ -114,21 +114,21 @@ def _extent(mesh: Mesh) -> tuple[float, float, int]:
 
 
 def _components(mesh: Mesh, used: np.ndarray) -> int:
+    """Count the connected components of the surface."""
     parent = np.arange(len(mesh.vertices), dtype=np.int32)
     kernels.unite(mesh.faces, parent)
     return int(np.sum(used & (parent == np.arange(len(parent)))))
 
 
 def check_closed(mesh: Mesh) -> None:
-    """Raise where a mesh does not tell inside from outside: an edge that faces run through more
-    often in one direction than in the other.
+    """Raise where a mesh has no inside: faces run through an edge more often in one direction.
 
-    Less than watertight: bodies that touch in an edge are closed.
+    Less strict than watertight: solids that touch along an edge are closed.
 
     Raises
     ------
     InputError
-        What is wrong, and how to mend it.
+        The mesh is not closed; names the faults and the remedy.
     """
     ends = np.concatenate(
         [mesh.faces[:, (0, 1)], mesh.faces[:, (1, 2)], mesh.faces[:, (2, 0)]]
@@ -149,6 +149,7 @@ def check_closed(mesh: Mesh) -> None:
         if count
     ]
     raise InputError(
-        f"the mesh is not watertight, so it has no inside: {', '.join(faults)} of {len(starts)}; fill the holes and make "
-        "the faces point outwards (repair it in a mesh editor or a slicer), or give the form as a volume"
+        f"the mesh is not watertight, so it has no inside: {', '.join(faults)} of {len(starts)}; "
+        "fill the holes and make the faces point outwards (repair it in a mesh editor or a "
+        "slicer), or give the form as a volume"
     )

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
 import zipfile
 from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
 
-from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.engine.files import replacing
 from trabecula.io.guard import check_there, report_damage
 from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import FORMATS
-from trabecula.mesh.sizes import extent_of, say_size
+from trabecula.mesh.formats import surface_format
+from trabecula.mesh.sizes import extent_of, notify_size
 
 
 def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
@@ -28,7 +26,7 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     path : path
         `.stl` (millimetres where the unit is a length), `.3mf` (the unit is declared), `.ply` or
         `.obj` (in the mesh's unit, named in a comment). Programs take lengths without a unit for
-        millimetres: a mesh in "voxel" is written so, which is said, as is a part of more than 2 m
+        millimetres: a mesh in "voxel" is written so, with a notice, as is a part of more than 2 m
         or less than 0.1 mm.
 
     Returns
@@ -43,13 +41,12 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
         The file cannot be written.
     """
     path = Path(path)
-    check_name(path.suffix.lower(), FORMATS, name="surface format")
+    form = surface_format(path)
     if not len(mesh.faces):
         raise InputError("the mesh has no faces: there is nothing to write")
-    writer = importlib.import_module(FORMATS[path.suffix.lower()][1])
     with replacing(path) as temporary:
-        writer.write(mesh, temporary)
-    say_size(extent_of(mesh), mesh.unit)
+        form.member("write")(mesh, temporary)
+    notify_size(extent_of(mesh), mesh.unit)
     return path
 
 
@@ -61,14 +58,14 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     path : path
         `.stl` (binary or text), `.ply` (binary or text), `.obj` or `.3mf`.
     unit : str, optional
-        Of the coordinates. Default: what the file states (3MF always does, the others where this
-        package wrote them), else "voxel", which is no length.
+        Unit of the coordinates. Default: the one in the file (3MF always has it, the others where
+        this package wrote them), else "voxel", which is no length.
 
     Returns
     -------
     Mesh
-        Polygons as triangles; the corners of an STL that lie at one place are one vertex. Its
-        recipe is this reading.
+        Polygons as triangles; the corners of an STL at one place are one vertex. The recipe is
+        this reading.
 
     Raises
     ------
@@ -88,13 +85,12 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     <Mesh 52 vertices, 100 faces, mm>
     """
     path = Path(path)
-    check_name(path.suffix.lower(), FORMATS, name="surface format")
+    form = surface_format(path)
     check_there(path)
     if unit is not None:
         check_unit(unit)
-    module = FORMATS[path.suffix.lower()][1]
     with report_damage(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
-        mesh = importlib.import_module(module).read(path)
+        mesh = form.member("read")(path)
     if not len(mesh.faces):
         raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")
     unit = mesh.unit if unit is None else canonical(unit)

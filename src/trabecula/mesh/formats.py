@@ -1,38 +1,59 @@
-"""The one table of surface formats: suffix -> (what it is, module that reads and writes it)."""
+"""The table of surface formats. A format is a module of this folder, loaded at its first use."""
 
 from __future__ import annotations
 
-import hashlib
-import json
+import importlib
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
-from trabecula.core.recipe import Recipe
-from trabecula.io.units import canonical, has_length, to_metres
+from trabecula.core.checks import check_name
 
-FORMATS = {
-    ".stl": ("binary STL, in millimetres", "trabecula.mesh.stl"),
-    ".3mf": ("3D Manufacturing Format, with unit and recipe", "trabecula.mesh.threemf"),
-    ".ply": ("binary PLY, unit and recipe as comments", "trabecula.mesh.ply"),
-    ".obj": ("Wavefront OBJ, unit and recipe as comments", "trabecula.mesh.obj"),
+
+@dataclass(frozen=True)
+class SurfaceFormat:
+    """A format of surface files.
+
+    Parameters
+    ----------
+    home : str
+        The module of this folder, with `read(path) -> Mesh` and `write(mesh, path) -> None`.
+    note : str
+        One line for the docs and the command line.
+    in_slabs : bool
+        The module has a `Writer`, which takes a surface chunk by chunk: see `mesh.stl`.
+    own_unit : bool
+        Coordinates are in the unit of the mesh, which a comment alone names; else the file declares
+        its unit, or has a fixed one.
+    """
+
+    home: str
+    note: str
+    in_slabs: bool = False
+    own_unit: bool = False
+
+    def member(self, name: str) -> Any:
+        """Return "read", "write" or "Writer" of the format's module."""
+        return getattr(importlib.import_module(f"trabecula.mesh.{self.home}"), name)
+
+
+FORMATS: dict[str, SurfaceFormat] = {
+    ".stl": SurfaceFormat("stl", "binary STL, in millimetres", in_slabs=True),
+    ".3mf": SurfaceFormat("threemf", "3D Manufacturing Format, with unit and recipe"),
+    ".ply": SurfaceFormat("ply", "binary PLY, unit and recipe as comments", own_unit=True),
+    ".obj": SurfaceFormat("obj", "Wavefront OBJ, unit and recipe as comments", own_unit=True),
 }
 
-NO_UNIT = "voxel"
 
+def surface_format(path: str | PathLike[str]) -> SurfaceFormat:
+    """Return the format of a path by its suffix.
 
-def recipe_json(recipe: Recipe) -> str:
-    """The recipe on one line of ASCII."""
-    return json.dumps(recipe.to_json(), separators=(",", ":"))
-
-
-def recipe_digest(recipe: Recipe) -> str:
-    """Sixteen hexadecimal digits that name the recipe where it does not fit."""
-    return hashlib.sha256(recipe_json(recipe).encode()).hexdigest()[:16]
-
-
-def metres(unit: str) -> float | None:
-    """Metres in a unit, or None where it has no length ("voxel")."""
-    return to_metres(unit) if has_length(unit) else None
-
-
-def stated_unit(text: str | None) -> str:
-    """The unit that a file names, as an Image would; "voxel" where it names none that is known."""
-    return canonical(text) if text and has_length(text) else NO_UNIT
+    Raises
+    ------
+    UnknownNameError
+        No surface format has this suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    check_name(suffix, FORMATS, name="surface format")
+    return FORMATS[suffix]

@@ -13,6 +13,7 @@ from trabecula.engine.compile import inline, kernel
 
 @inline
 def _configuration(solid, z, y, x):
+    """Return the configuration of a cube, a bit for each corner: see `mesh.table`."""
     return (
         solid[z, y, x]
         | solid[z, y, x + 1] << 1
@@ -27,8 +28,9 @@ def _configuration(solid, z, y, x):
 
 @kernel
 def count(solid, case_counts):
-    """Numbers of vertices and of triangles. The border of `solid` is void, so no cut edge lies in
-    the last planes.
+    """Count vertices and triangles.
+
+    The border of `solid` is void, so no cut edge is in the last planes.
     """
     vertices = 0
     triangles = 0
@@ -90,7 +92,7 @@ def fill(solid, case_counts, case_edges, edge_offsets, vertices, faces):
 
 @kernel
 def degrees(faces, degree):
-    """Add to `degree` how many neighbours every vertex has (in a closed surface: how many faces)."""
+    """Add to `degree` the number of neighbours of every vertex: of its faces, if it is closed."""
     for f in range(len(faces)):
         for k in range(3):
             degree[faces[f, k]] += 1
@@ -98,12 +100,11 @@ def degrees(faces, degree):
 
 @kernel
 def relax(vertices, faces, degree, factor, box, sums):
-    """Move every vertex by `factor` of the way to the mean of its neighbours (the umbrella operator
-    of Taubin).
+    """Move every vertex by `factor` of the way to the mean of its neighbours (Taubin's umbrella).
 
-    In a closed surface every edge runs once in each direction, so taking only the next corner of
-    every face visits every neighbour once. A coordinate that lies in a face of the box 0..box stays
-    there: cut faces stay flat.
+    In a closed surface every edge runs once in each direction, so the next corner of every face
+    visits every neighbour once. A coordinate in a face of the box 0..box stays there: cut faces
+    stay flat.
     """
     sums[:] = 0.0
     for f in range(len(faces)):
@@ -122,9 +123,7 @@ def relax(vertices, faces, degree, factor, box, sums):
 
 @kernel
 def unite(faces, parent):
-    """Union-find over the corners of every face: afterwards `parent[v]` is the smallest vertex of
-    v's component.
-    """
+    """Unite the corners of every face: `parent[v]` becomes the smallest vertex of v's component."""
     for f in range(len(faces)):
         for k in range(2):
             a, b = faces[f, k], faces[f, k + 1]
@@ -144,15 +143,17 @@ def unite(faces, parent):
 
 @inline
 def _passes(a, b, points, z, y):
-    """Winding of the edge a -> b about the line (z, y): 1 where it passes it upwards in z on its
-    side of larger y, -1 downwards, 0 elsewhere. The test takes the ends in a fixed order, so that b
-    -> a gives exactly the opposite."""
+    """Return the winding of the edge a -> b about the line (z, y).
+
+    1 where it passes the line upwards in z on the side of larger y, -1 downwards, 0 elsewhere. The
+    test takes the ends in a fixed order, so that b -> a gives exactly the opposite.
+    """
     up = points[a, 0] <= z
     if up != (points[b, 0] > z):
         return 0
     if not up:
         a, b = b, a
-    # Now a lies at or below the line and b above: the edge crosses z at a larger y than the line's
+    # Now a is at or below the line and b above: the edge crosses z at a larger y than the line's
     # where this is > 0.
     side = (points[b, 1] - points[a, 1]) * (z - points[a, 0]) - (y - points[a, 1]) * (
         points[b, 0] - points[a, 0]
@@ -164,24 +165,15 @@ def _passes(a, b, points, z, y):
 
 @inline
 def _crossing(a, b, c, points, z, y):
-    """x at which the plane of a triangle meets the line (z, y), held inside the triangle's own
-    range.
-    """
-    z1, y1, x1 = (
-        points[b, 0] - points[a, 0],
-        points[b, 1] - points[a, 1],
-        points[b, 2] - points[a, 2],
-    )
-    z2, y2, x2 = (
-        points[c, 0] - points[a, 0],
-        points[c, 1] - points[a, 1],
-        points[c, 2] - points[a, 2],
-    )
+    """Return the x of a triangle's plane on the line (z, y), clamped to the triangle's range."""
+    z1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    z2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    x1, x2 = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
     area = z1 * y2 - z2 * y1
     dz, dy = z - points[a, 0], y - points[a, 1]
     low = min(points[a, 2], points[b, 2], points[c, 2])
     high = max(points[a, 2], points[b, 2], points[c, 2])
-    # A triangle seen from its edge is met by rounding only; any place of its own is as good.
+    # A triangle seen edge-on is met by rounding only; any point of it will do.
     x = (
         low
         if area == 0.0
@@ -192,13 +184,13 @@ def _crossing(a, b, c, points, z, y):
 
 @kernel
 def fill_rows(points, faces, values, start, stop):
-    """1 in the voxels of slices start..stop whose centres have a winding number other than 0.
+    """Write 1 into the voxels of slices start..stop whose centres have a non-zero winding number.
 
-    `points` (V, 3) is z, y, x in voxels; `values` (Z, Y, X) int8 is 0 and takes first the
-    crossings, each at the first voxel whose centre lies beyond it, then the result.
+    `points` (V, 3) is z, y, x in voxels; `values` (Z, Y, X) int8 is 0 and receives first the
+    crossings, each at the first voxel whose centre is beyond it, then the result.
     """
     _, height, width = values.shape
-    # Where the crossings of a row begin and end: beyond them it is empty.
+    # First and last crossing of every row: it is empty beyond them.
     low = np.full((stop - start, height), width, np.int32)
     high = np.zeros((stop - start, height), np.int32)
     for f in range(len(faces)):

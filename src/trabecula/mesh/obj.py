@@ -1,4 +1,4 @@
-"""Wavefront OBJ; unit and recipe stand in comments."""
+"""Wavefront OBJ; unit and recipe are comments."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import recipe_json, stated_unit
-from trabecula.mesh.text import rows
-from trabecula.mesh.weld import fans
+from trabecula.mesh.text import format_rows, parse_unit, recipe_json
+from trabecula.mesh.weld import fan_triangles
 
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write `mesh` in its unit; OBJ counts vertices from 1."""
     with path.open("w", encoding="ascii", errors="replace", newline="\n") as file:
         file.write(f"# trabecula\n# unit {mesh.unit}\n# recipe {recipe_json(mesh.recipe)}\n")
-        file.writelines(rows("v %.7g %.7g %.7g\n", mesh.vertices))
-        file.writelines(rows("f %d %d %d\n", mesh.faces, offset=1))
+        file.writelines(format_rows("v %.7g %.7g %.7g\n", mesh.vertices))
+        file.writelines(format_rows("f %d %d %d\n", mesh.faces, offset=1))
 
 
 def read(path: Path) -> Mesh:
-    """Read vertices and faces, whatever else stands there; polygons become fans of triangles."""
+    """Read vertices and faces, and ignore the rest; polygons become fans of triangles."""
     points: list[list[bytes]] = []
     corners: list[int] = []
     counts: list[int] = []
@@ -42,6 +41,5 @@ def read(path: Path) -> Mesh:
         elif words[:2] == [b"#", b"unit"] and len(words) == 3:
             unit = words[2].decode("latin-1")
     vertices = np.array(points).astype(np.float64).reshape(-1, 3)
-    return Mesh(
-        vertices, fans(np.array(counts, np.int64), np.array(corners, np.int64)), stated_unit(unit)
-    )
+    faces = fan_triangles(np.array(counts, np.int64), np.array(corners, np.int64))
+    return Mesh(vertices, faces, parse_unit(unit))

@@ -1,6 +1,4 @@
-"""PLY: written little-endian with unit and recipe in comments; read in its text form and both
-binary ones.
-"""
+"""PLY: written little-endian, unit and recipe as comments; read as text and in both byte orders."""
 
 from __future__ import annotations
 
@@ -10,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import recipe_json, stated_unit
-from trabecula.mesh.weld import fans
+from trabecula.mesh.text import parse_unit, recipe_json
+from trabecula.mesh.weld import fan_triangles
 
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
@@ -48,9 +46,7 @@ def write(mesh: Mesh, path: Path) -> None:
 
 @dataclass
 class _Element:
-    """A table of the file: its rows, and its columns as (name, type, type of the count where it is
-    a list).
-    """
+    """A table of the file: rows, and columns (name, type, type of the count if it is a list)."""
 
     name: str
     rows: int
@@ -72,11 +68,11 @@ def read(path: Path) -> Mesh:
     )
     face = tables["face"]
     counts, indices = face["vertex_indices" if "vertex_indices" in face else "vertex_index"]
-    return Mesh(points, fans(counts, indices), unit)
+    return Mesh(points, fan_triangles(counts, indices), unit)
 
 
 def _header(raw: bytes) -> tuple[str, list[_Element], str, int]:
-    """The form, the tables, the unit, and where the body begins."""
+    """Return the form, the tables, the unit, and the offset of the body."""
     end = raw.find(b"end_header")
     body = raw.find(b"\n", end) + 1
     if not raw.startswith(b"ply") or end < 0 or body == 0:
@@ -96,7 +92,7 @@ def _header(raw: bytes) -> tuple[str, list[_Element], str, int]:
                 elements[-1].columns.append((name, _TYPES[values], None))
     if order not in _ORDERS or any(element.rows < 0 for element in elements):
         raise ValueError(f"its header has the format {order!r}")
-    return order, elements, stated_unit(unit), body
+    return order, elements, parse_unit(unit), body
 
 
 class _Binary:
@@ -106,8 +102,9 @@ class _Binary:
         self.raw, self.at, self.order = raw, at, order
 
     def table(self, element: _Element) -> dict:
-        """Columns by name: at one go where all lists of a column are as long as its first, else row
-        by row.
+        """Return the columns by name.
+
+        Read at once where all lists of a column are as long as its first, else row by row.
         """
         lengths = self._first_lengths(element)
         parts: list[tuple] = []
@@ -145,16 +142,16 @@ class _Binary:
 
     def _row_by_row(self, element: _Element) -> dict:
         counts_of: list[list[int]] = [[] for _ in element.columns]
-        pieces: list[list[np.ndarray]] = [[] for _ in element.columns]
+        chunks: list[list[np.ndarray]] = [[] for _ in element.columns]
         for _ in range(element.rows):
             for k, (_, values, counts) in enumerate(element.columns):
                 length = int(self._take(counts, 1)[0]) if counts else 1
                 counts_of[k].append(length)
-                pieces[k].append(self._take(values, length))
+                chunks[k].append(self._take(values, length))
         return {
-            name: (np.array(counts_of[k], np.int64), np.concatenate(pieces[k]))
+            name: (np.array(counts_of[k], np.int64), np.concatenate(chunks[k]))
             if counts
-            else np.concatenate(pieces[k])
+            else np.concatenate(chunks[k])
             for k, (name, _, counts) in enumerate(element.columns)
         }
 
@@ -165,14 +162,14 @@ class _Binary:
 
 
 class _Text:
-    """The tables of a text body: numbers in the order of the binary form, apart by white space."""
+    """The tables of a text body: the numbers of the binary form, separated by white space."""
 
     def __init__(self, body: bytes) -> None:
         self.numbers = np.array(body.split(), dtype=object)
         self.at = 0
 
     def table(self, element: _Element) -> dict:
-        """Columns by name."""
+        """Return the columns by name."""
         found: list[list] = [[] for _ in element.columns]
         counts_of: list[list[int]] = [[] for _ in element.columns]
         for _ in range(element.rows):

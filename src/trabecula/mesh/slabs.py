@@ -1,21 +1,21 @@
-"""The surface of a volume that is read some planes at a time: the same triangles in the same order
-as `mesh` makes.
+"""The surface of a volume that is read plane by plane: the triangles of `mesh`, in its order.
 
 1. Count vertices and triangles of every layer of cubes.
 2. March and smooth slabs of layers with a halo on either side, and keep the triangles of the layers
-without it.
+   without it.
 
-A round of smoothing moves a vertex by its neighbours, which lie in the same layers of cubes: after
-n half rounds nothing farther than n layers has been felt. A slab is closed by void planes beyond
-its halo, which one more layer keeps away.
+A half round of smoothing moves a vertex by its neighbours, which are in the same or the next layer
+of cubes: n half rounds need a halo of n layers. A slab is closed by void planes beyond its halo;
+one more layer keeps their effect out.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +28,11 @@ from trabecula.engine.files import replacing
 from trabecula.engine.lazy_volume import Slabs, depth_within
 from trabecula.engine.memory import Plan
 from trabecula.measure.phases import indicator
-from trabecula.mesh import kernels, stl
+from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.sizes import say_size
-from trabecula.mesh.surface import as_rounds, check_some, march, smoothed
+from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.sizes import notify_size
+from trabecula.mesh.surface import as_rounds, check_not_empty, march, smooth_vertices
 from trabecula.mesh.table import case_table
 
 _AT_ONCE = 64
@@ -45,15 +46,15 @@ fine foam.
 
 @dataclass(frozen=True)
 class Layers:
-    """What the surface of a volume holds.
+    """Sizes of the surface of a volume.
 
     Attributes
     ----------
     vertices, faces : int64 array, (Z + 1,)
-        Of layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and between
-        the two, and the triangles.
+        Numbers in layer k, between the voxel planes k - 1 and k: the vertices in plane k - 1 and
+        between the two, and the triangles.
     extent : three floats
-        Sides of the smallest box around the surface along z, y, x, in the volume's unit; known once
+        Sides of the smallest box around the surface along z, y, x, in the volume's unit; set once
         it has been written.
     """
 
@@ -61,20 +62,23 @@ class Layers:
     faces: np.ndarray
     extent: tuple[float, ...] = ()
 
-    def need(self, depth: int, halo: int, plane: int) -> Plan:
-        """Memory of taking `depth` layers at a time."""
+    def need(self, depth: int, halo: int, plane: int, writing: Callable[[int], int]) -> Plan:
+        """Return the memory of `depth` layers at a time.
+
+        `plane` is the voxels of a plane, `writing` the bytes needed to write so many triangles.
+        """
         starts = np.arange(0, len(self.faces), depth)
         low = np.maximum(starts - halo - 1, 0)
         high = np.minimum(starts + depth + halo, len(self.faces))
         most = [
             int((sums[high] - sums[low]).max())
-            for sums in (_running(self.vertices), _running(self.faces))
+            for sums in (_running_sum(self.vertices), _running_sum(self.faces))
         ]
         planes = 3 * plane * int((high - low).max() + 1)
-        # Besides vertices and their sums in float64, the float32 copy and degrees.
+        # Vertices and their sums in float64, the float32 copy and degrees.
         vertices, faces = 72 * most[0], 12 * most[1]
-        written = stl.writing_bytes(int(np.add.reduceat(self.faces, starts).max()))
-        return Plan({"planes": planes, "vertices": vertices, "faces": faces, "records": written})
+        records = writing(int(np.add.reduceat(self.faces, starts).max()))
+        return Plan({"planes": planes, "vertices": vertices, "faces": faces, "records": records})
 
 
 def export_slabs(
@@ -86,8 +90,9 @@ def export_slabs(
     depth: int | None = None,
     memory: int | None = None,
 ) -> Layers:
-    """Write the closed surface of a phase as STL, slab by slab: the file that
-    `write_mesh(mesh(image), path)` writes.
+    """Write the closed surface of a phase slab by slab, without the volume in memory.
+
+    The file is that of `write_mesh(mesh(image), path)`.
 
     Parameters
     ----------
@@ -97,8 +102,8 @@ def export_slabs(
     phase, smooth
         As of `mesh`.
     depth : int, optional
-        Layers of cubes taken at once. Default: as many as fit into `memory`. The file does not
-        depend on it.
+        Layers of cubes in a slab. Default: as many as fit into `memory`. The file does not depend
+        on it.
     memory : int, optional
         Bytes that may be used. Default: what is available.
 
@@ -117,47 +122,49 @@ def export_slabs(
         The file cannot be written.
     """
     path, rounds = Path(path), as_rounds(smooth)
-    if path.suffix.lower() != ".stl":
-        raise InputError(f"{path}: a surface is written slab by slab as .stl alone; name it so")
+    suffixes = [suffix for suffix, form in FORMATS.items() if form.in_slabs]
+    if path.suffix.lower() not in suffixes:
+        raise InputError(
+            f"{path}: a surface is written slab by slab as {', '.join(suffixes)} alone; name it so"
+        )
+    writer_type = FORMATS[path.suffix.lower()].member("Writer")
     layers = count_layers(volume, phase)
-    check_some(bool(layers.faces.any()), phase, volume.phases)
-    stl.check_count(int(layers.faces.sum()))
+    check_not_empty(bool(layers.faces.any()), phase, volume.phases)
+    writer_type.check_count(int(layers.faces.sum()))
     if depth is None:
         plane = (volume.shape[1] + 2) * (volume.shape[2] + 2)
         advice = "export fewer voxels, such as a coarser level"
-        depth = depth_within(
-            volume, lambda d: layers.need(d, 2 * rounds, plane), memory=memory, advice=advice
-        )
+        need = partial(layers.need, halo=2 * rounds, plane=plane, writing=writer_type.memory)
+        depth = depth_within(volume, need, memory=memory, advice=advice)
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
     slabs = surface_slabs(volume, layers, phase=phase, rounds=rounds, depth=depth)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    with replacing(path) as temporary, stl.Writer(temporary) as writer:
+    with replacing(path) as temporary, writer_type(temporary) as writer:
 
-        def written() -> Iterator[np.ndarray]:
+        def write_slabs() -> Iterator[np.ndarray]:
+            """Write every slab; yield its own vertices, for the digest."""
             for surface, own in slabs:
                 writer.add(surface)
                 np.minimum(low, surface.vertices[own].min(axis=0, initial=np.inf), out=low)
                 np.maximum(high, surface.vertices[own].max(axis=0, initial=-np.inf), out=high)
                 yield surface.vertices[own]
 
-        sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), written())
+        sha256 = digest_of(np.dtype(np.float32), (int(layers.vertices.sum()), 3), write_slabs())
         writer.finish(
             volume.unit, volume.recipe.then_digest("mesh", sha256, phase=phase, smooth=rounds)
         )
     layers = replace(layers, extent=tuple((high - low)[::-1].tolist()))
-    say_size(layers.extent, volume.unit)
+    notify_size(layers.extent, volume.unit)
     return layers
 
 
 def in_core_bytes(shape: tuple[int, ...]) -> int:
-    """About what a surface in memory needs; how large it is shows only when it has been counted."""
+    """Return about the memory of a surface as a whole; its size is not known before a count."""
     return _IN_CORE * math.prod(shape)
 
 
 def count_layers(volume: Slabs, phase: str | int | None = None) -> Layers:
-    """Vertices and triangles of every layer of cubes; a layer's vertices are those of the plane
-    below it and between.
-    """
+    """Count vertices and triangles of every layer of cubes; see `Layers`."""
     table, found = case_table()[0], []
     count = volume.shape[0] + 1
     for first in track(range(0, count, _AT_ONCE), "surface"):
@@ -169,8 +176,10 @@ def count_layers(volume: Slabs, phase: str | int | None = None) -> Layers:
 def surface_slabs(
     volume: Slabs, layers: Layers, *, phase: str | int | None, rounds: int, depth: int
 ) -> Iterator[tuple[Mesh, slice]]:
-    """The triangles of `depth` layers of cubes at a time, with the vertices around, and which of
-    these are new.
+    """Yield the triangles of `depth` layers of cubes at a time.
+
+    With them come the vertices of the slab and its halo, and the slice of those that belong to the
+    slab alone.
     """
     count = volume.shape[0] + 1
     starts = [z for z in range(0, count, depth) if layers.faces[z : z + depth].any()]
@@ -183,17 +192,17 @@ def surface_slabs(
         vertices, faces = march(solid)
         vertices[:, 2] += low
         own = np.searchsorted(np.floor(vertices[:, 2]), (first, last))
-        # Layers that were cut have other triangles than the volume's: they are counted here.
+        # Layers cut by the void planes have other triangles than the volume's: count them here.
         before = kernels.count(solid[: first - low + 1], case_table()[0])[1]
-        kept = faces[before : before + int(layers.faces[first:last].sum())]
-        points = smoothed(
+        own_faces = faces[before : before + int(layers.faces[first:last].sum())]
+        points = smooth_vertices(
             vertices, faces, shape=volume.shape, spacing=volume.spacing, rounds=rounds
         )
-        yield Mesh(points, kept, volume.unit), slice(*own)
+        yield Mesh(points, own_faces, volume.unit), slice(*own)
 
 
 def _planes(volume: Slabs, first: int, last: int, phase: str | int | None) -> np.ndarray:
-    """Planes of the volume padded by one voxel of void; plane 0 is padding."""
+    """Return planes of the volume padded by one voxel of void; plane 0 is padding."""
     depth, height, width = volume.shape
     solid = np.zeros((last - first, height + 2, width + 2), np.uint8)
     low, high = max(first - 1, 0), min(last - 1, depth)
@@ -203,5 +212,5 @@ def _planes(volume: Slabs, first: int, last: int, phase: str | int | None) -> np
     return solid
 
 
-def _running(counts: np.ndarray) -> np.ndarray:
+def _running_sum(counts: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)])

@@ -1,5 +1,7 @@
-"""STL: 80 bytes of header, a count, 50 bytes a triangle; or its text form. The format knows no
-unit; slicers take millimetres."""
+"""STL: 80 bytes of header, a count, 50 bytes a triangle; or its text form.
+
+The format has no unit; slicers take millimetres.
+"""
 
 from __future__ import annotations
 
@@ -12,30 +14,23 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import metres, recipe_digest, stated_unit
+from trabecula.mesh.text import metres, parse_unit, recipe_digest
 from trabecula.mesh.weld import weld
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_PIECE = 1 << 18  # triangles at a time: the records of the whole mesh would double the memory
+_CHUNK = 1 << 18  # triangles at a time: the records of the whole mesh would double the memory
 _HEADER = 84
 
 
-def writing_bytes(faces: int) -> int:
-    """Memory of writing so many triangles: corners, normals and records of a piece."""
-    return 250 * min(faces, _PIECE)
-
-
 def write(mesh: Mesh, path: Path) -> None:
-    """Write `mesh` in millimetres where its unit is a length, as it is otherwise; the header says
-    which.
-    """
+    """Write `mesh` in millimetres where its unit is a length, else unscaled; the header has it."""
     with Writer(path) as writer:
         writer.add(mesh)
         writer.finish(mesh.unit, mesh.recipe)
 
 
 class Writer:
-    """An STL that is written piece by piece: a surface of which not all is in memory."""
+    """An STL that is written chunk by chunk: the surface is never in memory as a whole."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb")
@@ -48,36 +43,40 @@ class Writer:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
+    @staticmethod
+    def memory(faces: int) -> int:
+        """Return the bytes needed to write so many triangles: corners, normals and records."""
+        return 250 * min(faces, _CHUNK)
+
+    @staticmethod
+    def check_count(faces: int) -> None:
+        """Raise where there are more triangles than the header can count."""
+        if faces >= 2**32:
+            raise InputError(
+                f"the surface has {faces} triangles, an STL counts 2**32 - 1: export a crop, or a "
+                "coarser level"
+            )
+
     def add(self, mesh: Mesh) -> None:
-        """Write the triangles of a mesh behind those that are there."""
-        factor = _to_file(mesh.unit)[1]
-        for start in range(0, len(mesh.faces), _PIECE):
-            self._file.write(_records(mesh, mesh.faces[start : start + _PIECE], factor).tobytes())
+        """Append the triangles of a mesh."""
+        factor = _file_unit(mesh.unit)[1]
+        for start in range(0, len(mesh.faces), _CHUNK):
+            self._file.write(_records(mesh, mesh.faces[start : start + _CHUNK], factor).tobytes())
         self._count += len(mesh.faces)
 
     def finish(self, unit: str, recipe: Recipe) -> None:
-        """Write the header, which nobody knew before: the count, the unit and what names the recipe
-        of it all.
-        """
-        check_count(self._count)
+        """Write the header, now that it is known: the count, the unit, the recipe's digest."""
+        self.check_count(self._count)
         # A header that began with "solid" would be taken for the text form of STL.
-        header = f"trabecula, unit={_to_file(unit)[0]}, recipe={recipe_digest(recipe)}"
+        header = f"trabecula, unit={_file_unit(unit)[0]}, recipe={recipe_digest(recipe)}"
         self._file.seek(0)
         self._file.write(
             header.encode("ascii", "replace")[:80].ljust(80) + np.uint32(self._count).tobytes()
         )
 
 
-def check_count(faces: int) -> None:
-    """Raise where there are more triangles than the header can count."""
-    if faces >= 2**32:
-        raise InputError(
-            f"the surface has {faces} triangles, an STL counts 2**32 - 1: export a crop, or a coarser level"
-        )
-
-
-def _to_file(unit: str) -> tuple[str, float]:
-    """The unit that coordinates are written in, and their factor."""
+def _file_unit(unit: str) -> tuple[str, float]:
+    """Return the unit of the coordinates in the file, and their factor."""
     size = metres(unit)
     return (unit, 1.0) if size is None else ("mm", size * 1000)
 
@@ -95,13 +94,13 @@ def _records(mesh: Mesh, faces: np.ndarray, factor: float) -> np.ndarray:
 
 
 def read(path: Path) -> Mesh:
-    """Read either form; corners at the same place become one vertex. A unit is known only where
-    this package wrote it.
+    """Read either form; corners at the same place become one vertex.
+
+    The unit is known only where this package wrote it.
     """
     raw = path.read_bytes()
     count = int.from_bytes(raw[80:_HEADER], "little") if len(raw) >= _HEADER else -1
-    # The size decides, not the first word: binary files of some programs begin with "solid" as
-    # well.
+    # The size decides, not the first word: binary files of some programs begin with "solid" too.
     if len(raw) != _HEADER + count * _TRIANGLE.itemsize:
         if b"facet" in raw[:4096]:
             return _read_text(raw)
@@ -110,7 +109,7 @@ def read(path: Path) -> Mesh:
         )
     unit = re.search(rb"unit=(\w+)", raw[:80])
     corners = np.frombuffer(raw, _TRIANGLE, offset=_HEADER)["corners"]
-    return Mesh(*weld(corners), stated_unit(unit[1].decode("ascii") if unit else None))
+    return Mesh(*weld(corners), parse_unit(unit[1].decode("ascii") if unit else None))
 
 
 def _read_text(raw: bytes) -> Mesh:

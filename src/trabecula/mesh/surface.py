@@ -1,10 +1,9 @@
 """`mesh`: the closed surface of one phase of a volume.
 
 1. Pad by one voxel of void, so that the surface closes where the phase meets the border.
-2. Marching cubes on the binary volume with the generated table of `mesh.table`: count, then fill.
-3. Smooth: rounds of Taubin's lambda|mu filter take the staircase off and keep the volume; which
-faces exist, and so
-   closedness, cannot change.
+2. Run marching cubes on the binary volume with the table of `mesh.table`: count, then fill.
+3. Smooth: rounds of Taubin's lambda|mu filter remove the staircase and keep the volume; the faces,
+   and so closedness, cannot change.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from trabecula.mesh.base import Mesh
 from trabecula.mesh.table import EDGES, case_table
 
 ROUNDS = 10
-"""Rounds of smoothing where none are asked for."""
+"""Default rounds of smoothing."""
 
 # Taubin 1995 (doi:10.1145/218380.218473), section 3: pass-band frequency 1 / lambda + 1 / mu = 0.1.
 SHRINK, GROW = 0.5, -1.0 / (1.0 / 0.5 - 0.1)
@@ -32,7 +31,7 @@ SHRINK, GROW = 0.5, -1.0 / (1.0 / 0.5 - 0.1)
 def mesh(
     image: Image | ArrayLike, *, phase: str | int | None = None, smooth: int | None = None
 ) -> Mesh:
-    """The closed, outward-facing surface of a phase.
+    """Return the closed, outward-facing surface of a phase.
 
     Parameters
     ----------
@@ -48,9 +47,9 @@ def mesh(
     -------
     Mesh
         Vertices (V, 3) float32 as x, y, z in the image's unit, the origin at the corner of voxel 0;
-        faces (F, 3) int32. Every edge lies in exactly two faces, in opposite directions, and parts
-        are separate where the voxels are 6-connected parts. Where the phase meets the border of the
-        image the surface is flat.
+        faces (F, 3) int32. Every edge is in exactly two faces, in opposite directions, and the
+        connected components are those of the voxels with 6 neighbours. Where the phase meets the
+        border of the image the surface is flat.
 
     Raises
     ------
@@ -65,16 +64,18 @@ def mesh(
     """
     image = as_image(image)
     rounds = as_rounds(smooth)
-    solid = _padded(image, phase)
+    solid = _pad_phase(image, phase)
     vertices, faces = march(solid)
-    points = smoothed(vertices, faces, shape=image.shape, spacing=image.spacing, rounds=rounds)
+    points = smooth_vertices(
+        vertices, faces, shape=image.shape, spacing=image.spacing, rounds=rounds
+    )
     return Mesh(
         points, faces, image.unit, image.recipe.then("mesh", points, phase=phase, smooth=rounds)
     )
 
 
 def as_rounds(smooth: int | None) -> int:
-    """Rounds of smoothing: those asked for, or `ROUNDS`."""
+    """Return the rounds of smoothing, checked; `ROUNDS` for None."""
     if smooth is None:
         return ROUNDS
     if (
@@ -88,19 +89,20 @@ def as_rounds(smooth: int | None) -> int:
     return int(smooth)
 
 
-def _padded(image: Image, phase: str | int | None) -> np.ndarray:
+def _pad_phase(image: Image, phase: str | int | None) -> np.ndarray:
+    """Return the indicator of a phase with one voxel of void around it, uint8."""
     check_labels(image)
     if image.ndim != 3:
         raise InputError(
             f"a surface needs a volume, the image has shape {image.shape}: give 3 axes (z, y, x)"
         )
     inside = indicator(image, phase)[1]
-    check_some(bool(inside.any()), phase, image.phases)
+    check_not_empty(bool(inside.any()), phase, image.phases)
     return np.pad(inside.view(np.uint8), 1)
 
 
-def check_some(found: bool, phase: str | int | None, phases: Sequence[str]) -> None:
-    """Raise where nothing of the phase was found."""
+def check_not_empty(found: bool, phase: str | int | None, phases: Sequence[str]) -> None:
+    """Raise where no voxel of the phase was found."""
     if not found:
         name = "solid" if phase is None else phase
         raise InputError(
@@ -109,10 +111,10 @@ def check_some(found: bool, phase: str | int | None, phases: Sequence[str]) -> N
 
 
 def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) float64 in voxels and faces (F, 3) int32 of a padded volume."""
+    """Return vertices (V, 3) float64 in voxels and faces (F, 3) int32 of a padded volume."""
     counts, triangles = case_table()
     n_vertices, n_faces = kernels.count(solid, counts)
-    # While smoothing: vertices and sums in float64, degrees; then the float32 copy.
+    # While smoothing: vertices and sums in float64, degrees; afterwards the float32 copy.
     check_budget(Plan({"vertices": n_vertices * 64, "faces": n_faces * 12}), advice="mesh a crop")
     if n_vertices >= 2**31:
         raise InputError(
@@ -124,7 +126,7 @@ def march(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices, faces
 
 
-def smoothed(
+def smooth_vertices(
     vertices: np.ndarray,
     faces: np.ndarray,
     *,
@@ -132,22 +134,16 @@ def smoothed(
     spacing: Sequence[float],
     rounds: int,
 ) -> np.ndarray:
-    """Vertices in the image's unit, float32, after `rounds` of smoothing; those in voxels are
-    changed in place.
+    """Smooth vertices in voxels by Taubin's filter, in place; return them in the image's unit.
+
+    The result is float32. Weights are uniform, so smoothing commutes with the scaling to `spacing`.
     """
-    _smooth(vertices, faces, box=tuple(shape[::-1]), rounds=rounds)
+    if rounds:
+        degree, sums = np.zeros(len(vertices), np.int32), np.empty_like(vertices)
+        box = np.array(shape[::-1], np.float64)
+        kernels.degrees(faces, degree)
+        for _ in range(rounds):
+            for factor in (SHRINK, GROW):
+                kernels.relax(vertices, faces, degree, factor, box, sums)
     vertices *= spacing[::-1]
     return vertices.astype(np.float32)
-
-
-def _smooth(vertices: np.ndarray, faces: np.ndarray, *, box: tuple[int, ...], rounds: int) -> None:
-    """Taubin's filter in voxel coordinates, in place (uniform weights commute with the scaling to
-    `spacing`).
-    """
-    if not rounds:
-        return
-    degree, sums = np.zeros(len(vertices), np.int32), np.empty_like(vertices)
-    kernels.degrees(faces, degree)
-    for _ in range(rounds):
-        for factor in (SHRINK, GROW):
-            kernels.relax(vertices, faces, degree, factor, np.array(box, np.float64), sums)

@@ -1,21 +1,21 @@
 """The case table of marching cubes, generated (Lorensen and Cline 1987, doi:10.1145/37401.37422,
-gives the idea).
+is the source of the idea).
 
-A cube has the centres of 2x2x2 voxels as corners. Corner `c` lies at x = c & 1, y = c >> 1 & 1, z =
-c >> 2 & 1; bit `c` of a configuration says that this corner is solid. An edge whose ends differ
-carries one vertex.
+A cube has the centres of 2x2x2 voxels as corners. Corner `c` is at x = c & 1, y = c >> 1 & 1, z =
+c >> 2 & 1; bit `c` of a configuration is 1 if this corner is solid. An edge with one solid and one
+void end carries one vertex.
 
-**One rule for every face.** On a face whose solid corners lie on a diagonal, the solid is
-*separated* (each solid corner gets its own segment). So the surface encloses parts that are
-6-connected, the connectivity that components are counted by. The void is joined there. Both cubes
-at a face apply the same rule to the same four corners and so draw the same segments, in opposite
-directions: whatever the volume, no gap can open.
+**One rule for every face.** Where the two solid corners of a face are on a diagonal, the solid is
+*separated* (each solid corner gets its own segment). So the surface encloses components of 6
+neighbours, the connectivity that components are counted by. The void is joined there. Both cubes at
+a face apply the same rule to the same four corners and so draw the same segments, in opposite
+directions: no gap can open, in any volume.
 
-**Why the surface is a manifold.** Every cut edge lies in two faces of its cube and ends one segment
+**Why the surface is a manifold.** Every cut edge is in two faces of its cube and ends one segment
 in each, so the segments close into loops that share no vertex, and around a grid edge the four
-cubes' loops form one ring. A loop's inner diagonals are its own unless both ends lie in one face of
+cubes' loops form one ring. A loop's inner diagonals are its own unless both ends are in one face of
 the cube, where the neighbour could draw the same; `_triangulate` therefore never uses such a
-diagonal (the table test shows that it never has to).
+diagonal (the test of the table shows that it never has to).
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _NOT_POSSIBLE = 1e9
 
 @cache
 def case_table() -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of every configuration.
+    """Return the triangles of every configuration.
 
     Returns
     -------
     counts : (256,) int64
         Number of triangles.
     triangles : (256, N) int64
-        Edge numbers, three to a triangle, outward (counter-clockwise seen from the void); filled up
+        Edge numbers, three to a triangle, outward (counter-clockwise seen from the void); padded
         with -1.
     """
     cases = [_triangles(config) for config in range(256)]
@@ -53,7 +53,7 @@ def case_table() -> tuple[np.ndarray, np.ndarray]:
 
 
 def loops(config: int) -> list[list[int]]:
-    """The closed loops of cut edges of one configuration, outward."""
+    """Return the closed loops of cut edges of one configuration, outward."""
     follower: dict[int, int] = {}
     for face in _FACES:
         follower.update(_segments(config, face))
@@ -70,12 +70,12 @@ def loops(config: int) -> list[list[int]]:
 
 
 def share_face(first: int, second: int) -> bool:
-    """Whether two edges of the cube lie in one of its faces."""
+    """Return whether two edges of the cube are in one of its faces."""
     return any({first, second} <= set(_edges_around(face)) for face in _FACES)
 
 
 def _corners_around(axis: int, side: int) -> tuple[int, int, int, int]:
-    """The corners of a face, counter-clockwise seen from outside the cube."""
+    """Return the corners of a face, counter-clockwise seen from outside the cube."""
     u, v = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
     base = side << axis
     ring = (base, base | u, base | u | v, base | v)
@@ -90,10 +90,10 @@ def _edges_around(face: tuple[int, int, int, int]) -> list[int]:
 
 
 def _segments(config: int, face: tuple[int, int, int, int]) -> dict[int, int]:
-    """Start -> end of the segments on a face: one around each run of solid corners, from the edge
-    before to that after.
+    """Map start to end of the segments on a face: one around each run of solid corners.
 
-    Giving each run its own segment is the rule that separates solid corners on a diagonal.
+    It runs from the edge before the run to the one after it. A segment for each run is the rule
+    that separates solid corners on a diagonal.
     """
     solid = [config >> corner & 1 for corner in face]
     edges = _edges_around(face)
@@ -112,8 +112,9 @@ def _triangles(config: int) -> list[int]:
 
 
 def _triangulate(loop: list[int]) -> list[int]:
-    """Triangles of a loop with the shortest diagonals that lie in no face of the cube (dynamic
-    programming).
+    """Divide a loop into triangles by dynamic programming.
+
+    With the shortest diagonals of those that are in no face of the cube.
     """
     middle = [
         np.array([sum(c >> axis & 1 for c in EDGES[edge][:2]) / 2 for axis in range(3)])

@@ -1,6 +1,4 @@
-"""3MF (core specification 1.3): a zip of three XML parts. The model declares its unit and carries
-the recipe.
-"""
+"""3MF (core specification 1.3): a zip of three XML parts; the model declares unit and recipe."""
 
 from __future__ import annotations
 
@@ -16,14 +14,13 @@ from trabecula import __version__
 from trabecula.core.errors import FileError
 from trabecula.engine.memory import available_memory
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import NO_UNIT, metres, recipe_json, stated_unit
-from trabecula.mesh.text import rows
+from trabecula.mesh.text import NO_UNIT, format_rows, metres, parse_unit, recipe_json
 
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
-_DEEPEST = 16  # of components within components; a file in which one holds itself would have no end
+_DEEPEST = 16  # nested components; a file in which one contains itself would never end
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -34,39 +31,35 @@ _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 
 _RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 <Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
-<Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
+<Relationship Target="/3D/3dmodel.model" Id="rel0" \
+Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>
 """
 
 
 def write(mesh: Mesh, path: Path) -> None:
-    """Write `mesh` in its own unit where 3MF has it, else in micrometres; plain voxels count as
-    millimetres.
-    """
+    """Write `mesh` in its own unit where 3MF has it, else in micrometres; voxels as millimetres."""
     unit, factor = _unit(mesh)
     with zipfile.ZipFile(path, "w") as package:
         for name, text in (("[Content_Types].xml", _TYPES), ("_rels/.rels", _RELATIONSHIPS)):
             package.writestr(_entry(name), text)
-        # Level 1: 3 times quicker than the default for a file some 10 % larger.
+        # Level 1: 3 times faster than the default for a file some 10 % larger.
         with package.open(_entry("3D/3dmodel.model"), "w", force_zip64=True) as part:
-            _write_model(
-                mesh,
-                io.TextIOWrapper(part, encoding="utf-8", write_through=True),
-                unit=unit,
-                factor=factor,
-            )
+            text_file = io.TextIOWrapper(part, encoding="utf-8", write_through=True)
+            _write_model(mesh, text_file, unit=unit, factor=factor)
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    # A fixed date: the same mesh gives the same bytes.
+    """Return a deflated entry with a fixed date: the same mesh gives the same bytes."""
     entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
     entry.compress_type = zipfile.ZIP_DEFLATED
-    entry._compresslevel = 1  # type: ignore[attr-defined]  # public as `compress_level` from Python 3.13
+    # Public as `compress_level` from Python 3.13.
+    entry._compresslevel = 1  # type: ignore[attr-defined]
     return entry
 
 
 def _unit(mesh: Mesh) -> tuple[str, float]:
-    """The 3MF name of the mesh's unit and the factor that coordinates need."""
+    """Return the 3MF name of the mesh's unit and the factor of its coordinates."""
     size = metres(mesh.unit)
     if size is None:
         return "millimeter", 1.0
@@ -79,7 +72,8 @@ def _unit(mesh: Mesh) -> tuple[str, float]:
 def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float) -> None:
     file.write(
         '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<model unit="{unit}" xml:lang="en-US" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
+        f'<model unit="{unit}" xml:lang="en-US" '
+        'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
         'xmlns:tb="urn:trabecula">\n'
         f'<metadata name="Application">trabecula {__version__}</metadata>\n'
         f'<metadata name="tb:unit">{escape(mesh.unit)}</metadata>\n'
@@ -92,18 +86,19 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
         '<resources>\n<object id="1" type="model">\n<mesh>\n<vertices>\n'
     )
     vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices
-    file.writelines(rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
+    file.writelines(format_rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
     file.write("</vertices>\n<triangles>\n")
-    file.writelines(rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
+    file.writelines(format_rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
     file.write(
-        '</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n'
+        "</triangles>\n</mesh>\n</object>\n</resources>\n"
+        '<build>\n<item objectid="1"/>\n</build>\n</model>\n'
     )
     file.flush()
     file.detach()
 
 
 def read(path: Path) -> Mesh:
-    """Read every object that the file says to build, each at its place."""
+    """Read every object of the file's build section, each at its place."""
     with zipfile.ZipFile(path) as package:
         entry = next(
             (
@@ -117,38 +112,40 @@ def read(path: Path) -> Mesh:
             entry = next(info for info in package.infolist() if info.filename.endswith(".model"))
         if entry.file_size * 8 > available_memory():
             raise FileError(
-                f"cannot read {path}: its model unpacks to {entry.file_size >> 20} MiB, too much for memory"
+                f"cannot read {path}: its model unpacks to {entry.file_size >> 20} MiB, too much "
+                "for memory"
             )
         model = ElementTree.fromstring(package.read(entry))
     objects = {node.get("id", ""): node for node in model.iter(f"{_CORE}object")}
     parts = [
         part
         for item in model.iter(f"{_CORE}item")
-        for part in _built(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
+        for part in _object_parts(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
     vertices = np.concatenate([points for points, _ in parts])
     faces = np.concatenate(
         [faces + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)]
     )
-    unit, factor = _unit_read(model)
+    unit, factor = _read_unit(model)
     return Mesh(vertices * factor, faces, unit)
 
 
-def _unit_read(model: ElementTree.Element) -> tuple[str, float]:
-    """The unit, and the factor that the coordinates need; a mesh of ours in voxels is one again."""
+def _read_unit(model: ElementTree.Element) -> tuple[str, float]:
+    """Return the unit, and the factor of the coordinates; "voxel" of our own files is restored."""
     ours = {node.get("name"): node.text for node in model.iter(f"{_CORE}metadata")}.get("tb:unit")
     if ours == NO_UNIT:
         return NO_UNIT, 1.0
     stated = model.get("unit", "millimeter")  # the specification's default
-    return ("inch", _FOOT) if stated == "foot" else (stated_unit(stated), 1.0)
+    return ("inch", _FOOT) if stated == "foot" else (parse_unit(stated), 1.0)
 
 
-def _built(
+def _object_parts(
     objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and faces of an object and of the components in it. `transform` is (4, 3): points
-    are rows (x, y, z, 1).
+    """Return vertices and faces of an object and of the components in it.
+
+    `transform` is (4, 3): points are rows (x, y, z, 1).
     """
     if depth == 0:
         raise ValueError("its components are nested too deep")
@@ -164,18 +161,19 @@ def _built(
             for t in surface.iter(f"{_CORE}triangle")
         ]
         placed = np.array(points, np.float64).reshape(-1, 3) @ transform[:3] + transform[3]
-        turned = np.array(faces, np.int64).reshape(-1, 3)
+        corners = np.array(faces, np.int64).reshape(-1, 3)
         # A mirror turns the surface inside out.
-        parts.append((placed, turned if np.linalg.det(transform[:3]) > 0 else turned[:, ::-1]))
+        parts.append((placed, corners if np.linalg.det(transform[:3]) > 0 else corners[:, ::-1]))
     for component in node.iter(f"{_CORE}component"):
         inner = _transform(component)
         whole = np.concatenate(
             [inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]]
         )
-        parts += _built(objects, component.get("objectid", ""), whole, depth - 1)
+        parts += _object_parts(objects, component.get("objectid", ""), whole, depth - 1)
     return parts
 
 
 def _transform(node: ElementTree.Element) -> np.ndarray:
+    """Return the transform (4, 3) of an item or component."""
     text = node.get("transform")
     return np.eye(4, 3) if text is None else np.array(text.split(), np.float64).reshape(4, 3)

@@ -1,13 +1,12 @@
-"""`voxelise`: which voxels of a grid lie inside a surface.
+"""`voxelise`: the voxels of a grid that are inside a surface.
 
-1. For every row of voxels along x, find where its centre line crosses the surface, and in which
-direction. A line counts
-   as crossing a triangle where it winds around it in the plane (y, z); whether an edge is passed is
-   decided from its ends in a fixed order, so both triangles at the edge decide alike, and the
-   crossings of a row sum to 0, whatever the rounding: no ray can leak through an edge or a vertex,
-   and none needs to be moved aside.
-2. Along the row add the crossings up: the sum is the winding number, and a voxel is inside where it
-is not 0.
+1. For every row of voxels along x, find the crossings of its centre line with the surface, and
+   their directions. A line crosses a triangle where the triangle winds around it in the plane
+   (y, z). The test of an edge takes its ends in a fixed order, so both triangles at the edge decide
+   alike, and the crossings of a row sum to 0, whatever the rounding: no ray can leak through an
+   edge or a vertex, and none needs to be displaced.
+2. Sum the crossings along the row: the sum is the winding number, and a voxel is inside where it is
+   not 0.
 """
 
 from __future__ import annotations
@@ -37,22 +36,21 @@ def voxelise(
     margin: int = 0,
     origin: Sequence[float] | None = None,
 ) -> Image:
-    """The voxels whose centres lie inside a closed surface.
+    """Return the voxels whose centres are inside a closed surface.
 
     Parameters
     ----------
     mesh : Mesh
-        Watertight. Where parts overlap their union is taken; a surface that is turned inwards is a
-        cavity.
+        Watertight. Overlapping solids are united; a surface that faces inwards is a cavity.
     spacing : float or sequence of float
         Edge of a voxel along z, y, x, in the mesh's unit.
     shape : int or sequence of int, optional
-        Voxels along z, y, x. Default: as many as the mesh needs, and `margin`.
+        Voxels along z, y, x. Default: as many as the mesh needs, plus `margin`.
     margin : int, optional
         Empty voxels around the mesh along every axis, 0..4096. Not beside `shape`. Default 0.
     origin : sequence of float, optional
-        z, y, x of the corner of voxel (0, 0, 0) in the mesh's coordinates. Default: the mesh lies
-        in the middle.
+        z, y, x of the corner of voxel (0, 0, 0) in the mesh's coordinates. Default: the mesh is
+        centred.
 
     Returns
     -------
@@ -63,14 +61,14 @@ def voxelise(
     ------
     InputError
         The mesh has holes or no coherent outside; it does not fit into `shape`; no voxel's centre
-        lies inside.
+        is inside.
     MemoryBudgetError
         More voxels than memory.
 
     Notes
     -----
-    A voxel is in or out as a whole. On the volume that cancels to below 0.1 % where the form is 200
-    voxels wide or more.
+    A voxel is inside or outside as a whole. The error of the volume cancels to below 0.1 % where
+    the form is 200 voxels wide or more.
 
     Examples
     --------
@@ -81,7 +79,7 @@ def voxelise(
     True
     """
     edges = as_spacing(spacing, ndim=3)
-    closed = _closed(mesh)
+    closed = _weld_if_open(mesh)
     low, high = (bound[::-1] for bound in _bounds(closed))
     sides, corner = _grid(low, high, edges, shape, margin, origin)
     check_budget(
@@ -95,15 +93,16 @@ def voxelise(
     solid = values.view(np.uint8)
     if not solid.any():
         raise InputError(
-            f"no voxel lies inside the mesh of {_size(high - low)} {mesh.unit} (z, y, x) at voxels of {_size(edges)}: "
-            "use smaller voxels, or scale the mesh"
+            f"no voxel lies inside the mesh of {_size(high - low)} {mesh.unit} (z, y, x) at voxels "
+            f"of {_size(edges)}: use smaller voxels, or scale the mesh"
         )
-    made = {"mesh": mesh.recipe, "spacing": edges, "shape": sides, "origin": corner}
-    return Image(solid, "labels", edges, mesh.unit, recipe=Recipe().then("voxelise", solid, **made))
+    settings = {"mesh": mesh.recipe, "spacing": edges, "shape": sides, "origin": corner}
+    recipe = Recipe().then("voxelise", solid, **settings)
+    return Image(solid, "labels", edges, mesh.unit, recipe=recipe)
 
 
-def scaled(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:
-    """The mesh with its coordinates times `factor` (above 0), in another `unit` where one is given."""
+def scale_mesh(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:
+    """Scale the coordinates of a mesh by `factor` (above 0); `unit` replaces its unit."""
     factor = as_number(factor, name="scale", low=1e-18, high=1e18)
     unit = mesh.unit if unit is None else unit
     vertices = mesh.vertices.astype(np.float64) * factor
@@ -111,14 +110,14 @@ def scaled(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:
     return replace(mesh, vertices=vertices, unit=unit, recipe=recipe)
 
 
-def fitted(
+def fit_mesh(
     mesh: Mesh,
     *,
     shape: int | Sequence[int],
     spacing: float | Sequence[float],
     unit: str | None = None,
 ) -> Mesh:
-    """The mesh, scaled alike along every axis so that it just fits into a box of voxels.
+    """Scale a mesh equally along every axis so that it just fits into a box of voxels.
 
     Parameters
     ----------
@@ -128,19 +127,20 @@ def fitted(
     spacing : float or sequence of float
         Edge of a voxel along z, y, x.
     unit : str, optional
-        Of the spacing, and then of the mesh. Default: the mesh's.
+        Unit of the spacing, and of the result. Default: the mesh's.
     """
     box = np.array(as_shape(shape)) * as_spacing(spacing, ndim=3)
     low, high = _bounds(mesh)
     extent = (high - low)[::-1]
     if not extent.max() > 0:
         raise InputError("the mesh is a single point: it cannot be scaled to a box")
-    return scaled(mesh, float(np.min(box[extent > 0] / extent[extent > 0])), unit=unit)
+    return scale_mesh(mesh, float(np.min(box[extent > 0] / extent[extent > 0])), unit=unit)
 
 
-def _closed(mesh: Mesh) -> Mesh:
-    """The mesh, if it is closed; one whose vertices are split (as at the seams of a texture) is,
-    once they are welded.
+def _weld_if_open(mesh: Mesh) -> Mesh:
+    """Return the mesh, its vertices welded where it is closed only then; raise where it stays open.
+
+    Files split vertices, as at the seams of a texture.
     """
     try:
         check_closed(mesh)
@@ -152,7 +152,7 @@ def _closed(mesh: Mesh) -> Mesh:
 
 
 def _bounds(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest x, y, z of the surface; vertices that no face uses do not count."""
+    """Return lowest and highest x, y, z of the surface, without vertices that no face uses."""
     if not len(mesh.faces):
         raise InputError("the mesh has no faces: there is nothing inside")
     used = mesh.vertices[np.unique(mesh.faces)].astype(np.float64)
@@ -167,14 +167,14 @@ def _grid(
     margin: int,
     origin: Sequence[float] | None,
 ) -> tuple[tuple[int, ...], np.ndarray]:
-    """Voxels along z, y, x, and the corner of voxel (0, 0, 0)."""
+    """Return the voxels along z, y, x, and the corner of voxel (0, 0, 0)."""
     margin = int(as_number(margin, name="margin", low=0, high=4096, whole=True))
     if shape is not None and margin:
         raise InputError("give a shape or a margin, not both: a shape says how much room there is")
     start = None if origin is None else np.array(origin, np.float64)
     if start is not None and (start.shape != (3,) or not np.isfinite(start).all()):
         raise InputError(f"origin {origin!r} is not made of three finite numbers: give z, y, x")
-    # A hair less than needed: n voxels that the float32 of a file made n + 1e-6 are n.
+    # A hair less than the extent: a float32 file turns n voxels into n + 1e-6, which are n.
     hair = 1e-6 * np.maximum(np.abs(low), np.abs(high))
     extent = (high - (low if start is None else start) - hair) / edges
     need = np.maximum(np.ceil(extent - 1e-9), 1) + (2 if start is None else 1) * margin
@@ -185,8 +185,8 @@ def _grid(
         return sides, start
     if any(n > side for n, side in zip(need, sides, strict=True)):
         raise InputError(
-            f"the mesh is {_size(high - low)} wide (z, y, x) and needs {_size(need)} voxels, the shape is {sides}: "
-            "ask for a larger shape, or scale the mesh"
+            f"the mesh is {_size(high - low)} wide (z, y, x) and needs {_size(need)} voxels, the "
+            f"shape is {sides}: request a larger shape, or scale the mesh"
         )
     return sides, (low + high) / 2 - np.array(sides) * edges / 2
 

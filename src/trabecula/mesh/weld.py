@@ -1,4 +1,4 @@
-"""From corners and polygons, as files hold them, to vertices and triangles."""
+"""Vertices and triangles from the corners and polygons of files."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 
 
 def weld(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (F, 3, 3) as vertices (V, 3), every place once, and faces (F', 3); faces of fewer
-    than three places go.
+    """Merge equal corners (F, 3, 3) into vertices (V, 3) and faces (F', 3).
+
+    Faces with fewer than three different vertices are dropped.
     """
-    # which makes -0 a 0: places are compared as bytes
+    # Adding 0.0 makes -0.0 a 0.0: positions are compared as bytes.
     points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0
     rows = points.view(np.dtype((np.void, points.dtype.itemsize * 3))).ravel()
     _, first, number = np.unique(rows, return_index=True, return_inverse=True)
@@ -17,19 +18,20 @@ def weld(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(first, kind="stable")
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return points[first[order]], without_slivers(rank[number].reshape(-1, 3))
+    return points[first[order]], drop_degenerate(rank[number].reshape(-1, 3))
 
 
-def without_slivers(faces: np.ndarray) -> np.ndarray:
-    """The faces that name three vertices."""
+def drop_degenerate(faces: np.ndarray) -> np.ndarray:
+    """Return the faces with three different vertices."""
     a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
     keep = (a != b) & (b != c) & (c != a)
     return faces if keep.all() else faces[keep]
 
 
-def fans(counts: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3) of polygons: `counts` corners each, one after another in `indices`; each a
-    fan from its first.
+def fan_triangles(counts: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """Divide polygons into fans of triangles (F, 3), each from the polygon's first corner.
+
+    `counts` (P,) are the corners of each, one polygon after another in `indices`.
     """
     starts = np.cumsum(counts) - counts
     per = np.maximum(counts - 2, 0)

@@ -23,7 +23,7 @@ from trabecula.io.lazy import open_slabs, slabs_if_large
 from trabecula.io.units import has_length, to_metres
 from trabecula.mesh.files import read_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
-from trabecula.mesh.voxels import fitted, scaled, voxelise
+from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 SAMPLE_PREFIX = "sample:"
 
@@ -228,11 +228,13 @@ def load_mask(
     edges = voxels_of([exemplar]) if spacing is None else spacing
     stated = surface.unit
     if scale is None and shape is not None:
-        surface = fitted(surface, shape=shape, spacing=edges, unit=exemplar.unit)
+        surface = fit_mesh(surface, shape=shape, spacing=edges, unit=exemplar.unit)
     else:
         both = has_length(surface.unit) and has_length(exemplar.unit)
         factor = to_metres(surface.unit) / to_metres(exemplar.unit) if both else 1.0
-        surface = scaled(surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit)
+        surface = scale_mesh(
+            surface, (1.0 if scale is None else scale) * factor, unit=exemplar.unit
+        )
     form = voxelise(surface, spacing=edges, shape=shape)
     if scale is not None or shape is None:
         _report_units(os.fspath(source), stated, exemplar.unit, scale)

@@ -27,7 +27,7 @@ from trabecula.exemplar.segment import segment
 from trabecula.io import files
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import read_mesh
-from trabecula.mesh.voxels import scaled, voxelise
+from trabecula.mesh.voxels import scale_mesh, voxelise
 from trabecula.models import shipped_models
 from trabecula.synth.api.method import Model
 from trabecula.synth.api.registry import method
@@ -279,7 +279,7 @@ def _make_surface(steps: Sequence[Mapping[str, Any]], sources: RecipeFiles) -> M
         raise NotReproducedError(_explain_difference(steps[0]))
     for step in steps[1:]:
         check_name(step["verb"], ("scale",), name="step of a surface's recipe")
-        surface = scaled(surface, step["factor"], unit=step["unit"])
+        surface = scale_mesh(surface, step["factor"], unit=step["unit"])
     return surface
 
 

@@ -1,4 +1,4 @@
-"""Files: what is read back is the mesh, in the unit that the format says."""
+"""Files: a round trip gives the mesh, in the unit of the format."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -12,7 +12,8 @@ import trabecula as tb
 from trabecula.core.errors import FileError, InputError, UnknownNameError
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import write_mesh
-from trabecula.mesh.formats import FORMATS, recipe_digest
+from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.text import recipe_digest
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 
@@ -24,7 +25,7 @@ def blob():
 
 
 def same_surface(read, mesh, factor=1.0):
-    """Whether a file holds the mesh; STL repeats vertices, so corners are compared."""
+    """Return whether a file holds the mesh; STL repeats vertices, so compare corners."""
     found, wanted = np.asarray(read.triangles), mesh.vertices[mesh.faces].astype(float) * factor
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 
@@ -126,8 +127,8 @@ def test_many_rows_are_written_in_pieces(tmp_path, monkeypatch, blob):
     whole = [
         write_mesh(mesh, tmp_path / f"whole{suffix}").read_bytes() for suffix in (".obj", ".stl")
     ]
-    monkeypatch.setattr("trabecula.mesh.text._PIECE", 7)
-    monkeypatch.setattr("trabecula.mesh.stl._PIECE", 7)
+    monkeypatch.setattr("trabecula.mesh.text._ROWS", 7)
+    monkeypatch.setattr("trabecula.mesh.stl._CHUNK", 7)
     assert [
         write_mesh(mesh, tmp_path / f"pieces{suffix}").read_bytes() for suffix in (".obj", ".stl")
     ] == whole
