@@ -51,7 +51,7 @@ def bubbles_fit() -> None:
     """Air voids of cement (100^3) and a slice of bread (380^2): distances at the first guess,
     found, and for three new seeds.
 
-    Distances are those of the search (likeness.py); below them figures of the certificate of what
+    Distances are those of the search (fit_objective.py); below them figures of the certificate of what
     is made of the settings, of the exemplar's covariance and of its pieces. With
     TRABECULA_BENCH_OUT named, plots of the distributions, and slices.
     """
@@ -109,8 +109,8 @@ def _draw(name: str, exemplar: tb.Image, made: tb.Image, report: dict[str, Any])
     seen = reduce_exemplar(exemplar)
     fit = descriptors_of(reduce_exemplar(made).image)
     plots = [
-        _distribution("pore size", seen.look, fit, "pores", exemplar.unit),
-        _distribution("thickness of what is between", seen.look, fit, "walls", exemplar.unit),
+        _distribution("pore size", seen.measured, fit, "pores", exemplar.unit),
+        _distribution("thickness of what is between", seen.measured, fit, "walls", exemplar.unit),
         curve_plot({"least distance": np.array(report["trace"])}, title="search", x_label="trials"),
     ]
     (folder / f"bubbles_fit_{name}.html").write_text(

@@ -105,7 +105,7 @@ def test_an_exemplar_is_made_coarser_and_cut_no_further_than_needed():
         and seen.image.shape == (72, 72, 72)
     )
     # Balls on a lattice grow and shrink all at once: a measure of the middle comes no nearer.
-    assert seen.look.porosity == pytest.approx(np.mean(fine == 0), abs=0.025)
+    assert seen.measured.porosity == pytest.approx(np.mean(fine == 0), abs=0.025)
     named = reduce_exemplar(tb.Image(1 - balls(6).values, "labels", 1.0, "um", ("rock", "void")))
     assert np.array_equal(named.image.values, balls(6).values)
 

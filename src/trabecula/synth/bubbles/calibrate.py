@@ -164,8 +164,9 @@ _CANDIDATES, _OTHER_SEEDS = 5, (1, 2)
 
 _CHECK_SEEDS = (3, 4, 5)
 """New seeds for the distances of the result."""
+
 _ROOM = 0.005  # porosity in reach beyond the wanted one
-_START_SHARE = 0.3  # share of the trials that look where to begin
+_START_SHARE = 0.3  # share of the trials spent on starting points
 _ALIKE = 1.15  # longest over shortest intercept length from which a direction is preferred
 _SCALES = {
     "size": Scale("size", -4.0, 4.0, 0.75),  # log2 of the first guess's density over the trial's
@@ -190,14 +191,14 @@ def calibrate(
         Its `trials` are the most settings to try; a setting that differs from its default stays.
     exemplar : Image of void and another phase, (Z, Y, X) or (Y, X)
     make : callable
-        The model of settings and facts (blank).
+        Makes the model of settings and of the size of a voxel.
 
     Returns
     -------
     found : BubblesConfig
     report : dict
         Plain JSON: `found` (the settings by name), `start` and `end` (distances by name, and their
-        weighted sum `total`), `checks` (the end's for seeds that the search has not seen), `trace`
+        weighted sum `total`), `checks` (those of the end for new seeds), `trace`
         (the least total so far after every trial).
     """
     if not config.trials:
@@ -214,14 +215,9 @@ def calibrate(
     start = _point(first, scales)
     if scales:
         search.run(_starts(start, scales, config.trials))
-    found = _choose_robust(
-        [
-            _settings_at(first, scales, point)
-            for point in search.best(1 + min(_CANDIDATES, config.trials // 10)) or [start]
-        ],
-        seen,
-        make,
-    )
+    best = search.best(1 + min(_CANDIDATES, config.trials // 10)) or [start]
+    candidates = [_settings_at(first, scales, point) for point in best]
+    found = _choose_robust(candidates, seen, make)
     progress.report("fitting bubbles", 1.0)
     changed = {
         f.name: getattr(found, f.name)
@@ -286,19 +282,19 @@ def _settings_at(first: BubblesConfig, scales: list[Scale], point: Point) -> Bub
 
 def _guess(config: BubblesConfig, seen: Exemplar) -> dict[str, Any]:
     """Guess density, wall thickness, porosity and flow from the measures alone."""
-    look, ndim = seen.look, seen.ndim
+    measured, ndim = seen.measured, seen.ndim
     ball = math.pi / 6 if ndim == 3 else math.pi / 4
-    # Balls of that diameter make that porosity; where bubbles are pressed together, what fits into
-    # one is smaller than it.
-    ball_diameter = look.pores.mean() / (1 - _PRESSED * look.porosity)
-    apart_by = ball_diameter * (ball / look.porosity) ** (1 / ndim)
+    # Balls of that diameter make that porosity; where bubbles are pressed together, the largest
+    # ball in one is smaller than the bubble.
+    ball_diameter = measured.pores.mean() / (1 - _PRESSED * measured.porosity)
+    apart_by = ball_diameter * (ball / measured.porosity) ** (1 / ndim)
     changes: dict[str, Any] = {}
     if _is_default(config, "density") and _is_default(config, "distance"):
         changes["density"] = _round_digits(apart_by**-ndim)
     if _is_default(config, "separation") and _is_default(config, "thickness"):
-        changes["thickness"] = _round_digits(min(max(look.walls[_THIN] / apart_by, 0.01), 0.35))
+        changes["thickness"] = _round_digits(min(max(measured.walls[_THIN] / apart_by, 0.01), 0.35))
     if config.time is None and config.porosity is None:
-        changes["porosity"] = _round_digits(look.porosity)
+        changes["porosity"] = _round_digits(measured.porosity)
     if config.flow == "none" and not config.flow_regions and _is_default(config, "randomness"):
         changes |= _direction(seen)
     return changes
@@ -310,10 +306,8 @@ def _direction(seen: Exemplar) -> dict[str, Any]:
     longest, others = found.lengths[0], found.lengths[1:]
     if longest < _ALIKE * others.min():
         return {}
-    along = np.round(
-        found.directions[0] * np.sign(found.directions[0][np.argmax(np.abs(found.directions[0]))]),
-        2,
-    )
+    axis = found.directions[0]
+    along = np.round(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
     ratio = float(np.exp(np.mean(np.log(others / longest))))
     return {
         "flow": ", ".join(f"{part:g}" for part in along[::-1] + 0.0),

@@ -92,12 +92,11 @@ def distances(made: MaterialDescriptors | None, wanted: MaterialDescriptors) -> 
 _SIDE = {3: 72, 2: 400}
 """Voxels along an axis of the middle of the exemplar that is compared."""
 
-_FINE = 10  # voxels of a mean pore's diameter: finer ones are not needed
-
-# bytes a voxel of a trial and its measures, and of directions, whatever its size
+_FINE = 10  # voxels in the diameter of a mean pore: finer ones are not needed
+# bytes a voxel of a trial and its measures, and bytes of directions for any size
 _HELD, _LEAST_HELD = 30, 8_600_000
 _LEAST = 32  # voxels along an axis that a coarser exemplar keeps
-# of the distances in their sum: a direction is seen long before it measures much
+# weights of the distances in their sum: a direction shows long before its distance is large
 _WEIGHTS = {"anisotropy": 3.0}
 
 Maker = Callable[[BubblesConfig, list[ExemplarInfo]], Model]
@@ -108,7 +107,7 @@ class Exemplar:
     """The compared part of an exemplar: void 0 and solid 1, in voxels no finer than needed."""
 
     image: Image
-    look: MaterialDescriptors
+    measured: MaterialDescriptors
     ndim: int
 
     @property
@@ -130,23 +129,23 @@ def reduce_exemplar(exemplar: Image) -> Exemplar:
         (exemplar.values != void).astype(np.uint8), "labels", exemplar.spacing, exemplar.unit
     )
     image = _middle(whole)
-    look = _descriptors(image)
-    factor = int(look.pores.mean() / exemplar.spacing[0] / _FINE)
+    measured = _descriptors(image)
+    factor = int(measured.pores.mean() / exemplar.spacing[0] / _FINE)
     if factor > 1 and min(exemplar.shape) // factor >= _LEAST:
         image = _middle(_coarser(whole, factor))
-        look = _descriptors(image)
-    return Exemplar(image, look, exemplar.ndim)
+        measured = _descriptors(image)
+    return Exemplar(image, measured, exemplar.ndim)
 
 
 def _descriptors(image: Image) -> MaterialDescriptors:
     """Measure an exemplar; raise where it holds one phase alone."""
-    look = descriptors_of(image)
-    if look is None:
+    measured = descriptors_of(image)
+    if measured is None:
         raise InputError(
             f"the middle of the exemplar, {image.shape}, holds one phase alone: give a crop with "
             "bubbles all over"
         )
-    return look
+    return measured
 
 
 def _middle(image: Image) -> Image:
@@ -167,8 +166,8 @@ def _coarser(image: Image, factor: int) -> Image:
     level = np.sort(counts, axis=None)[::-1][
         min(round(inner.mean() * counts.size), counts.size - 1)
     ]
-    either = (counts >= level, counts > level)
-    solid = min(either, key=lambda chosen: abs(chosen.mean() - inner.mean()))
+    candidates = (counts >= level, counts > level)
+    solid = min(candidates, key=lambda one: abs(one.mean() - inner.mean()))
     return with_values(
         image, solid.astype(np.uint8), spacing=tuple(edge * factor for edge in image.spacing)
     )
@@ -183,13 +182,11 @@ def trial(config: BubblesConfig, seen: Exemplar, make: Maker, seed: int) -> Mapp
     facts = without_exemplar(seen.spacing, seen.image.unit)
     for tried in (config, replace(config, porosity=None)):
         try:
-            return distances(
-                descriptors_of(make(tried, [facts]).generate(seen.image.shape, seed=seed)),
-                seen.look,
-            )
+            volume = make(tried, [facts]).generate(seen.image.shape, seed=seed)
+            return distances(descriptors_of(volume), seen.measured)
         except RequestError:
             continue
-    return distances(None, seen.look)
+    return distances(None, seen.measured)
 
 
 def bytes_of_search(shape: Sequence[int]) -> int:
