@@ -51,7 +51,8 @@ def big_scaling() -> None:
     side = int(os.environ.get("TRABECULA_BENCH_SIDE", SIDE))
     each = _task_seconds()
     print(
-        f"{each * 1e3:.2f} ms a task for the scheduler; {SHARED / 1e9:.0f} GB/s are taken for the file system\n"
+        f"{each * 1e3:.2f} ms a task for the scheduler; {SHARED / 1e9:.0f} GB/s are "
+        "taken for the file system\n"
     )
     heads = ("a block s", "KiB", *(f"{count} workers" for count in WORKERS), "digest")
     row = table(f"{side}^3", *heads, wide=14)

@@ -180,7 +180,7 @@ def drawn(labels: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
 
 
 def cropped(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The part of a picture that holds the form, the right way up: y of the meshes points upwards."""
+    """Crop a picture to the form, with y of the meshes upwards."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1][::-1]
 

@@ -40,7 +40,7 @@ def timed(
 
 
 def busy(job: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds that the processor spent, whatever else it did meanwhile, and what the job returned."""
+    """Return the processor seconds of a job, and its result."""
     return timed(job, clock=time.process_time)
 
 

@@ -74,7 +74,8 @@ def show_block(method: str, name: str, side: int, times: float, seeds: Sequence[
         for size, mine, theirs in zip(sizes, own.fraction, found.fraction, strict=True):
             band = bands.get(f"fraction_spread_{size}")
             cells.append(
-                f"{mine.edge / exemplar.spacing[0]:.0f}: {mine.deviation:.4f} {theirs.deviation:.4f}"
+                f"{mine.edge / exemplar.spacing[0]:.0f}: {mine.deviation:.4f} "
+                f"{theirs.deviation:.4f}"
             )
             if band is not None:
                 held = band[0] <= theirs.deviation <= band[1]

@@ -26,7 +26,7 @@ NARROW = {"width": 4, "batch": 4, "latent": 16}
 
 
 def exemplar(name: str) -> tb.Image | None:
-    """The scan that a shipped model was learnt from, without its blank margins, where it is here."""
+    """Return the scan of a shipped model without its blank margins, where it is here."""
     scan = LEARNT_FROM.get(name, "")
     file, edge, unit = {**LABELS, **GREY}.get(scan, ("", 1.0, "voxel"))
     return (
@@ -72,7 +72,7 @@ def models() -> None:
 
 
 def speed() -> None:
-    """Seconds of the processor that a shipped model takes for 120^3, 200^3 and 420^3, one thread."""
+    """Return the processor seconds of a shipped model for 120^3, 200^3 and 420^3, one thread."""
     for name in shipped_models():
         model = tb.load_model(name)
         model.generate(64, seed=0)

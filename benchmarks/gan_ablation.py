@@ -1,5 +1,5 @@
-"""Table 1 of the paper on what trains on a processor: the losses that the discriminator's features offer,
-at equal processor time.
+"""Table 1 of the paper on what trains on a processor: the losses that the discriminator's
+features offer, at equal processor time.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
     "all": ({**_SCORE, "gram": 0.1, "structural": 1.0}, "0.59 3.05 6/3"),
 }
 """Settings beside those of `compact`, and what the paper has for its Bone_0: porosity error in
-percent, D2 (not of this package's scale), components / floating. The paper's discriminators at width 16;
-generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no sliced
-distributions after the warm-up."""
+percent, D2 (not of this package's scale), components / floating. The paper's discriminators at
+width 16; generator, warm-up, relativistic loss and schedule of `compact`, crops of 32^3, and no
+sliced distributions after the warm-up."""
 
 _FIGURES = (
     "porosity_error",

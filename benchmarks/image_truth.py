@@ -140,7 +140,8 @@ def _tell_floor(name: str, truth: Truth, picture: tb.Image) -> None:
     own, *others = (_relative(line, truth.curves["radial"]) for line in lines)
     floor = np.mean(others)
     print(
-        f"{name}: S2 radial of real slices {floor:.3f} (1.5 times: {1.5 * floor:.3f}), of the picture itself {own:.3f}"
+        f"{name}: S2 radial of real slices {floor:.3f} (1.5 times: {1.5 * floor:.3f}), "
+        f"of the picture itself {own:.3f}"
     )
 
 

@@ -163,7 +163,7 @@ def _wrapped(function: Callable[..., Any], stage: str, profile: Profile) -> Call
 
 
 def _transform(function: Callable[..., Any], profile: Profile) -> Callable[..., Any]:
-    """Counts 5 n log2 n operations of a complex transform of n values, half as many of a real one."""
+    """Count 5 n log2 n operations of a complex transform of n values, half for a real one."""
 
     def wrapper(values: np.ndarray, n: int | None = None, axis: int = -1) -> Any:
         result = function(values, n=n, axis=axis)

@@ -31,7 +31,7 @@ NARROW = ("bone a",)
 
 
 def exemplars() -> dict[str, tb.Image]:
-    """Name -> exemplar of 60^3 or 100^3: the samples, and the centres of the scans where they are."""
+    """Return exemplars of 60^3 or 100^3 by name: the samples, and the centres of the scans."""
     found = {f"sample {name}": tb.crop(tb.sample(name), 60) for name in tb.samples()}
     for name, scan in scans().items():
         if f"sample {name}" not in found:

@@ -18,7 +18,8 @@ STAGE = 512
 FRAMES = 4
 _READY = """window.trabecula.ready.then((app) => {
   window.app = app;
-  app.drawing.gl.readPixels(0, 0, 1, 1, app.drawing.gl.RGBA, app.drawing.gl.UNSIGNED_BYTE, new Uint8Array(4));
+  const gl = app.drawing.gl;
+  gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   return performance.now();
 })"""
 _SQUARE = f"""(() => {{
@@ -26,7 +27,10 @@ _SQUARE = f"""(() => {{
   Object.assign(stage, {{ width: "{STAGE}px", height: "{STAGE}px", minHeight: "0", flex: "none" }});
   return new Promise((done) => setTimeout(done, 400));
 }})()"""
-_HOLD = "new Promise((done) => { const wait = () => (app.passes >= 4 ? done(0) : setTimeout(wait, 50)); wait(); })"
+_HOLD = (
+    "new Promise((done) => { const wait = () => "
+    "(app.passes >= 4 ? done(0) : setTimeout(wait, 50)); wait(); })"
+)
 
 
 def bone(side: int) -> tb.Image:

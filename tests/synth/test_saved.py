@@ -134,7 +134,8 @@ def test_what_a_file_says_of_itself_is_checked(data, tmp_path, changes, words):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("kind", "smell"), ("spacing", [0, 1, 1]), ("spacing", "x"), ("phases", ["void"]), ("shares", [1]), ("recipe", 3),
+    [("kind", "smell"), ("spacing", [0, 1, 1]), ("spacing", "x"), ("phases", ["void"]),
+     ("shares", [1]), ("recipe", 3),
      ("unit", 7), ("shape", [-1, 2, 3])],
 )  # fmt: skip
 def test_facts_are_checked(data, tmp_path, field, value):

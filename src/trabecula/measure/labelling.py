@@ -19,7 +19,7 @@ from trabecula.measure.runs import INSIDE, merge_labels, runs_of
 def label_components(
     inside: ArrayLike, *, connectivity: int | None = None, periodic: bool | Sequence[bool] = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Number the connected components.
+    """Label the connected components.
 
     Parameters
     ----------

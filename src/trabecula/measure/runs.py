@@ -248,7 +248,7 @@ def _join_pairs(count, pairs):
 
 @kernel
 def _number(parent, label, start, stop, count):
-    """Number the runs from `start` on, with `count` labels taken before; return the labels taken
+    """Label the runs from `start` on, with `count` labels taken before; return the labels taken
     after. A root comes before its tree.
     """
     for k in range(start, stop):

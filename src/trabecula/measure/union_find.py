@@ -27,7 +27,7 @@ def join(parent, i, j):
 
 @inline
 def number_trees(parent):
-    """Number the trees by their first member: the number of every member, and the count."""
+    """Label the trees by their first member: the number of every member, and the count."""
     number = np.empty(len(parent), np.int64)
     count = 0
     for k in range(len(parent)):

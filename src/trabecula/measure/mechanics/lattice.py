@@ -90,7 +90,7 @@ def voxel_cells(kind: np.ndarray, matrices: np.ndarray, edges: tuple[float, ...]
 
 
 def row_keys(cells: Cells) -> np.ndarray:
-    """Number every node of a grid of voxels: equal where the eight voxels around it are of equal
+    """Assign a number to every node of a grid of voxels: equal where the eight voxels around it are of equal
     kinds.
     """
     keys = np.zeros(cells.count, np.int64)

@@ -9,7 +9,7 @@ from trabecula.engine.compile import kernel
 
 @kernel
 def enumerate_voxels(active):
-    """Number every active voxel in raster order, -1 elsewhere; return also their count."""
+    """Label every active voxel in raster order, -1 elsewhere; return also their count."""
     number = np.empty(active.shape, np.int32)
     count = 0
     for z in range(active.shape[0]):

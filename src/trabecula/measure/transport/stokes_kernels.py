@@ -19,7 +19,7 @@ from trabecula.engine.compile import inline, kernel
 
 @kernel
 def enumerate_faces(number):
-    """Number every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; return also the first
+    """Label every face, (3, Z + 1, Y, X), -1 where it is a wall or a mirror; return also the first
     of every axis, and the end.
     """
     depth, height, width = number.shape

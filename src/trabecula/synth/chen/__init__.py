@@ -6,8 +6,14 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="chen",
-    summary="a volume from pictures as kopf makes it, of the pictures' own pixels, all of which are used evenly",
-    paper="Chen, Wang (2010), High quality solid texture synthesis using position and index histogram matching",
+    summary=(
+        "a volume from pictures as kopf makes it, of the pictures' own pixels, all of which are "
+        "used evenly"
+    ),
+    paper=(
+        "Chen, Wang (2010), High quality solid texture synthesis using position and index "
+        "histogram matching"
+    ),
     learns_from=("pictures",),
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),

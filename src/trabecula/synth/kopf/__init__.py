@@ -4,8 +4,14 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="kopf",
-    summary="a volume whose slices look like one picture or several, by optimising the squares in its planes together",
-    paper="Kopf, Fu, Cohen-Or, Deussen, Lischinski, Wong (2007), Solid texture synthesis from 2D exemplars",
+    summary=(
+        "a volume whose slices look like one picture or several, by optimising the squares in its "
+        "planes together"
+    ),
+    paper=(
+        "Kopf, Fu, Cohen-Or, Deussen, Lischinski, Wong (2007), Solid texture synthesis from 2D "
+        "exemplars"
+    ),
     learns_from=("pictures",),
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),

@@ -4,7 +4,10 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="quilt",
-    summary="graded structures: pieces of a scan or a section, chosen by target fields, joined along least seams, connected",
+    summary=(
+        "graded structures: patches of a scan or a section, chosen by target fields, joined along "
+        "least seams, connected"
+    ),
     paper="Liu, Shapiro (2016), Sample-based design of functionally graded material structures",
     learns_from=("volumes", "pictures"),
     makes=("volume", "picture"),

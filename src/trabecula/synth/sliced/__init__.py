@@ -6,8 +6,14 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="sliced",
-    summary="a volume of labels from one picture or several, laid out by sliced transport, finished by search and vote",
-    paper="Rabin, Peyré, Delon, Bernot (2011), Wasserstein barycenter and its application to texture mixing",
+    summary=(
+        "a volume of labels from one picture or several, laid out by sliced transport, finished "
+        "by search and vote"
+    ),
+    paper=(
+        "Rabin, Peyré, Delon, Bernot (2011), Wasserstein barycenter and its application to "
+        "texture mixing"
+    ),
     learns_from=("pictures",),
     kinds=("labels",),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),

@@ -4,8 +4,13 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="texture",
-    summary="a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest in the exemplar",
-    paper="Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials",
+    summary=(
+        "a larger volume from a 3-D scan, by optimising every neighbourhood towards its nearest "
+        "in the exemplar"
+    ),
+    paper=(
+        "Zhang, Chen, Wang, Wang (2017), By example synthesis of three-dimensional porous materials"
+    ),
     learns_from=("volumes",),
     kinds=("labels", "grey", "colour"),
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
