@@ -51,8 +51,8 @@ def bubbles_fit() -> None:
     """Air voids of cement (100^3) and a slice of bread (380^2): distances at the first guess,
     found, and for three new seeds.
 
-    Distances are those of the search (fit_objective.py); below them figures of the certificate of what
-    is made of the settings, of the exemplar's covariance and of its pieces. With
+    Distances are those of the search (fit_objective.py); below them figures of the certificate of
+    results of the settings, of the exemplar's covariance and of its patches. With
     TRABECULA_BENCH_OUT named, plots of the distributions, and slices.
     """
     if not SCANS.is_dir():
